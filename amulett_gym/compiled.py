@@ -1,0 +1,33 @@
+"""How the equations are compiled: strict IEEE float64, cached on disk, the same bits on every call.
+
+No fast math and no contraction, so that a result depends neither on the batch size nor on the position in the batch.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _cache_is_writable() -> bool:
+    """Tell whether numba will find a folder for its cache: beside the source, the user's, or ``NUMBA_CACHE_DIR``."""
+    for folder in (Path(__file__).parent, Path.home()):
+        if os.access(folder, os.W_OK):
+            return True
+    return False
+
+
+if not numba.config.CACHE_DIR and not _cache_is_writable():
+    numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / f"amulett-gym-{os.getuid()}")
+
+
+def compiled(function: F) -> F:
+    """Compile `function` with numba on first use (strict floating point, division by zero gives inf or NaN)."""
+    return numba.njit(cache=True, error_model="numpy")(function)

@@ -1,0 +1,328 @@
+"""One validated description of the device and its loop: the *profile*.
+
+A profile is a YAML file (or a dict) of groups; every key is typed, range-checked and carries its unit. Lengths, masses
+and forces are in SI; angles are in degrees where the key says ``_deg``, and become radians in
+:mod:`amulett_gym.simulation.layout`. A profile may name a `base` profile and give only what differs from it.
+"""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from amulett_gym.errors import AmulettError, nearest, unknown
+from amulett_gym.files import read_text
+
+SOURCES = ("paper", "datasheet", "identified", "assumed")
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Group(BaseModel):
+    """A frozen group of settings; unknown keys and non-finite numbers are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+
+class Sourced(Group):
+    """A group whose values can name where they come from: `paper`, `datasheet`, `identified` or `assumed`."""
+
+    sources: dict[str, str] = Field(default_factory=dict, description="key -> '<source>: explanation'")
+
+    @model_validator(mode="after")
+    def _check_sources(self) -> Sourced:
+        for key, source in self.sources.items():
+            if key not in type(self).model_fields or key == "sources":
+                raise ValueError(f"sources names the unknown key '{key}'{nearest(key, type(self).model_fields)}")
+            if source.split(":")[0] not in SOURCES:
+                raise ValueError(f"source of '{key}' is '{source}'; it has to start with one of {', '.join(SOURCES)}")
+        return self
+
+
+class PointMass(Group):
+    """One of the N masses of eqs. 2-3."""
+
+    mass: float = Field(ge=0, le=20, description="m_i [kg]")
+    arm: float = Field(ge=0, le=1, description="l_i, lever arm about the joint [m]")
+
+
+class Plant(Sourced):
+    """The arm and its pulleys (eqs. 1-5)."""
+
+    masses: list[PointMass] = Field(min_length=1, description="m_i and l_i of eqs. 2-3")
+    orientation: Literal["horizontal", "vertical"] = Field(
+        description="plane in which the forearm swings; in the horizontal one gravity does no work"
+    )
+    drive_pulley_radius: float = Field(gt=0, le=0.2, description="R_1 [m]")
+    joint_pulley_radius: float = Field(gt=0, le=0.2, description="R_2 [m]")
+    angle_limit_deg: float = Field(gt=0, le=180, description="the device fails beyond +- this joint angle [deg]")
+    velocity_limit_deg: float = Field(gt=0, le=100_000, description="the device fails beyond +- this rate [deg/s]")
+
+
+class Spring(Sourced):
+    """The non-linear spring assembly in each string (Figure 5a), or a measured curve in its place."""
+
+    stiffness: Positive = Field(description="stiffness of each of the two linear springs [N/m]")
+    half_width: Positive = Field(description="distance of each spring's anchor from the string's axis [m]")
+    free_length: NonNegative = Field(description="length of an unloaded linear spring [m], at most half_width")
+    max_deflection: Positive = Field(description="string deflection at which the table ends [m]; force is held beyond")
+    measured_curve: str | None = Field(
+        default=None, description="CSV file that replaces the geometric model (see model.spring.read_curve)"
+    )
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Spring:
+        if self.free_length > self.half_width:
+            raise ValueError(
+                f"free_length is {self.free_length} m; it has to be at most half_width, {self.half_width} m, "
+                "or the springs would push the string out of its axis"
+            )
+        return self
+
+
+class Damping(Sourced):
+    """The preload-dependent decay rate of Figure 3, ``a exp(b (x + c)) + d``, clipped at zero."""
+
+    fit: Literal["shifted", "printed"] = Field(
+        description="shifted: a exp(b (x + c)) + d, as Figure 3 shows; printed: a exp(b x + c) + d, as its caption says"
+    )
+    a: float = Field(le=0, description="[1/s]; not positive: friction grows with preload")
+    b: float = Field(lt=0, description="[1/N]")
+    c: float = Field(description="[N] if shifted, dimensionless if printed")
+    d: NonNegative = Field(description="decay rate at large preload [1/s]")
+    keeps: Literal["torque", "rate"] = Field(
+        description="what stays the same when a payload changes the inertia: the damping torque, or the decay rate"
+    )
+
+
+class Drives(Sourced):
+    """Both motors."""
+
+    lag: NonNegative = Field(description="time constant of the motor position [s]; 0: the motor follows at once")
+    rate_limit_deg: float | None = Field(default=None, gt=0, description="largest motor speed [deg/s]; null: none")
+    command_limit_deg: float | None = Field(default=None, gt=0, description="largest |command| [deg]; null: none")
+
+
+class Sensors(Sourced):
+    """Joint encoder and the potentiometers on the linear springs."""
+
+    encoder_bits: int = Field(ge=0, le=32, description="bits per revolution; 0: exact")
+    encoder_noise_deg: NonNegative = Field(description="standard deviation [deg]")
+    potentiometer_bits: int = Field(ge=0, le=32, description="bits over the travel; 0: exact")
+    potentiometer_travel: Positive = Field(description="travel of the slider [m]")
+    potentiometer_noise: NonNegative = Field(description="standard deviation [m]")
+    force_filter: NonNegative = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
+    force_floor: NonNegative = Field(description="forces estimated below this are not trusted [N]; 0: all are")
+    below_floor: Literal["clamp", "hold", "ignore"] = Field(
+        description="clamp: report the floor; hold: repeat the last trusted value; ignore: report the raw estimate, "
+        "but let the tension controller see no error"
+    )
+
+
+class Pid(Group):
+    """Gains of one PID controller. Position: deg/deg. Tension: deg/N."""
+
+    kp: NonNegative = Field(description="proportional gain")
+    ki: NonNegative = Field(description="integral gain [1/s]")
+    kd: NonNegative = Field(description="derivative gain [s]")
+    derivative_filter: NonNegative = Field(description="time constant of the derivative's filter [s]; 0: none")
+    derivative_on: Literal["error", "measurement"] = "error"
+
+
+class Loop(Sourced):
+    """The decentralised loop of section 2.2."""
+
+    control_period: float = Field(gt=0, le=0.1, description="time between two control ticks [s]")
+    substeps: int = Field(ge=1, le=1000, description="integration steps in a control period")
+    position: Pid = Field(description="joint position controller")
+    tension: Pid = Field(description="string tension controller")
+    position_only: Pid = Field(description="joint position controller used without the tension controller")
+    offset_deg: float = Field(ge=0, le=180, description="co-contraction of each drive in position-only control [deg]")
+    wiring: Literal["sum", "tension_only"] = Field(
+        description="the antagonist follows position plus tension controller, or the tension controller alone"
+    )
+    agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or one drive throughout")
+    switch_hysteresis: NonNegative = Field(
+        description="the other spring has to be deflected this much more than the agonist's before they switch [m]"
+    )
+    tie_width: NonNegative = Field(description="spring deflections closer than this are equal [m]")
+    tie_error_deg: NonNegative = Field(
+        description="at equal deflections the desired motion decides, if the error is at least this [deg]"
+    )
+    velocity_filter: Positive = Field(description="time constant of the measured joint velocity [s]")
+
+    @model_validator(mode="after")
+    def _check_hysteresis(self) -> Loop:
+        if self.tie_width > self.switch_hysteresis:
+            raise ValueError(
+                f"tie_width is {self.tie_width} m; it has to be at most switch_hysteresis, {self.switch_hysteresis} m"
+            )
+        return self
+
+
+class VariableStiffness(Sourced):
+    """Parameters of eq. 6 (Figure 6)."""
+
+    nominal_tension: Positive = Field(description="sigma, desired string tension [N]")
+    minimum_tension: Positive = Field(description="sigma_min, minimum desired string tension [N]")
+    error_offset_deg: Positive = Field(description="d_offset, error at which the factor is smallest [deg]")
+
+    @model_validator(mode="after")
+    def _check_order(self) -> VariableStiffness:
+        if self.minimum_tension > self.nominal_tension:
+            raise ValueError(
+                f"minimum_tension is {self.minimum_tension} N; it has to be at most nominal_tension, "
+                f"{self.nominal_tension} N"
+            )
+        return self
+
+
+class Profile(Group):
+    """A device with its loop: everything the simulation has to know that is not part of a scenario."""
+
+    name: str = Field(min_length=1)
+    base: str | None = Field(default=None, description="the shipped profile this one started from")
+    description: str = ""
+    plant: Plant
+    spring: Spring
+    damping: Damping
+    drives: Drives
+    sensors: Sensors
+    loop: Loop
+    variable_stiffness: VariableStiffness
+
+    @property
+    def root(self) -> str:
+        """Name of the shipped profile behind this one; its reward divisors apply."""
+        return self.name if self.base is None or self.name in profile_names() else self.base
+
+
+def profile_names() -> list[str]:
+    """Return the names of the shipped profiles."""
+    folder = resources.files("amulett_gym") / "profiles"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
+    """Read and validate a profile.
+
+    Parameters
+    ----------
+    profile : str, Path, mapping or Profile
+        A shipped profile's name (``"simulation"``, ``"testbed"``), a YAML file, or the content of one. A mapping may
+        name a ``base`` profile and hold only the keys that differ.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    AmulettError
+        If the name or file is unknown, a key is unknown, or a value is out of its range.
+    """
+    if isinstance(profile, Profile):
+        return profile
+    if isinstance(profile, Mapping):
+        return _validate(profile, "profile")
+    if str(profile) in profile_names():
+        return _validate(_shipped(str(profile)), f"profile '{profile}'")
+    path = Path(profile)
+    if path.suffix not in (".yaml", ".yml"):
+        raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
+    content = read_yaml(path, "profile")
+    measured = content.get("spring", {}).get("measured_curve") if isinstance(content.get("spring"), dict) else None
+    if isinstance(measured, str):  # relative to the file that names it, not to where the user happens to be
+        content["spring"]["measured_curve"] = str(path.parent / measured)
+    return _validate(content, f"profile '{path}'")
+
+
+def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
+    """Read a YAML file that has to hold a mapping.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, is no YAML or holds something else than a mapping.
+    """
+    try:
+        content = yaml.safe_load(read_text(path, what))
+    except yaml.YAMLError as error:
+        raise AmulettError(f"{what} '{path}' is not valid YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise AmulettError(f"{what} '{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
+    return content
+
+
+def describe(error: ValidationError, model: type[BaseModel], what: str) -> AmulettError:
+    """Turn a pydantic error into one that names key, value, what is allowed and the nearest valid key."""
+    lines = []
+    for item in error.errors():
+        location = item["loc"]
+        key = ".".join(str(part) for part in location) or "(top level)"
+        if item["type"] == "extra_forbidden":
+            choices = _keys_at(model, location[:-1])
+            lines.append(f"unknown key '{key}'{nearest(str(location[-1]), choices)} (allowed: {', '.join(choices)})")
+        elif item["type"] == "missing":
+            lines.append(f"'{key}' is missing")
+        else:
+            value = "" if isinstance(item["input"], dict | list) else f" is {item['input']!r}"
+            lines.append(f"'{key}'{value}: {item['msg'].removeprefix('Value error, ')}")
+    return AmulettError(f"{what}: " + "; ".join(lines))
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `base` with the keys of `changes` replaced, group by group; a list is replaced whole."""
+    merged = dict(base)
+    for key, value in changes.items():
+        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
+            merged[key] = merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def _shipped(name: str) -> dict[str, Any]:
+    with resources.as_file(resources.files("amulett_gym") / "profiles" / f"{name}.yaml") as path:
+        return read_yaml(path, "profile")
+
+
+def _resolve_base(content: Mapping[str, Any]) -> dict[str, Any]:
+    base = content.get("base")
+    if base is None:
+        return dict(content)
+    if base not in profile_names():
+        raise unknown("base profile", str(base), profile_names())
+    return merge(_resolve_base(_shipped(base)), content)
+
+
+def _validate(content: Mapping[str, Any], what: str) -> Profile:
+    try:
+        return Profile.model_validate(_resolve_base(content))
+    except ValidationError as error:
+        raise describe(error, Profile, what) from error
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys allowed at `location` inside `model`, looking through lists and optional groups."""
+    for part in location:
+        if isinstance(part, int):
+            continue
+        model = _group_in(model.model_fields[part].annotation) or model
+    return list(model.model_fields)
+
+
+def _group_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    if typing.get_origin(annotation) in (list, typing.Union, types.UnionType):
+        return next((group for group in map(_group_in, typing.get_args(annotation)) if group), None)
+    return None

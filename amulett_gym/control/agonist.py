@@ -1,0 +1,47 @@
+"""Which drive is the agonist: the one that contributes more force to the motion."""
+
+from __future__ import annotations
+
+from amulett_gym.compiled import compiled
+
+BICEPS = 1.0
+TRICEPS = -1.0
+
+
+@compiled
+def select_agonist(
+    agonist: float,
+    deflection_biceps: float,
+    deflection_triceps: float,
+    error: float,
+    hysteresis: float,
+    tie_width: float,
+    tie_error: float,
+) -> float:
+    """Return the agonist for this tick: +1 biceps, -1 triceps (section 2.2).
+
+    The drive whose spring is deflected more, by over `hysteresis`, is the agonist. Deflections within `tie_width` are
+    equal: then the direction of the desired motion decides, if the position error is at least `tie_error`. In all other
+    cases the agonist stays the one it was, so that noise does not make it chatter.
+
+    Parameters
+    ----------
+    agonist : float
+        The present agonist.
+    deflection_biceps, deflection_triceps : float
+        Measured deflections of the linear springs [m].
+    error : float
+        Position setpoint minus measured angle [rad].
+    hysteresis, tie_width : float
+        [m].
+    tie_error : float
+        [rad].
+    """
+    difference = deflection_biceps - deflection_triceps
+    if difference > hysteresis:
+        return BICEPS
+    if difference < -hysteresis:
+        return TRICEPS
+    if abs(difference) <= tie_width and abs(error) >= tie_error and error != 0.0:
+        return BICEPS if error > 0.0 else TRICEPS
+    return agonist

@@ -1,0 +1,37 @@
+"""Errors that name the key, the value, what is allowed and the nearest valid choice."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class AmulettError(ValueError):
+    """Wrong input: a configuration, a name, a file or an action that cannot be used."""
+
+
+def nearest(name: str, choices: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the choice nearest to `name`, or an empty string."""
+    matches = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.5)
+    return f"; did you mean '{matches[0]}'?" if matches else ""
+
+
+def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
+    """Build the error for a name that is not among `choices`.
+
+    Parameters
+    ----------
+    kind : str
+        What the name stands for, e.g. ``"suite"``.
+    name : str
+        The name that was given.
+    choices : iterable of str
+        The valid names.
+
+    Returns
+    -------
+    AmulettError
+        To be raised by the caller.
+    """
+    listed = sorted(choices)
+    return AmulettError(f"unknown {kind} '{name}'; choose from {', '.join(listed)}{nearest(name, listed)}")

@@ -1,0 +1,21 @@
+"""What the microcontroller reads: quantised, noisy angles and spring deflections."""
+
+from __future__ import annotations
+
+import math
+
+from amulett_gym.compiled import compiled
+
+
+@compiled
+def quantise(value: float, resolution: float) -> float:
+    """Round `value` to a multiple of `resolution`; a resolution of 0 leaves it as it is."""
+    if resolution <= 0.0:
+        return value
+    return math.floor(value / resolution + 0.5) * resolution
+
+
+@compiled
+def read_slider(deflection: float, noise: float, resolution: float, travel: float) -> float:
+    """Return the potentiometer's reading [m] of a spring's deflection [m]: noise, then the travel's ends, then bits."""
+    return quantise(min(max(deflection + noise, 0.0), travel), resolution)

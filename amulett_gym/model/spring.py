@@ -1,0 +1,201 @@
+"""The non-linear spring assembly in each string, and the look-up tables made from it (Figure 5a).
+
+The assembly: the string pulls on a node that two equal linear springs hold from both sides. Unloaded, the springs
+stand across the string, each `half_width` long. A string deflection y stretches them to sqrt(half_width^2 + y^2), and
+their pull along the string is ::
+
+    f(y) = 2 k y (1 - free_length / sqrt(half_width^2 + y^2))
+
+which is progressive: slope 2 k (1 - free_length/half_width) at rest, 2 k far out. The potentiometer measures how far a
+linear spring was stretched, sqrt(half_width^2 + y^2) - half_width. Near rest that grows with y squared only, so a
+small force can hardly be estimated: the rising error at low forces of Figure 5b.
+
+The tables are uniform and interpolated by monotone cubics (PCHIP). A slack string (y < 0) has no force; beyond the
+table's end the force is held.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from amulett_gym.compiled import compiled
+from amulett_gym.config import Spring
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import read_text
+
+CELLS = 256
+CURVE_COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
+
+
+@dataclass(frozen=True)
+class SpringTables:
+    """Look-up tables of one spring assembly, ready for the kernel.
+
+    Attributes
+    ----------
+    force : ndarray, shape (256, 4)
+        Cubic coefficients of the string force [N] over the string deflection, cell by cell.
+    spring_deflection : ndarray, shape (256, 4)
+        The same for the linear spring's deflection [m], which the potentiometer sees.
+    estimated_force : ndarray, shape (256, 4)
+        The same for the force over the *square root* of the linear spring's deflection: the microcontroller's table.
+    max_deflection : float
+        String deflection at the tables' end [m].
+    max_spring_deflection : float
+        Linear spring's deflection there [m].
+    """
+
+    force: NDArray[np.float64]
+    spring_deflection: NDArray[np.float64]
+    estimated_force: NDArray[np.float64]
+    max_deflection: float
+    max_spring_deflection: float
+
+    @property
+    def max_force(self) -> float:
+        """Force at which the assembly saturates [N]."""
+        return float(self.force[-1].sum())
+
+    def force_at(self, deflection: float) -> float:
+        """Return f(Delta l) [N] at a string deflection [m]."""
+        return float(look_up(self.force, deflection / self.max_deflection))
+
+    def stiffness_at(self, deflection: float) -> float:
+        """Return the slope of f [N/m] at a string deflection [m]; 0 where the string is slack or the force is held."""
+        return float(look_up_slope(self.force, deflection / self.max_deflection) / self.max_deflection)
+
+    def deflection_at(self, force: float) -> float:
+        """Return the string deflection [m] at a force [N]: the inverse of `force_at`.
+
+        Raises
+        ------
+        AmulettError
+            If the force is negative or more than the assembly can give.
+        """
+        if not 0.0 <= force <= self.max_force:
+            raise AmulettError(f"a string force of {force} N is outside what the springs give: 0 to {self.max_force} N")
+        return float(inverse_look_up(self.force, force) * self.max_deflection)
+
+
+def assembly_curve(spring: Spring, deflection: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the geometric model's string force [N] and linear spring deflection [m] at string deflections [m]."""
+    length = np.hypot(spring.half_width, deflection)
+    return 2 * spring.stiffness * deflection * (1 - spring.free_length / length), length - spring.half_width
+
+
+def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Read a measured force-deflection curve.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV file with a header and the columns ``deflection_m``, ``force_N`` and optionally ``spring_deflection_m``
+        (without it the potentiometer is taken to measure the string's deflection itself).
+
+    Returns
+    -------
+    deflection, force, spring_deflection : ndarray
+        [m], [N], [m]; each starts at 0 and rises strictly.
+
+    Raises
+    ------
+    AmulettError
+        If the file is unreadable or empty, a column is missing, a cell is no finite number, or a column does not
+        start at zero and rise strictly.
+    """
+    rows = list(csv.DictReader(io.StringIO(read_text(path, "measured spring curve"))))
+    if not rows:
+        raise AmulettError(f"measured spring curve '{path}' is empty; it needs a header and at least 3 rows")
+    missing = [column for column in CURVE_COLUMNS[:2] if column not in rows[0]]
+    if missing:
+        raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {list(rows[0])}")
+    columns = [_column(rows, name, path) for name in CURVE_COLUMNS if name in rows[0]]
+    return columns[0], columns[1], columns[-1] if len(columns) == 3 else columns[0]
+
+
+def build_tables(spring: Spring) -> SpringTables:
+    """Build the look-up tables of a spring assembly: from its measured curve if it has one, else from its geometry."""
+    if spring.measured_curve is None:
+        deflection = np.linspace(0.0, spring.max_deflection, CELLS + 1)
+        force, spring_deflection = assembly_curve(spring, deflection)
+    else:
+        measured, measured_force, measured_spring = read_curve(spring.measured_curve)
+        deflection = np.linspace(0.0, measured[-1], CELLS + 1)
+        force = PchipInterpolator(measured, measured_force)(deflection)
+        spring_deflection = PchipInterpolator(measured, measured_spring)(deflection)
+    root = np.sqrt(spring_deflection)
+    uniform_root = np.linspace(0.0, root[-1], CELLS + 1)
+    return SpringTables(
+        force=_coefficients(force),
+        spring_deflection=_coefficients(spring_deflection),
+        estimated_force=_coefficients(PchipInterpolator(root, force)(uniform_root)),
+        max_deflection=float(deflection[-1]),
+        max_spring_deflection=float(spring_deflection[-1]),
+    )
+
+
+@compiled
+def look_up(table: NDArray[np.float64], position: float) -> float:
+    """Return a table's value at `position`, 0 at its start and 1 at its end; held beyond both."""
+    cells = table.shape[0]
+    scaled = min(max(position, 0.0), 1.0) * cells
+    cell = min(int(scaled), cells - 1)
+    w = scaled - cell
+    return table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
+
+
+@compiled
+def look_up_slope(table: NDArray[np.float64], position: float) -> float:
+    """Return the slope of a table's value by `position`; zero beyond both ends."""
+    if position < 0.0 or position > 1.0:
+        return 0.0
+    cells = table.shape[0]
+    scaled = position * cells
+    cell = min(int(scaled), cells - 1)
+    w = scaled - cell
+    return (table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])) * cells
+
+
+@compiled
+def inverse_look_up(table: NDArray[np.float64], value: float) -> float:
+    """Return the position (0 to 1) at which a rising table has `value`, by bisection to the last bit."""
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if look_up(table, middle) < value:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@compiled
+def estimate_force(table: NDArray[np.float64], spring_deflection: float, max_spring_deflection: float) -> float:
+    """Return the string force [N] that the microcontroller's table gives for a measured spring deflection [m]."""
+    return look_up(table, math.sqrt(max(spring_deflection, 0.0) / max_spring_deflection))
+
+
+def _coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return PCHIP coefficients (constant term first) over cells of width 1."""
+    pchip = PchipInterpolator(np.arange(values.size, dtype=float), values)
+    return np.ascontiguousarray(pchip.c[::-1].T)
+
+
+def _column(rows: list[dict[str, str]], name: str, path: str | Path) -> NDArray[np.float64]:
+    try:
+        values = np.array([float(row[name]) for row in rows])
+    except (TypeError, ValueError) as error:
+        raise AmulettError(f"measured spring curve '{path}', column '{name}': every cell has to be a number") from error
+    if values.size < 3 or not np.isfinite(values).all():
+        raise AmulettError(f"measured spring curve '{path}', column '{name}': at least 3 finite numbers are needed")
+    if values[0] != 0.0 or (np.diff(values) <= 0).any():
+        raise AmulettError(f"measured spring curve '{path}', column '{name}' has to start at 0 and rise strictly")
+    return values

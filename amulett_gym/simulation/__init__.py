@@ -1,0 +1,1 @@
+"""The tick, batches of it, recorded trajectories and an independent reference."""

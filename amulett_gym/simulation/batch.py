@@ -1,0 +1,128 @@
+"""A batch of simulated devices, one included: the only door to the kernel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulett_gym.config import Profile
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.simulation import kernel
+from amulett_gym.simulation.layout import (
+    LANES,
+    SCENARIO,
+    SCENARIO_BLOCK,
+    STATE_BLOCK,
+    STATE_NAMES,
+    TENSION_LAWS,
+    Control,
+    pack_parameters,
+)
+
+
+class Simulation:
+    """Devices with one profile, each in its own scenario.
+
+    Parameters
+    ----------
+    profile : Profile
+    num_devices : int
+        At least 1.
+    control : {"decentralized", "position-only"}
+    tension_law : {"agent", "eq6", "eq6-printed"}
+        Who sets the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown or there is no device.
+    """
+
+    def __init__(
+        self, profile: Profile, num_devices: int = 1, control: Control = "decentralized", tension_law: str = "agent"
+    ) -> None:
+        if num_devices < 1:
+            raise AmulettError(f"num_devices is {num_devices}; at least 1 is needed")
+        if tension_law not in TENSION_LAWS:
+            raise unknown("tension law", tension_law, TENSION_LAWS)
+        self.profile = profile
+        self.num_devices = num_devices
+        self.parameters = pack_parameters(profile, control)
+        self._law = TENSION_LAWS[tension_law]
+        num_blocks = -(-num_devices // LANES)
+        self._scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
+        self._states = np.zeros(num_blocks, dtype=STATE_BLOCK)
+        devices = np.arange(num_devices)
+        self._block, self._lane = devices // LANES, devices % LANES
+
+    @property
+    def control_period(self) -> float:
+        """Time between two control ticks [s]."""
+        return float(self.parameters["control_period"][0])
+
+    @property
+    def max_force(self) -> float:
+        """Force at which the springs saturate [N]."""
+        return float(self.parameters["force_table"][0, -1].sum())
+
+    def reset(self, scenarios: NDArray[np.void], devices: NDArray[np.int64] | None = None) -> None:
+        """Start devices anew, at rest in their initial posture.
+
+        Parameters
+        ----------
+        scenarios : ndarray of `SCENARIO`
+            One for each of the devices.
+        devices : ndarray of int, optional
+            Which devices; all if None.
+
+        Raises
+        ------
+        AmulettError
+            If an initial posture needs a string force that the springs cannot give.
+        """
+        devices = np.arange(self.num_devices) if devices is None else devices
+        self._check_posture(scenarios)
+        block, lane = self._block[devices], self._lane[devices]
+        for name in SCENARIO.names or ():
+            self._scenarios[name][block, ..., lane] = scenarios[name]
+        for name in STATE_NAMES:
+            self._states[name][block, lane] = 0
+        self._states["law"][block, lane] = self._law
+        kernel.settle(self.parameters, self._scenarios, self._states, devices)
+
+    def command_tension(self, tension: ArrayLike) -> None:
+        """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again."""
+        self._states["tension_command"][self._block, self._lane] = tension
+
+    def advance(self, ticks: int) -> None:
+        """Simulate a number of control ticks."""
+        kernel.advance(self.parameters, self._scenarios, self._states, self.num_devices, ticks)
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
+        return self._states[name].reshape(-1)[: self.num_devices].copy()
+
+    def get_state(self) -> dict[str, NDArray[np.void]]:
+        """Return a snapshot of everything that an episode changes."""
+        return {"scenarios": self._scenarios.copy(), "states": self._states.copy()}
+
+    def set_state(self, state: dict[str, NDArray[np.void]]) -> None:
+        """Go back to a snapshot taken by `get_state` from a simulation of the same size."""
+        if state["states"].shape != self._states.shape:
+            raise AmulettError(
+                f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self._states.size}"
+            )
+        self._scenarios[...] = state["scenarios"]
+        self._states[...] = state["states"]
+
+    def _check_posture(self, scenarios: NDArray[np.void]) -> None:
+        needed = scenarios["static_torque"] * np.sin(scenarios["initial_angle"])
+        needed = np.abs(needed) / self.parameters["joint_radius"][0] + scenarios["initial_tension"]
+        if (needed > self.max_force).any():
+            worst = int(np.argmax(needed))
+            raise AmulettError(
+                f"scenario {worst} starts with a string force of {needed[worst]:.2f} N (its tension plus what holds the "
+                f"weight); the springs give at most {self.max_force:.2f} N"
+            )

@@ -1,0 +1,489 @@
+"""ONE tick: control, drive, integrate, sense; N devices are a loop over it.
+
+The microcontroller senses at the end of a tick what it will act on in the next one, so that an agent between two ticks
+sees exactly what the loop sees. Every function takes the parameters `p`, a block of scenarios `c`, a block of states
+`s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from amulett_gym.compiled import compiled
+from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
+from amulett_gym.control.pid import filtered_derivative, integrate
+from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.model.damping import decay_rate
+from amulett_gym.model.drive import drive_rate
+from amulett_gym.model.plant import contact_torque, deflection_biceps, deflection_triceps, joint_acceleration
+from amulett_gym.model.sensors import quantise, read_slider
+from amulett_gym.model.spring import estimate_force, inverse_look_up, look_up, look_up_slope
+from amulett_gym.simulation.layout import (
+    AGENT,
+    ANGLE_LIMIT,
+    CLAMP,
+    EQ6,
+    HOLD,
+    IGNORE,
+    LANES,
+    NOT_FINITE,
+    RUNNING,
+    VELOCITY_LIMIT,
+)
+from amulett_gym.simulation.random import noise
+
+SENSOR_STREAMS = np.uint64(4)
+ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS = np.uint64(0), np.uint64(1), np.uint64(2)
+TIME_SLACK = 1e-9  # [s]; a time that is a multiple of the control period must not miss its tick by rounding
+
+
+@compiled
+def advance(p, c_blocks, s_blocks, num_devices, ticks):  # type: ignore[no-untyped-def]
+    """Advance all devices by a number of control ticks; a device that failed stands still."""
+    parameters = p[0]
+    for block in range(s_blocks.shape[0]):
+        c, s = c_blocks[block], s_blocks[block]
+        for _ in range(ticks):
+            for i in range(min(LANES, num_devices - block * LANES)):
+                if s.failure[i] == RUNNING:
+                    control(parameters, s, i)
+                    move(parameters, c, s, i)
+                    sense(parameters, c, s, i)
+                    track_step(parameters, s, i)
+
+
+@compiled
+def control(p, s, i):  # type: ignore[no-untyped-def]
+    """Section 2.2: turn what was sensed into both drives' position commands."""
+    error = s.setpoint[i] - s.measured_angle[i]
+    agonist = p.fixed_agonist
+    if agonist == 0.0:
+        agonist = select_agonist(
+            s.agonist[i],
+            s.measured_biceps[i],
+            s.measured_triceps[i],
+            error,
+            p.switch_hysteresis,
+            p.tie_width,
+            p.tie_error,
+        )
+    switched = agonist != s.agonist[i]
+    if switched:
+        s.agonist[i] = agonist
+        s.switch_count[i] += 1.0
+    last_position_output = s.position_output[i]
+    control_position(p, s, i, error)
+    biceps_share = triceps_share = 1.0
+    if p.tension_loop:
+        if agonist == BICEPS:
+            triceps_share = p.antagonist_share
+        else:
+            biceps_share = p.antagonist_share
+        s.tension_setpoint[i] = choose_tension(p, s, i, error)
+        control_tension(p, s, i, switched)
+        if switched:
+            # The offsets take over what the drives had before: from here each command changes by the position
+            # controller's ordinary increment only, although the tension controller starts anew on the other string.
+            s.offset_biceps[i] = s.command_biceps[i] - biceps_share * last_position_output
+            s.offset_triceps[i] = s.command_triceps[i] - triceps_share * last_position_output
+    pull = s.tension_output[i]
+    biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
+    triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
+    command_drives(p, s, i, biceps, triceps)
+
+
+@compiled
+def control_position(p, s, i, error):  # type: ignore[no-untyped-def]
+    """Run the joint's position controller."""
+    signal = error if p.position_on_error else -s.measured_angle[i]
+    s.position_derivative[i] = filtered_derivative(
+        s.position_derivative[i], signal - s.position_signal[i], p.position_kd, p.position_filter, p.control_period
+    )
+    s.position_signal[i] = signal
+    command = s.command_biceps[i] if s.agonist[i] == BICEPS else s.command_triceps[i]
+    s.position_integral[i] = integrate(
+        s.position_integral[i],
+        error,
+        p.position_ki,
+        p.control_period,
+        command < p.command_limit,
+        command > -p.command_limit,
+    )
+    s.position_output[i] = p.position_kp * error + s.position_integral[i] + s.position_derivative[i]
+
+
+@compiled
+def choose_tension(p, s, i, error):  # type: ignore[no-untyped-def]
+    """Return the tension setpoint [N]: the agent's, or eq. 6 at control rate."""
+    if s.law[i] == AGENT:
+        return s.tension_command[i]
+    if s.law[i] == EQ6:
+        factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
+    else:
+        factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
+    return factor * p.nominal_tension
+
+
+@compiled
+def control_tension(p, s, i, restart):  # type: ignore[no-untyped-def]
+    """Run the antagonist's tension controller; after a switch it restarts on the other string with output zero."""
+    biceps_is_antagonist = s.agonist[i] == TRICEPS
+    estimate = s.estimate_biceps[i] if biceps_is_antagonist else s.estimate_triceps[i]
+    untrusted = s.untrusted_biceps[i] if biceps_is_antagonist else s.untrusted_triceps[i]
+    measured = s.measured_biceps[i] if biceps_is_antagonist else s.measured_triceps[i]
+    command = s.command_biceps[i] if biceps_is_antagonist else -s.command_triceps[i]
+    error = s.tension_setpoint[i] - estimate
+    if untrusted and p.below_floor == IGNORE:
+        error = 0.0
+    signal = error if p.tension_on_error else -estimate
+    if restart:
+        s.tension_derivative[i] = 0.0
+        s.tension_integral[i] = -p.tension_kp * error
+    else:
+        s.tension_derivative[i] = filtered_derivative(
+            s.tension_derivative[i], signal - s.tension_signal[i], p.tension_kd, p.tension_filter, p.control_period
+        )
+        # No room where the drive is at its end, and none where the sensor is: above the table, below the floor.
+        s.tension_integral[i] = integrate(
+            s.tension_integral[i],
+            error,
+            p.tension_ki,
+            p.control_period,
+            command < p.command_limit and measured < p.max_spring_deflection,
+            command > -p.command_limit and not untrusted,
+        )
+    s.tension_signal[i] = signal
+    s.tension_output[i] = p.tension_kp * error + s.tension_integral[i] + s.tension_derivative[i]
+
+
+@compiled
+def command_drives(p, s, i, biceps, triceps):  # type: ignore[no-untyped-def]
+    """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks)."""
+    biceps = min(max(biceps, -p.command_limit), p.command_limit)
+    triceps = min(max(triceps, -p.command_limit), p.command_limit)
+    change_biceps = biceps - s.command_biceps[i]
+    change_triceps = triceps - s.command_triceps[i]
+    s.isav_biceps[i] += change_biceps * change_biceps / p.control_period
+    s.isav_triceps[i] += change_triceps * change_triceps / p.control_period
+    s.iav_biceps[i] += abs(change_biceps)
+    s.iav_triceps[i] += abs(change_triceps)
+    gain = p.position_kp
+    if p.position_on_error:
+        gain += p.position_kd / (p.position_filter + p.control_period)
+    kick = gain * (s.setpoint[i] - s.previous_setpoint[i])
+    s.isav_kick[i] += kick * kick / p.control_period
+    s.previous_setpoint[i] = s.setpoint[i]
+    s.command_biceps[i] = biceps
+    s.command_triceps[i] = triceps
+
+
+@compiled
+def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):  # type: ignore[no-untyped-def]
+    """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
+    stretch_biceps = deflection_biceps(drive_biceps, angle, p.drive_radius, p.joint_radius)
+    stretch_triceps = deflection_triceps(drive_triceps, angle, p.drive_radius, p.joint_radius)
+    force_biceps = look_up(p.force_table, stretch_biceps * p.inverse_max_deflection)
+    force_triceps = look_up(p.force_table, stretch_triceps * p.inverse_max_deflection)
+    decay = decay_rate(min(force_biceps, force_triceps), p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+    if p.damping_keeps_torque:
+        decay *= p.inertia / c.inertia[i]
+    external = push + obstacle_torque(c, i, angle, velocity)
+    return joint_acceleration(
+        angle,
+        velocity,
+        force_biceps,
+        force_triceps,
+        decay,
+        external,
+        c.inertia[i],
+        c.static_torque[i],
+        p.joint_radius,
+    )
+
+
+@compiled
+def obstacle_torque(c, i, angle, velocity):  # type: ignore[no-untyped-def]
+    """Return the torque of the scenario's obstacle [N m]."""
+    return contact_torque(
+        angle, velocity, c.obstacle_angle[i], c.obstacle_side[i], c.obstacle_stiffness[i], c.obstacle_damping[i]
+    )
+
+
+@compiled
+def move(p, c, s, i):  # type: ignore[no-untyped-def]
+    """Integrate drives and arm over one control period (classical Runge-Kutta), commands and pushes held."""
+    time = s.tick[i] * p.control_period
+    push = 0.0
+    for k in range(c.push_count[i]):
+        elapsed = time - c.push_time[k, i] + TIME_SLACK
+        if 0.0 <= elapsed < c.push_duration[k, i]:
+            push += c.push_torque[k, i]
+    to_biceps, to_triceps = s.command_biceps[i], s.command_triceps[i]
+    x, v = s.angle[i], s.velocity[i]
+    a, b = s.drive_biceps[i], s.drive_triceps[i]
+    if p.inverse_lag == 0.0:
+        a, b = to_biceps, to_triceps
+    error_before = s.setpoint[i] - x
+    h = p.control_period / p.substeps
+    for _ in range(p.substeps):
+        a1 = drive_rate(to_biceps, a, p.inverse_lag, p.rate_limit)
+        b1 = drive_rate(to_triceps, b, p.inverse_lag, p.rate_limit)
+        v1 = v
+        w1 = acceleration(p, c, i, x, v1, a, b, push)
+        a2 = drive_rate(to_biceps, a + 0.5 * h * a1, p.inverse_lag, p.rate_limit)
+        b2 = drive_rate(to_triceps, b + 0.5 * h * b1, p.inverse_lag, p.rate_limit)
+        v2 = v + 0.5 * h * w1
+        w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push)
+        a3 = drive_rate(to_biceps, a + 0.5 * h * a2, p.inverse_lag, p.rate_limit)
+        b3 = drive_rate(to_triceps, b + 0.5 * h * b2, p.inverse_lag, p.rate_limit)
+        v3 = v + 0.5 * h * w2
+        w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push)
+        a4 = drive_rate(to_biceps, a + h * a3, p.inverse_lag, p.rate_limit)
+        b4 = drive_rate(to_triceps, b + h * b3, p.inverse_lag, p.rate_limit)
+        v4 = v + h * w3
+        w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push)
+        a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
+        b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0
+        x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
+        v += h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0
+    if not (math.isfinite(x) and math.isfinite(v)):
+        s.failure[i] = NOT_FINITE  # the last finite state stays, so that nothing downstream meets a NaN
+        return
+    if abs(x) > p.angle_limit:
+        s.failure[i] = ANGLE_LIMIT
+    elif abs(v) > p.velocity_limit:
+        s.failure[i] = VELOCITY_LIMIT
+    s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, a, b
+    s.push_torque[i] = push
+    s.contact_torque[i] = obstacle_torque(c, i, x, v)
+    feel_strings(p, s, i)
+    error_after = s.setpoint[i] - x
+    s.position_ise[i] += 0.5 * p.control_period * (error_before * error_before + error_after * error_after)
+    s.contact_ise[i] += p.control_period * s.contact_torque[i] * s.contact_torque[i]
+    s.contact_peak[i] = max(s.contact_peak[i], abs(s.contact_torque[i]))
+    if push != 0.0:
+        s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
+    # At the end of the tick only: an ideal drive lets the force jump at its beginning.
+    tension_error = s.tension_setpoint[i] - (s.force_triceps[i] if s.agonist[i] == BICEPS else s.force_biceps[i])
+    s.tension_ise[i] += p.control_period * tension_error * tension_error
+
+
+@compiled
+def feel_strings(p, s, i):  # type: ignore[no-untyped-def]
+    """Set the true string forces [N] of the present state."""
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    s.force_biceps[i] = look_up(p.force_table, biceps * p.inverse_max_deflection)
+    s.force_triceps[i] = look_up(p.force_table, triceps * p.inverse_max_deflection)
+
+
+@compiled
+def joint_stiffness(p, s, i):  # type: ignore[no-untyped-def]
+    """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    scale = p.inverse_max_deflection
+    slopes = look_up_slope(p.force_table, biceps * scale) + look_up_slope(p.force_table, triceps * scale)
+    return slopes * scale * p.joint_radius * p.joint_radius
+
+
+@compiled
+def sense(p, c, s, i):  # type: ignore[no-untyped-def]
+    """Read the sensors and the setpoint at the end of the tick, for the next one."""
+    s.tick[i] += 1
+    last_angle = s.measured_angle[i]
+    read_sensors(p, c, s, i)
+    s.measured_velocity[i] = filtered_derivative(
+        s.measured_velocity[i], s.measured_angle[i] - last_angle, 1.0, p.velocity_filter, p.control_period
+    )
+    force = s.estimate_triceps[i] if s.agonist[i] == BICEPS else s.estimate_biceps[i]
+    error = s.tension_setpoint[i] - force
+    s.tension_ise_estimated[i] += p.control_period * error * error
+    read_setpoint(p, c, s, i)
+
+
+@compiled
+def read_sensors(p, c, s, i):  # type: ignore[no-untyped-def]
+    """Measure the joint angle and both springs, and estimate the string forces."""
+    key = c.noise_key[i]
+    counter = np.uint64(s.tick[i]) * SENSOR_STREAMS
+    angle_noise = p.encoder_noise * noise(key, counter + ENCODER)
+    s.measured_angle[i] = quantise(s.angle[i] + angle_noise, p.encoder_resolution)
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    s.measured_biceps[i] = read_slider(
+        look_up(p.spring_table, biceps * p.inverse_max_deflection),
+        p.slider_noise * noise(key, counter + SLIDER_BICEPS),
+        p.slider_resolution,
+        p.slider_travel,
+    )
+    s.measured_triceps[i] = read_slider(
+        look_up(p.spring_table, triceps * p.inverse_max_deflection),
+        p.slider_noise * noise(key, counter + SLIDER_TRICEPS),
+        p.slider_resolution,
+        p.slider_travel,
+    )
+    raw = estimate_force(p.estimate_table, s.measured_biceps[i], p.max_spring_deflection)
+    s.untrusted_biceps[i] = raw < p.force_floor
+    s.estimate_biceps[i] = low_pass(p, s.estimate_biceps[i], trust(p, raw, s.estimate_biceps[i]))
+    raw = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
+    s.untrusted_triceps[i] = raw < p.force_floor
+    s.estimate_triceps[i] = low_pass(p, s.estimate_triceps[i], trust(p, raw, s.estimate_triceps[i]))
+
+
+@compiled
+def trust(p, estimate, last):  # type: ignore[no-untyped-def]
+    """Return the force estimate after the treatment of those below the floor (Figure 5b)."""
+    if estimate >= p.force_floor:
+        return estimate
+    if p.below_floor == CLAMP:
+        return p.force_floor
+    if p.below_floor == HOLD:
+        return last
+    return estimate
+
+
+@compiled
+def low_pass(p, last, force):  # type: ignore[no-untyped-def]
+    """Return the next value of the estimated force's first-order low-pass [N]."""
+    return last + (force - last) * p.control_period / (p.force_filter + p.control_period)
+
+
+@compiled
+def read_setpoint(p, c, s, i):  # type: ignore[no-untyped-def]
+    """Set the position setpoint [rad] for the present time, and note where a setpoint step begins."""
+    time = s.tick[i] * p.control_period
+    while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
+        s.move[i] += 1
+        begin_step(s, i, time, c.move_angle[s.move[i], i])
+    k = s.move[i]
+    if k < 0:
+        return
+    start = c.move_angle[k - 1, i] if k > 0 else c.initial_angle[i]
+    progress = 1.0
+    if c.move_duration[k, i] > 0.0:
+        progress = min((time - c.move_time[k, i]) / c.move_duration[k, i], 1.0)
+    s.setpoint[i] = start + (c.move_angle[k, i] - start) * minimum_jerk(progress)
+
+
+@compiled
+def minimum_jerk(progress: float) -> float:
+    """Return the minimum-jerk profile, 0 to 1 (Flash and Hogan, 1985), at a progress of 0 to 1."""
+    return progress**3 * (10.0 + progress * (6.0 * progress - 15.0))
+
+
+@compiled
+def begin_step(s, i, time, target):  # type: ignore[no-untyped-def]
+    """Close the setpoint step in progress and open the next; a move to where the setpoint is opens none."""
+    change = target - s.setpoint[i]
+    if not math.isnan(s.inside_since[i]):
+        s.settling_sum[i] += s.inside_since[i] - s.step_start[i]
+        s.settling_count[i] += 1.0
+    s.inside_since[i] = math.nan
+    s.step_start[i] = time
+    s.step_target[i] = target
+    s.step_direction[i] = math.copysign(1.0, change) if change != 0.0 else 0.0
+    s.risen[i] = 0
+    if change != 0.0:
+        s.step_count[i] += 1.0
+
+
+@compiled
+def track_step(p, s, i):  # type: ignore[no-untyped-def]
+    """Follow rise, settling, overshoot and the stiffness at rest."""
+    if s.step_direction[i] != 0.0:
+        beyond = s.step_direction[i] * (s.angle[i] - s.step_target[i])
+        s.overshoot[i] = max(s.overshoot[i], beyond)
+        time = s.tick[i] * p.control_period
+        if abs(beyond) > p.margin:
+            s.inside_since[i] = math.nan
+        else:
+            if math.isnan(s.inside_since[i]):
+                s.inside_since[i] = time
+            if not s.risen[i]:
+                s.risen[i] = 1
+                s.rise_sum[i] += time - s.step_start[i]
+                s.rise_count[i] += 1.0
+    if abs(s.setpoint[i] - s.angle[i]) <= p.margin and s.setpoint[i] == s.previous_setpoint[i]:
+        s.resting_stiffness_sum[i] += p.control_period * joint_stiffness(p, s, i)
+        s.resting_time[i] += p.control_period
+
+
+@compiled
+def settle(p, c_blocks, s_blocks, devices):  # type: ignore[no-untyped-def]
+    """Start the given devices anew, at rest on their initial angle with their initial tension."""
+    parameters = p[0]
+    for device in devices:
+        block, i = device // LANES, device % LANES
+        c, s = c_blocks[block], s_blocks[block]
+        settle_strings(parameters, c, s, i)
+        s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
+        read_sensors(parameters, c, s, i)
+        s.position_signal[i] = s.setpoint[i] - s.measured_angle[i]
+        if not parameters.position_on_error:
+            s.position_signal[i] = -s.measured_angle[i]
+        estimate = s.estimate_triceps[i] if s.agonist[i] == BICEPS else s.estimate_biceps[i]
+        s.tension_signal[i] = s.tension_setpoint[i] - estimate
+        if not parameters.tension_on_error:
+            s.tension_signal[i] = -estimate
+        read_setpoint(parameters, c, s, i)
+
+
+@compiled
+def settle_strings(p, c, s, i):  # type: ignore[no-untyped-def]
+    """Find the static equilibrium and give the controllers the memory that holds it."""
+    angle = c.initial_angle[i]
+    wound = angle * p.joint_radius / p.drive_radius  # drive angle at which both strings are just slack
+    needed = (c.static_torque[i] * math.sin(angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
+    tension = c.initial_tension[i]
+    if p.tension_loop:
+        biceps = inverse_look_up(p.force_table, tension + max(needed, 0.0)) / p.inverse_max_deflection
+        triceps = inverse_look_up(p.force_table, tension + max(-needed, 0.0)) / p.inverse_max_deflection
+        turn_biceps, turn_triceps = wound + biceps / p.drive_radius, wound - triceps / p.drive_radius
+    else:
+        common = position_only_equilibrium(p, needed)
+        turn_biceps = wound + common + p.position_only_offset
+        turn_triceps = wound + common - p.position_only_offset
+    s.angle[i] = angle
+    s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
+    s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
+    feel_strings(p, s, i)
+    s.agonist[i] = p.fixed_agonist
+    if p.fixed_agonist == 0.0:
+        s.agonist[i] = TRICEPS if needed < 0.0 else BICEPS
+    if p.tension_loop:
+        biceps_is_agonist = s.agonist[i] == BICEPS
+        output = turn_biceps if biceps_is_agonist else turn_triceps
+        s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
+        s.offset_triceps[i] = turn_triceps - output * (p.antagonist_share if biceps_is_agonist else 1.0)
+    else:
+        output = wound + common
+        s.offset_biceps[i] = p.position_only_offset
+        s.offset_triceps[i] = -p.position_only_offset
+        tension = min(s.force_biceps[i], s.force_triceps[i])
+    s.position_output[i] = s.position_integral[i] = output
+    s.tension_setpoint[i] = s.tension_command[i] = tension
+    s.estimate_biceps[i] = s.force_biceps[i]
+    s.estimate_triceps[i] = s.force_triceps[i]
+    s.contact_torque[i] = obstacle_torque(c, i, angle, 0.0)
+    s.inside_since[i] = math.nan
+    s.move[i] = -1
+
+
+@compiled
+def position_only_equilibrium(p, needed):  # type: ignore[no-untyped-def]
+    """Return how far both drives turn beyond the slack angle [rad] so that f_1 - f_2 is `needed` [N], by bisection."""
+    reach = 1.0 / (p.inverse_max_deflection * p.drive_radius) + p.position_only_offset
+    low, high = -reach, reach
+    scale = p.drive_radius * p.inverse_max_deflection
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        biceps = look_up(p.force_table, (middle + p.position_only_offset) * scale)
+        triceps = look_up(p.force_table, (p.position_only_offset - middle) * scale)
+        if biceps - triceps < needed:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

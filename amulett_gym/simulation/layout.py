@@ -1,0 +1,300 @@
+"""How parameters, scenarios and states lie in memory.
+
+Devices are stored in blocks of `LANES`: a *structure of arrays*, so that ``state.angle[lane]`` of neighbouring devices
+are neighbours in memory. Everything that changes during an episode is in one array of `STATE` records: copying it is
+a snapshot. Angles are radians here, forces N, lengths m, times s.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.config import Pid, Profile
+from amulett_gym.errors import unknown
+from amulett_gym.model.plant import inertia, static_torque
+from amulett_gym.model.spring import CELLS, build_tables
+
+Control = Literal["decentralized", "position-only"]
+CONTROLS = ("decentralized", "position-only")
+
+LANES = 8
+MAX_MOVES = 10
+MAX_PUSHES = 4
+
+AGENT, EQ6, EQ6_PRINTED = 0, 1, 2
+TENSION_LAWS = {"agent": AGENT, "eq6": EQ6, "eq6-printed": EQ6_PRINTED}
+
+RUNNING, ANGLE_LIMIT, VELOCITY_LIMIT, NOT_FINITE = 0, 1, 2, 3
+FAILURES = ("", "joint angle limit", "joint velocity limit", "state is not finite")
+
+CLAMP, HOLD, IGNORE = 0, 1, 2
+_BELOW_FLOOR = {"clamp": CLAMP, "hold": HOLD, "ignore": IGNORE}
+_AGONIST = {"switching": 0.0, "biceps": 1.0, "triceps": -1.0}
+
+PARAMETERS = np.dtype(
+    [
+        # plant
+        ("inertia", "f8"),
+        ("drive_radius", "f8"),
+        ("joint_radius", "f8"),
+        ("angle_limit", "f8"),
+        ("velocity_limit", "f8"),
+        # spring assembly
+        ("force_table", "f8", (CELLS, 4)),
+        ("spring_table", "f8", (CELLS, 4)),
+        ("estimate_table", "f8", (CELLS, 4)),
+        ("inverse_max_deflection", "f8"),
+        ("max_spring_deflection", "f8"),
+        # damping
+        ("damping_a", "f8"),
+        ("damping_b", "f8"),
+        ("damping_c", "f8"),
+        ("damping_d", "f8"),
+        ("damping_keeps_torque", "i8"),
+        # drives
+        ("inverse_lag", "f8"),
+        ("rate_limit", "f8"),
+        ("command_limit", "f8"),
+        # sensors
+        ("encoder_resolution", "f8"),
+        ("encoder_noise", "f8"),
+        ("slider_resolution", "f8"),
+        ("slider_travel", "f8"),
+        ("slider_noise", "f8"),
+        ("force_filter", "f8"),
+        ("force_floor", "f8"),
+        ("below_floor", "i8"),
+        # loop
+        ("control_period", "f8"),
+        ("substeps", "i8"),
+        ("position_kp", "f8"),
+        ("position_ki", "f8"),
+        ("position_kd", "f8"),
+        ("position_filter", "f8"),
+        ("position_on_error", "i8"),
+        ("tension_kp", "f8"),
+        ("tension_ki", "f8"),
+        ("tension_kd", "f8"),
+        ("tension_filter", "f8"),
+        ("tension_on_error", "i8"),
+        ("tension_loop", "i8"),
+        ("antagonist_share", "f8"),
+        ("position_only_offset", "f8"),
+        ("fixed_agonist", "f8"),
+        ("switch_hysteresis", "f8"),
+        ("tie_width", "f8"),
+        ("tie_error", "f8"),
+        ("velocity_filter", "f8"),
+        # eq. 6
+        ("nominal_tension", "f8"),
+        ("minimum_tension", "f8"),
+        ("error_offset", "f8"),
+        # error margin of rise and settling time
+        ("margin", "f8"),
+    ],
+    align=True,
+)
+
+_SCENARIO_FIELDS: list[tuple[Any, ...]] = [
+    ("initial_angle", "f8"),
+    ("initial_tension", "f8"),
+    ("payload_mass", "f8"),
+    ("payload_arm", "f8"),
+    ("inertia", "f8"),
+    ("static_torque", "f8"),
+    ("move_count", "i8"),
+    ("move_time", "f8", (MAX_MOVES,)),
+    ("move_angle", "f8", (MAX_MOVES,)),
+    ("move_duration", "f8", (MAX_MOVES,)),
+    ("push_count", "i8"),
+    ("push_time", "f8", (MAX_PUSHES,)),
+    ("push_duration", "f8", (MAX_PUSHES,)),
+    ("push_torque", "f8", (MAX_PUSHES,)),
+    ("obstacle_angle", "f8"),
+    ("obstacle_side", "f8"),
+    ("obstacle_stiffness", "f8"),
+    ("obstacle_damping", "f8"),
+    ("noise_key", "u8"),
+]
+
+SCENARIO = np.dtype(_SCENARIO_FIELDS, align=True)
+"""One device's scenario, packed: what a suite samples and `tasks.scenario.pack` makes."""
+
+METRICS = (
+    "position_ise",
+    "tension_ise",
+    "tension_ise_estimated",
+    "isav_biceps",
+    "isav_triceps",
+    "isav_kick",
+    "iav_biceps",
+    "iav_triceps",
+    "contact_ise",
+    "contact_peak",
+    "push_deflection",
+    "overshoot",
+    "rise_sum",
+    "rise_count",
+    "settling_sum",
+    "settling_count",
+    "resting_stiffness_sum",
+    "resting_time",
+    "step_count",
+    "switch_count",
+)
+
+_STATE_FIELDS: list[tuple[str, str]] = [
+    ("tick", "i8"),
+    ("failure", "i8"),
+    ("law", "i8"),
+    # the truth
+    ("angle", "f8"),
+    ("velocity", "f8"),
+    ("drive_biceps", "f8"),
+    ("drive_triceps", "f8"),
+    ("force_biceps", "f8"),
+    ("force_triceps", "f8"),
+    ("push_torque", "f8"),
+    ("contact_torque", "f8"),
+    # what the microcontroller knows
+    ("setpoint", "f8"),
+    ("previous_setpoint", "f8"),
+    ("measured_angle", "f8"),
+    ("measured_velocity", "f8"),
+    ("measured_biceps", "f8"),
+    ("measured_triceps", "f8"),
+    ("estimate_biceps", "f8"),
+    ("estimate_triceps", "f8"),
+    ("untrusted_biceps", "i8"),
+    ("untrusted_triceps", "i8"),
+    # the loop's memory
+    ("tension_command", "f8"),
+    ("tension_setpoint", "f8"),
+    ("agonist", "f8"),
+    ("position_output", "f8"),
+    ("position_integral", "f8"),
+    ("position_derivative", "f8"),
+    ("position_signal", "f8"),
+    ("tension_output", "f8"),
+    ("tension_integral", "f8"),
+    ("tension_derivative", "f8"),
+    ("tension_signal", "f8"),
+    ("offset_biceps", "f8"),
+    ("offset_triceps", "f8"),
+    ("command_biceps", "f8"),
+    ("command_triceps", "f8"),
+    # the setpoint step in progress
+    ("move", "i8"),
+    ("step_start", "f8"),
+    ("step_target", "f8"),
+    ("step_direction", "f8"),
+    ("risen", "i8"),
+    ("inside_since", "f8"),
+    # what the reward has already paid for
+    ("paid_position", "f8"),
+    ("paid_effort", "f8"),
+    ("paid_tension", "f8"),
+    ("paid_contact", "f8"),
+    *[(name, "f8") for name in METRICS],
+]
+
+
+def _blocked(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    return np.dtype([(name, kind, (*(shape[0] if shape else ()), LANES)) for name, kind, *shape in fields], align=True)
+
+
+STATE_BLOCK = _blocked(_STATE_FIELDS)
+SCENARIO_BLOCK = _blocked(_SCENARIO_FIELDS)
+STATE_NAMES = tuple(name for name, _ in _STATE_FIELDS)
+
+
+def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDArray[np.void]:
+    """Turn a profile into the record that the kernel reads, in SI units and radians.
+
+    Parameters
+    ----------
+    profile : Profile
+    control : {"decentralized", "position-only"}
+        Position-only control has its own gains and a fixed co-contraction in the place of the tension loop.
+
+    Returns
+    -------
+    ndarray of `PARAMETERS`, shape (1,)
+    """
+    if control not in CONTROLS:
+        raise unknown("control", control, CONTROLS)
+    plant, drives, sensors, loop = profile.plant, profile.drives, profile.sensors, profile.loop
+    tables = build_tables(profile.spring)
+    position_only = control == "position-only"
+    shifted = profile.damping.b * profile.damping.c if profile.damping.fit == "shifted" else profile.damping.c
+    values = {
+        "inertia": inertia([m.mass for m in plant.masses], [m.arm for m in plant.masses]),
+        "drive_radius": plant.drive_pulley_radius,
+        "joint_radius": plant.joint_pulley_radius,
+        "angle_limit": np.radians(plant.angle_limit_deg),
+        "velocity_limit": np.radians(plant.velocity_limit_deg),
+        "force_table": tables.force,
+        "spring_table": tables.spring_deflection,
+        "estimate_table": tables.estimated_force,
+        "inverse_max_deflection": 1.0 / tables.max_deflection,
+        "max_spring_deflection": tables.max_spring_deflection,
+        "damping_a": profile.damping.a,
+        "damping_b": profile.damping.b,
+        "damping_c": shifted,
+        "damping_d": profile.damping.d,
+        "damping_keeps_torque": profile.damping.keeps == "torque",
+        "inverse_lag": 1.0 / drives.lag if drives.lag > 0 else 0.0,
+        "rate_limit": np.inf if drives.rate_limit_deg is None else np.radians(drives.rate_limit_deg),
+        "command_limit": np.inf if drives.command_limit_deg is None else np.radians(drives.command_limit_deg),
+        "encoder_resolution": 2 * np.pi / 2**sensors.encoder_bits if sensors.encoder_bits else 0.0,
+        "encoder_noise": np.radians(sensors.encoder_noise_deg),
+        "slider_resolution": sensors.potentiometer_travel / 2**sensors.potentiometer_bits
+        if sensors.potentiometer_bits
+        else 0.0,
+        "slider_travel": sensors.potentiometer_travel,
+        "slider_noise": sensors.potentiometer_noise,
+        "force_filter": sensors.force_filter,
+        "force_floor": sensors.force_floor,
+        "below_floor": _BELOW_FLOOR[sensors.below_floor],
+        "control_period": loop.control_period,
+        "substeps": loop.substeps,
+        **_gains("position", loop.position_only if position_only else loop.position, 1.0),
+        **_gains("tension", loop.tension, np.radians(1.0)),
+        "tension_loop": not position_only,
+        "antagonist_share": 1.0 if position_only or loop.wiring == "sum" else 0.0,
+        "position_only_offset": np.radians(loop.offset_deg),
+        "fixed_agonist": _AGONIST[loop.agonist],
+        "switch_hysteresis": loop.switch_hysteresis,
+        "tie_width": loop.tie_width,
+        "tie_error": np.radians(loop.tie_error_deg),
+        "velocity_filter": loop.velocity_filter,
+        "nominal_tension": profile.variable_stiffness.nominal_tension,
+        "minimum_tension": profile.variable_stiffness.minimum_tension,
+        "error_offset": np.radians(profile.variable_stiffness.error_offset_deg),
+        "margin": np.radians(2.0),
+    }
+    record = np.zeros(1, dtype=PARAMETERS)
+    for name in PARAMETERS.names or ():
+        record[name] = values[name]
+    return record
+
+
+def arm_torques(profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0) -> tuple[float, float]:
+    """Return J [kg m2] and M_m [N m] of the arm with a payload (eqs. 2-3); M_m is 0 in the horizontal plane."""
+    masses = [item.mass for item in profile.plant.masses] + [payload_mass] * (payload_mass > 0)
+    arms = [item.arm for item in profile.plant.masses] + [payload_arm] * (payload_mass > 0)
+    weight = static_torque(masses, arms) if profile.plant.orientation == "vertical" else 0.0
+    return inertia(masses, arms), weight
+
+
+def _gains(name: str, pid: Pid, unit: float) -> dict[str, float]:
+    return {
+        f"{name}_kp": pid.kp * unit,
+        f"{name}_ki": pid.ki * unit,
+        f"{name}_kd": pid.kd * unit,
+        f"{name}_filter": pid.derivative_filter,
+        f"{name}_on_error": pid.derivative_on == "error",
+    }

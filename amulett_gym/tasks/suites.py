@@ -1,0 +1,147 @@
+"""Suites: families of scenarios, sampled for many devices at once from one 64-bit key each.
+
+Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Pushes are fractions of
+the torque that the drives have left at the nominal tension, (f_max - sigma) R_2, so that they can be resisted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.config import Profile
+from amulett_gym.errors import unknown
+from amulett_gym.model.spring import build_tables
+from amulett_gym.simulation.layout import MAX_MOVES, MAX_PUSHES
+from amulett_gym.simulation.random import derive_keys, uniform
+from amulett_gym.tasks.scenario import empty_rows
+
+SPLITS = {"train": 1, "validation": 2, "held-out": 3}
+"""Disjoint families of seeds: to train on, to choose a policy by, and to report."""
+
+WORKSPACE_DEG = (0.0, 90.0)
+
+_SCENARIO_STREAM, _NOISE_STREAM = 0, 1
+
+Rows = NDArray[np.void]
+Draws = NDArray[np.float64]
+
+
+def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
+    """Draw one scenario for each key.
+
+    Parameters
+    ----------
+    suite : str
+        A name from `suite_names`.
+    keys : ndarray of uint64, shape (N,)
+        The episodes' keys; the same key gives the same scenario in any batch.
+    profile : Profile
+        Scales pushes and gives the nominal tension and inertia.
+
+    Returns
+    -------
+    ndarray of `simulation.layout.SCENARIO`, shape (N,)
+
+    Raises
+    ------
+    AmulettError
+        If the suite's name is unknown.
+    """
+    if suite not in _SUITES:
+        raise unknown("suite", suite, _SUITES)
+    rows = empty_rows(keys.size, profile)
+    draws = uniform(derive_keys(keys, _SCENARIO_STREAM), 4 * max(MAX_MOVES, MAX_PUSHES) + 4)
+    _SUITES[suite](rows, draws, profile)
+    rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
+    return rows
+
+
+def episode_keys(device_keys: NDArray[np.uint64], episodes: NDArray[np.uint64], split: str) -> NDArray[np.uint64]:
+    """Return the keys of the devices' present episodes in a split.
+
+    Raises
+    ------
+    AmulettError
+        If the split's name is unknown.
+    """
+    if split not in SPLITS:
+        raise unknown("split", split, SPLITS)
+    return derive_keys(derive_keys(device_keys, SPLITS[split]), episodes)
+
+
+def suite_names() -> list[str]:
+    """Return the names of all suites."""
+    return list(_SUITES)
+
+
+def describe_suite(suite: str) -> str:
+    """Return a suite's one-line description."""
+    return (_SUITES[suite].__doc__ or "").split("\n")[0]
+
+
+def _paper_step(rows: Rows, draws: Draws, profile: Profile) -> None:
+    """One setpoint step from 0 to 45 deg at 0.5 s, from rest (the paper's protocol)."""
+    rows["move_count"] = 1
+    rows["move_time"][:, 0] = 0.5
+    rows["move_angle"][:, 0] = np.radians(45.0)
+
+
+def _steps(rows: Rows, draws: Draws, profile: Profile) -> None:
+    """Random setpoint steps of 10 to 60 deg in flexion and extension, every 1 to 2.5 s."""
+    _random_moves(rows, draws, dwell=(1.0, 2.5), duration=(0.0, 0.0))
+
+
+def _reach(rows: Rows, draws: Draws, profile: Profile) -> None:
+    """Minimum-jerk reaches of 10 to 60 deg in 0.5 to 1.5 s, with 0.3 to 1 s between them."""
+    _random_moves(rows, draws, dwell=(0.3, 1.0), duration=(0.5, 1.5))
+
+
+def _hold_push(rows: Rows, draws: Draws, profile: Profile) -> None:
+    """Hold a posture of 15 to 75 deg against four torque pulses of 0.1 to 0.5 s in either direction."""
+    rows["initial_angle"] = np.radians(_between(draws[:, 0], 15.0, 75.0, 2))
+    rows["push_count"] = MAX_PUSHES
+    spare = (build_tables(profile.spring).max_force - profile.variable_stiffness.nominal_tension) * (
+        profile.plant.joint_pulley_radius
+    )
+    spare = max(spare, 0.0)
+    for k in range(MAX_PUSHES):
+        when, how_long, how_strong, direction = draws[:, 4 * k + 4 : 4 * k + 8].T
+        rows["push_time"][:, k] = _between(when, 2.4 * k + 0.5, 2.4 * k + 1.5, 3)
+        rows["push_duration"][:, k] = _between(how_long, 0.1, 0.5, 3)
+        sign = np.where(direction < 0.5, -1.0, 1.0)
+        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
+
+
+def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration: tuple[float, float]) -> None:
+    low, high = WORKSPACE_DEG
+    angle = _between(draws[:, 0], low, high, 2)
+    rows["initial_angle"] = np.radians(angle)
+    rows["move_count"] = MAX_MOVES
+    time = np.full(len(rows), 0.5)
+    for k in range(MAX_MOVES):
+        how_far, direction, how_long, pause = draws[:, 4 * k + 4 : 4 * k + 8].T
+        far = _between(how_far, 10.0, 60.0, 2)
+        flex = np.where(direction < 0.5, angle + far <= high, angle - far < low)
+        # A move that would leave the workspace one way goes the other way; one that fits neither way goes to an end.
+        angle = np.round(np.clip(np.where(flex, angle + far, angle - far), low, high), 2)
+        length = _between(how_long, *duration, 3)
+        rows["move_time"][:, k] = time
+        rows["move_angle"][:, k] = np.radians(angle)
+        rows["move_duration"][:, k] = length
+        time = np.round(time + length + _between(pause, *dwell, 3), 3)
+
+
+def _between(draw: Draws, low: float, high: float, digits: int) -> Draws:
+    """Scale uniform draws to [low, high], rounded: scenarios are data that people read, and replay exactly."""
+    return np.round(low + draw * (high - low), digits)
+
+
+_SUITES: dict[str, Callable[[Rows, Draws, Profile], None]] = {
+    "paper-step": _paper_step,
+    "steps": _steps,
+    "reach": _reach,
+    "hold-push": _hold_push,
+}
