@@ -1,1 +1,34 @@
-"""x"""
+"""Learn how stiff an antagonistic joint should be: a Gymnasium environment around the AMULETT elbow exoskeleton."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as _gymnasium
+
+if TYPE_CHECKING:
+    from amulett_gym.laws.policies import load_policy as load_policy
+
+__version__ = "0.1.0"
+__all__ = ["ENV_IDS", "__version__", "load_policy"]
+
+ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0")
+"""Ids registered with Gymnasium when this package is imported."""
+
+for _id, _name in zip(ENV_IDS, ("Scaling", "Tension"), strict=True):
+    if _id not in _gymnasium.registry:
+        _gymnasium.register(
+            _id,
+            entry_point=f"amulett_gym.envs.single:{_name}Env",
+            vector_entry_point=f"amulett_gym.envs.vector:{_name}VectorEnv",
+            max_episode_steps=500,
+        )
+
+
+def __getattr__(name: str) -> Any:
+    """Import what needs the compiled kernel only when it is asked for, so that the import stays quick."""
+    if name == "load_policy":
+        from amulett_gym.laws.policies import load_policy
+
+        return load_policy
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

@@ -34,6 +34,11 @@ class Simulation:
     tension_law : {"agent", "eq6", "eq6-printed"}
         Who sets the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
 
+    Attributes
+    ----------
+    parameters, scenarios, states : ndarray
+        The records that the kernel reads and writes (see :mod:`amulett_gym.simulation.layout`).
+
     Raises
     ------
     AmulettError
@@ -52,8 +57,8 @@ class Simulation:
         self.parameters = pack_parameters(profile, control)
         self._law = TENSION_LAWS[tension_law]
         num_blocks = -(-num_devices // LANES)
-        self._scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
-        self._states = np.zeros(num_blocks, dtype=STATE_BLOCK)
+        self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
+        self.states = np.zeros(num_blocks, dtype=STATE_BLOCK)
         devices = np.arange(num_devices)
         self._block, self._lane = devices // LANES, devices % LANES
 
@@ -86,36 +91,36 @@ class Simulation:
         self._check_posture(scenarios)
         block, lane = self._block[devices], self._lane[devices]
         for name in SCENARIO.names or ():
-            self._scenarios[name][block, ..., lane] = scenarios[name]
+            self.scenarios[name][block, ..., lane] = scenarios[name]
         for name in STATE_NAMES:
-            self._states[name][block, lane] = 0
-        self._states["law"][block, lane] = self._law
-        kernel.settle(self.parameters, self._scenarios, self._states, devices)
+            self.states[name][block, lane] = 0
+        self.states["law"][block, lane] = self._law
+        kernel.settle(self.parameters, self.scenarios, self.states, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again."""
-        self._states["tension_command"][self._block, self._lane] = tension
+        self.states["tension_command"][self._block, self._lane] = tension
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""
-        kernel.advance(self.parameters, self._scenarios, self._states, self.num_devices, ticks)
+        kernel.advance(self.parameters, self.scenarios, self.states, self.num_devices, ticks)
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
-        return self._states[name].reshape(-1)[: self.num_devices].copy()
+        return self.states[name].reshape(-1)[: self.num_devices].copy()
 
     def get_state(self) -> dict[str, NDArray[np.void]]:
         """Return a snapshot of everything that an episode changes."""
-        return {"scenarios": self._scenarios.copy(), "states": self._states.copy()}
+        return {"scenarios": self.scenarios.copy(), "states": self.states.copy()}
 
     def set_state(self, state: dict[str, NDArray[np.void]]) -> None:
         """Go back to a snapshot taken by `get_state` from a simulation of the same size."""
-        if state["states"].shape != self._states.shape:
+        if state["states"].shape != self.states.shape:
             raise AmulettError(
-                f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self._states.size}"
+                f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self.states.size}"
             )
-        self._scenarios[...] = state["scenarios"]
-        self._states[...] = state["states"]
+        self.scenarios[...] = state["scenarios"]
+        self.states[...] = state["states"]
 
     def _check_posture(self, scenarios: NDArray[np.void]) -> None:
         needed = scenarios["static_torque"] * np.sin(scenarios["initial_angle"])

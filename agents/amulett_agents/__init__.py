@@ -1,0 +1,1 @@
+"""What learns: PPO, the SB3 adapter and the writing of policy bundles."""

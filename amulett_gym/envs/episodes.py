@@ -1,0 +1,234 @@
+"""Episodes of a batch of arms: what the single and the vector environment share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.envs import transition
+from amulett_gym.envs.reward import COST_CAP, TERMS, check_weights, divisors
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
+
+DEFAULT_STEPS = 500
+"""Agent steps in an episode, 10 s at the default agent period."""
+
+TENSION_RANGE = (4.0, 15.0)
+"""Tension setpoints that an action can choose by default [N]."""
+
+Observations = NDArray[np.float32]
+Keys = NDArray[np.uint64]
+
+
+class Episodes:
+    """A batch of arms, each in an episode of its own.
+
+    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the range of the action in N.
+
+    Attributes
+    ----------
+    simulation : Simulation
+    tension_range : tuple of float
+        Tension setpoint at action -1 and +1 [N].
+    """
+
+    def __init__(
+        self,
+        num_devices: int,
+        profile: str | Path | Mapping[str, Any] | Profile,
+        suite: str,
+        split: str,
+        control: Control,
+        tension_law: str,
+        reward_weights: Mapping[str, float] | None,
+        tension_range: tuple[float, float],
+        agent_period: float,
+        observation_noise: float,
+    ) -> None:
+        self.profile = load_profile(profile)
+        if suite not in suite_names():
+            raise unknown("suite", suite, suite_names())
+        if split not in SPLITS:
+            raise unknown("split", split, SPLITS)
+        if not 0 <= observation_noise < math.inf:
+            raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
+        self.suite, self.split = suite, split
+        self.tension_range = tension_range
+        self.simulation = Simulation(self.profile, num_devices, control, tension_law)
+        self._settings = np.zeros(1, dtype=transition.SETTINGS)
+        self._settings["ticks"] = _ticks(agent_period, self.profile.loop.control_period)
+        self._settings["low"], self._settings["high"] = tension_range
+        self._settings["cost_cap"] = COST_CAP
+        self._settings["observation_noise"] = observation_noise
+        self.set_horizon(DEFAULT_STEPS)
+        weights, paid = check_weights(reward_weights), divisors(self.profile, suite)
+        squared_degrees = {"position": np.degrees(1.0) ** 2, "effort": np.degrees(1.0) ** 2}
+        for term, weight in weights.items():
+            self._settings[term] = weight / paid[term] * squared_degrees.get(term, 1.0)
+        self._all = np.arange(num_devices)
+        self._keys = np.zeros(num_devices, dtype=np.uint64)
+        self._episodes = np.zeros(num_devices, dtype=np.uint64)
+        self._scenarios = sample(suite, self._keys, self.profile)
+
+    @property
+    def agent_period(self) -> float:
+        """Time between two actions [s]."""
+        return int(self._settings["ticks"][0]) * self.simulation.control_period
+
+    def set_horizon(self, steps: int) -> None:
+        """Set the number of agent steps in an episode, by which a failure is charged."""
+        self._settings["horizon"] = steps
+
+    def set_keys(self, devices: NDArray[np.int64] | np.int64, keys: Keys | np.uint64) -> None:
+        """Seed devices: their next episode is the first one of the new key."""
+        self._keys[devices] = keys
+        self._episodes[devices] = 0
+
+    def next_episode(self, devices: NDArray[np.int64] | np.int64) -> None:
+        """Move devices on to the next episode of their key."""
+        self._episodes[devices] += np.uint64(1)
+
+    def start(
+        self, devices: NDArray[np.int64], scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] | None = None
+    ) -> Observations:
+        """Start the given devices' episodes, in the given scenarios or in the ones that their keys draw.
+
+        Returns
+        -------
+        ndarray of float32, shape (len(devices), 13)
+        """
+        rows = sample(
+            self.suite, episode_keys(self._keys[devices], self._episodes[devices], self.split), self.profile
+        )
+        if scenarios is not None:
+            rows = self._packed(scenarios, rows["noise_key"])
+        self.simulation.reset(rows, devices)
+        self._scenarios[devices] = rows
+        return self.observe(devices)
+
+    def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
+        """Return what the given devices (all if None) sense now, shape (len(devices), 13)."""
+        devices = self._all if devices is None else devices
+        observations = np.empty((devices.size, len(transition.OBSERVATIONS)), dtype=np.float32)
+        transition.observe_devices(*self._arrays(), devices, observations)
+        return observations
+
+    def step(
+        self, actions: NDArray[np.floating[Any]]
+    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.float64]]:
+        """Take one agent step with all devices.
+
+        Parameters
+        ----------
+        actions : ndarray, shape (N,)
+            In [-1, 1]; values beyond are clipped.
+
+        Returns
+        -------
+        observations : ndarray of float32, shape (N, 13)
+        rewards : ndarray, shape (N,)
+        terms : ndarray, shape (N, 5)
+            The reward's terms, in the order of `envs.reward.TERMS`.
+
+        Raises
+        ------
+        AmulettError
+            If an action is NaN.
+        """
+        if np.isnan(actions).any():
+            raise AmulettError(f"action of device {int(np.argmax(np.isnan(actions)))} is NaN; allowed is [-1, 1]")
+        count = actions.shape[0]
+        observations = np.empty((count, len(transition.OBSERVATIONS)), dtype=np.float32)
+        rewards, terms = np.empty(count), np.empty((count, len(TERMS)))
+        transition.step(*self._arrays(), count, actions, observations, rewards, terms)
+        return observations, rewards, terms
+
+    def failed(self) -> NDArray[np.int64]:
+        """Return each device's failure code, 0 while it runs (see `simulation.layout.FAILURES`)."""
+        return self.simulation.read("failure")
+
+    def metrics(self) -> NDArray[np.float64]:
+        """Return the cumulative metrics, shape (N, 19), columns as `envs.transition.METRICS`."""
+        metrics = np.empty((self._all.size, len(transition.METRICS)))
+        transition.report(self.simulation.states, self._all, metrics)
+        return metrics
+
+    def readings(self) -> NDArray[np.float64]:
+        """Return the truth behind the observations, shape (N, 9), columns as `envs.transition.READINGS`."""
+        readings = np.empty((self._all.size, len(transition.READINGS)))
+        transition.read(self.simulation.parameters, self.simulation.states, self._all, readings)
+        return readings
+
+    def scenario(self, device: int) -> NDArray[np.void]:
+        """Return the packed scenario of one device's present episode."""
+        return self._scenarios[device]
+
+    def get_state(self) -> dict[str, Any]:
+        """Return a snapshot of all episodes."""
+        return {
+            "simulation": self.simulation.get_state(),
+            "keys": self._keys.copy(),
+            "episodes": self._episodes.copy(),
+            "scenarios": self._scenarios.copy(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go back to a snapshot taken by `get_state`."""
+        self.simulation.set_state(state["simulation"])
+        self._keys[...] = state["keys"]
+        self._episodes[...] = state["episodes"]
+        self._scenarios[...] = state["scenarios"]
+
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        simulation = self.simulation
+        return simulation.parameters, self._settings, simulation.scenarios, simulation.states
+
+    def _packed(
+        self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys
+    ) -> NDArray[np.void]:
+        loaded = [load_scenario(scenario) for scenario in scenarios]
+        rows = np.concatenate([pack(scenario, self.profile) for scenario in loaded])
+        drawn = np.array([scenario.noise_seed is None for scenario in loaded])
+        rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
+        return rows
+
+
+def check_range(name: str, value: Any) -> tuple[float, float]:
+    """Return a pair of rising positive numbers.
+
+    Raises
+    ------
+    AmulettError
+        If it is none.
+    """
+    try:
+        low, high = (float(bound) for bound in value)
+    except (TypeError, ValueError) as error:
+        raise AmulettError(f"{name} is {value!r}; it has to be a pair (low, high)") from error
+    if not 0 < low < high < math.inf:
+        raise AmulettError(f"{name} is {value!r}; it has to be 0 < low < high")
+    return low, high
+
+
+def failure_name(code: int) -> str:
+    """Return why a device failed, an empty string while it runs."""
+    return FAILURES[code]
+
+
+def _ticks(agent_period: float, control_period: float) -> int:
+    ticks = max(round(agent_period / control_period), 1) if agent_period > 0 else 1
+    if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-9):
+        raise AmulettError(
+            f"agent_period is {agent_period} s; it has to be a multiple of the profile's control period, "
+            f"{control_period} s; the nearest is {ticks * control_period:g} s"
+        )
+    return ticks

@@ -1,0 +1,367 @@
+"""The single environments, `Amulett/Scaling-v0` and `Amulett/Tension-v0`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range, failure_name
+from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATIONS, READINGS
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.simulation.layout import Control
+from amulett_gym.tasks.scenario import Scenario, unpack
+
+RENDER_MODES = ("rgb_array", "human")
+RESET_OPTIONS = ("scenario",)
+_DEVICE = np.zeros(1, dtype=np.int64)
+
+
+class NotReached(float):
+    """A NaN that equals itself: a time that was not reached *is* the same in two equal episodes.
+
+    Gymnasium's checker compares the infos of two equal steps with ``==``, by which an ordinary NaN differs from itself.
+    """
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, NotReached)
+
+    def __hash__(self) -> int:
+        return hash(NotReached)
+
+
+_NOT_REACHED = NotReached("nan")
+
+
+class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """`Amulett/Tension-v0`: choose the antagonist's string tension, in N.
+
+    Everything but the action is as in :class:`ScalingEnv`, whose docstring is the specification.
+
+    ## Action Space
+
+    `Box(-1, 1, (1,), float32)`:
+
+    | Num | Action                               | Min       | Max        | Unit |
+    |-----|--------------------------------------|-----------|------------|------|
+    | 0   | tension setpoint of the antagonist   | -1 (4 N)  | 1 (15 N)   | N    |
+
+    `action_range=(low, high)` sets another range [N].
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
+
+    def __init__(
+        self,
+        profile: str | Path | Mapping[str, Any] | Profile = "testbed",
+        suite: str = "steps",
+        split: str = "train",
+        control: Control = "decentralized",
+        tension_law: str = "agent",
+        reward_weights: Mapping[str, float] | None = None,
+        action_range: tuple[float, float] | None = None,
+        agent_period: float = 0.02,
+        observation_noise: float = 0.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise unknown("render_mode", render_mode, RENDER_MODES)
+        profile = load_profile(profile)
+        self.episodes = Episodes(
+            1,
+            profile,
+            suite,
+            split,
+            control,
+            tension_law,
+            reward_weights,
+            self._tension_range(profile, action_range),
+            agent_period,
+            observation_noise,
+        )
+        self.observation_space = Box(-1.0, 1.0, (len(OBSERVATIONS),), np.float32)
+        self.action_space = Box(-1.0, 1.0, (1,), np.float32)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(1 / agent_period)}
+        self._seeded = False
+        self._renderer: Any = None
+
+    @staticmethod
+    def _tension_range(profile: Profile, action_range: Any) -> tuple[float, float]:
+        return TENSION_RANGE if action_range is None else check_range("action_range", action_range)
+
+    @property
+    def profile(self) -> Profile:
+        """The device that is simulated."""
+        return self.episodes.profile
+
+    @property
+    def tension_range(self) -> tuple[float, float]:
+        """Tension setpoint at action -1 and +1 [N]."""
+        return self.episodes.tension_range
+
+    @property
+    def scenario(self) -> Scenario:
+        """The present episode's scenario; ``reset(options={"scenario": env.unwrapped.scenario})`` replays it."""
+        return unpack(self.episodes.scenario(0))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seeds `np_random`, which draws the key that scenarios and noise of this and all later episodes come from.
+        options : dict, optional
+            ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON file to play in the place of a drawn one.
+
+        Returns
+        -------
+        observation : ndarray of float32, shape (13,)
+        info : dict
+
+        Raises
+        ------
+        AmulettError
+            If an option is unknown or the scenario is wrong.
+        """
+        super().reset(seed=seed)
+        for option in options or {}:
+            if option not in RESET_OPTIONS:
+                raise unknown("reset option", str(option), RESET_OPTIONS)
+        scenario = (options or {}).get("scenario")
+        if self.spec is not None and self.spec.max_episode_steps is not None:
+            self.episodes.set_horizon(self.spec.max_episode_steps)
+        if seed is not None or not self._seeded:
+            self.episodes.set_keys(_DEVICE, draw_key(self.np_random))
+            self._seeded = True
+        else:
+            self.episodes.next_episode(_DEVICE)
+        observation = self.episodes.start(_DEVICE, None if scenario is None else [scenario])[0]
+        if self._renderer is not None:
+            self._renderer.clear()
+        if self.render_mode == "human":
+            self.render()
+        return observation, self._info(np.zeros((1, len(TERMS))))
+
+    def step(
+        self, action: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Hold an action for one agent period.
+
+        Parameters
+        ----------
+        action : ndarray, shape (1,)
+            In [-1, 1]; values beyond are clipped.
+
+        Returns
+        -------
+        observation : ndarray of float32, shape (13,)
+        reward : float
+        terminated : bool
+            Whether the device left its limits.
+        truncated : bool
+            Always False; the time limit is a wrapper's.
+        info : dict
+
+        Raises
+        ------
+        AmulettError
+            If the action has another shape or is NaN.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
+        """
+        if not self._seeded:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        actions = np.asarray(action)
+        if actions.shape != (1,):
+            raise AmulettError(f"the action has shape {actions.shape}; it has to be (1,)")
+        observations, rewards, terms = self.episodes.step(actions)
+        info = self._info(terms)
+        if self.render_mode == "human":
+            self.render()
+        return observations[0], float(rewards[0]), info["failure"] != "", False, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the present state: an array (height, width, 3) for `rgb_array`, a window for `human`."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array' or 'human'")
+            return None
+        from amulett_gym.envs.rendering import Renderer, frame_of
+
+        if self._renderer is None:
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        return self._renderer.draw(frame_of(self.episodes, 0))
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def get_state(self) -> dict[str, Any]:
+        """Return a snapshot of the episode and the random generator."""
+        return {
+            "episodes": self.episodes.get_state(),
+            "np_random": self.np_random.bit_generator.state,
+            "seeded": self._seeded,
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go back to a snapshot taken by `get_state`."""
+        self.episodes.set_state(state["episodes"])
+        self.np_random.bit_generator.state = state["np_random"]
+        self._seeded = state["seeded"]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+    def _info(self, terms: NDArray[np.float64]) -> dict[str, Any]:
+        info: dict[str, Any] = dict(zip(READINGS, self.episodes.readings()[0].tolist(), strict=True))
+        info["reward_terms"] = dict(zip(TERMS, terms[0].tolist(), strict=True))
+        metrics = dict(zip(METRICS, self.episodes.metrics()[0].tolist(), strict=True))
+        for name in MAY_BE_MISSING:
+            if math.isnan(metrics[name]):
+                metrics[name] = _NOT_REACHED
+        info["metrics"] = metrics
+        info["failure"] = failure_name(int(self.episodes.failed()[0]))
+        return info
+
+
+class ScalingEnv(TensionEnv):
+    """`Amulett/Scaling-v0`: choose the factor by which eq. 6 scales the desired string tension.
+
+    ## Description
+
+    The AMULETT elbow: two motors ("biceps", "triceps") pull on the joint through strings with non-linear springs. A
+    PID controller moves the joint to its setpoint with the agonist; another holds the antagonist's string at a tension
+    setpoint. More tension makes the joint stiffer and better damped, and leaves less torque to move with; *changing*
+    the tension costs motor effort. The agent chooses the tension, moment by moment. The paper's answer is eq. 6: low
+    tension while the arm is far from its target, high tension near it.
+
+    ## Action Space
+
+    `Box(-1, 1, (1,), float32)`, held for `agent_period`:
+
+    | Num | Action                          | Min       | Max       | Unit |
+    |-----|---------------------------------|-----------|-----------|------|
+    | 0   | scaling factor f_sigma of eq. 6 | -1 (0.4)  | 1 (1.5)   | 1    |
+
+    The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
+    `Amulett/Tension-v0`, in which the same action means the same tension. The springs of the shipped profiles saturate
+    at 14 N. `action_range=(low, high)` sets another range of factors.
+
+    ## Observation Space
+
+    `Box(-1, 1, (13,), float32)`: what the microcontroller knows, divided by a fixed scale and clipped to [-1, 1].
+
+    | Num | Observation                                      | Min     | Max    | Scale: 1 stands for |
+    |-----|--------------------------------------------------|---------|--------|---------------------|
+    | 0   | position error, setpoint minus measured angle    | -1      | 1      | 90 deg              |
+    | 1   | measured joint angle (flexion is positive)       | -1      | 1      | 150 deg             |
+    | 2   | joint velocity, filtered from the measured angle | -1      | 1      | 500 deg/s           |
+    | 3   | position setpoint                                | -1      | 1      | 150 deg             |
+    | 4   | time since the setpoint began to move            | 0       | 1      | 2 s                 |
+    | 5   | estimated string tension, biceps                 | 0       | 1      | 20 N                |
+    | 6   | estimated string tension, triceps                | 0       | 1      | 20 N                |
+    | 7   | measured spring deflection, biceps               | 0       | 1      | end of the table    |
+    | 8   | measured spring deflection, triceps              | 0       | 1      | end of the table    |
+    | 9   | agonist: 1 biceps, -1 triceps                    | -1      | 1      | 1                   |
+    | 10  | drive command, biceps                            | -1      | 1      | 720 deg             |
+    | 11  | drive command, triceps                           | -1      | 1      | 720 deg             |
+    | 12  | tension setpoint in force (the last action)      | -1      | 1      | the action's scale  |
+
+    ## Rewards
+
+    Minus the weighted costs of the step, each divided by what eq. 6 pays in a whole episode of the same suite, so that
+    the return of eq. 6 is about -1:
+
+    - `position` (0.5): position ISE (eq. 7), by the true angle;
+    - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks;
+    - `tension` (0.05): tension ISE of the antagonist, by the true force;
+    - `contact` (0): square of the contact torque;
+    - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left.
+
+    A step costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]` holds the weighted terms,
+    which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
+
+    | Metric                                              | Unit    | Meaning                                         |
+    |-----------------------------------------------------|---------|-------------------------------------------------|
+    | `position_ise`                                      | deg2 s  | eq. 7 of the joint angle                        |
+    | `tension_ise`, `tension_ise_estimated`              | N2 s    | eq. 7 of the antagonist's true, estimated force |
+    | `isav_biceps`, `isav_triceps`                       | deg2/s  | eq. 8 of the drives' commands                   |
+    | `isav_kick`                                         | deg2/s  | the setpoint's own part of it, for each drive   |
+    | `iav_biceps`, `iav_triceps`                         | deg     | integral of the commands' absolute rate         |
+    | `rise_time`, `settling_time`                        | s       | first, last entry into +-2 deg around a target; |
+    |                                                     |         | mean over the steps that got there, else NaN    |
+    | `overshoot`                                         | deg     | largest excursion beyond a step's target        |
+    | `contact_ise`, `contact_peak`                       | N2 m2 s, N m | contact torque                             |
+    | `push_deflection`                                   | deg     | largest error while a push acts                 |
+    | `resting_stiffness`                                 | N m/rad | mean joint stiffness within +-2 deg of a        |
+    |                                                     |         | standing setpoint                               |
+    | `setpoint_steps`, `steps_risen`, `steps_settled`,   | 1       | counts                                          |
+    | `agonist_switches`                                  |         |                                                 |
+
+    Further entries of `info` are the truth behind the observation: `time` [s], `joint_angle` [deg], `joint_velocity`
+    [deg/s], `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
+    `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string).
+
+    ## Starting State
+
+    At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N).
+    `reset(seed=...)` fixes the scenarios and the noise of this and all later episodes. `reset(options={"scenario": s})`
+    plays a scenario of your own (a mapping, a JSON file or a :class:`amulett_gym.tasks.scenario.Scenario`).
+
+    ## Episode End
+
+    - Termination: the joint leaves +-150 deg, its velocity leaves its limit, or the state is not finite;
+      `info["failure"]` says which.
+    - Truncation: after `max_episode_steps`, 500 by default, which is 10 s.
+
+    ## Arguments
+
+    | Keyword             | Default           | Meaning                                                              |
+    |---------------------|-------------------|----------------------------------------------------------------------|
+    | `profile`           | `"testbed"`       | `"testbed"`, `"simulation"`, a YAML file or a mapping                |
+    | `suite`             | `"steps"`         | `"paper-step"`, `"steps"`, `"reach"`, `"hold-push"`                  |
+    | `split`             | `"train"`         | `"train"`, `"validation"` or `"held-out"`: disjoint scenarios        |
+    | `control`           | `"decentralized"` | or `"position-only"`: no tension loop, actions have no effect        |
+    | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`: eq. 6 inside the loop, actions have no effect |
+    | `reward_weights`    | None              | mapping of term to weight, for those that differ from the defaults   |
+    | `action_range`      | None              | what action -1 and +1 stand for                                      |
+    | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
+    | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
+    | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
+
+    Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    @staticmethod
+    def _tension_range(profile: Profile, action_range: Any) -> tuple[float, float]:
+        if action_range is None:
+            return TENSION_RANGE
+        low, high = check_range("action_range", action_range)
+        nominal = profile.variable_stiffness.nominal_tension
+        return low * nominal, high * nominal
+
+
+def draw_key(generator: np.random.Generator) -> NDArray[np.uint64]:
+    """Draw the 64-bit key of one device, shape (1,)."""
+    return generator.integers(0, 2**64, size=1, dtype=np.uint64)
+
+
+__all__ = ["DEFAULT_STEPS", "ScalingEnv", "TensionEnv", "draw_key"]

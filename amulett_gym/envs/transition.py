@@ -1,0 +1,221 @@
+"""One agent step in one compiled call: act, advance, observe, pay, report."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from amulett_gym.compiled import compiled
+from amulett_gym.simulation.kernel import advance, joint_stiffness
+from amulett_gym.simulation.layout import LANES, RUNNING
+from amulett_gym.simulation.random import noise
+
+SETTINGS = np.dtype(
+    [
+        ("ticks", "i8"),  # control ticks in an agent step
+        ("horizon", "f8"),  # agent steps in an episode
+        ("low", "f8"),  # tension setpoint at action -1 [N]
+        ("high", "f8"),  # and at +1 [N]
+        ("position", "f8"),  # weight / divisor of each term, per rad2 s, rad2/s, N2 s, N2 m2 s
+        ("effort", "f8"),
+        ("tension", "f8"),
+        ("contact", "f8"),
+        ("cost_cap", "f8"),
+        ("observation_noise", "f8"),
+    ],
+    align=True,
+)
+
+OBSERVATIONS = (
+    "position_error",
+    "joint_angle",
+    "joint_velocity",
+    "setpoint",
+    "time_since_move",
+    "estimated_tension_biceps",
+    "estimated_tension_triceps",
+    "spring_deflection_biceps",
+    "spring_deflection_triceps",
+    "agonist",
+    "command_biceps",
+    "command_triceps",
+    "tension_setpoint",
+)
+"""Names of the observation's entries, in order."""
+
+OBSERVATION_SCALES = {
+    "position_error": math.radians(90.0),
+    "joint_angle": math.radians(150.0),
+    "joint_velocity": math.radians(500.0),
+    "time_since_move": 2.0,
+    "estimated_tension": 20.0,
+    "command": math.radians(720.0),
+}
+"""What an entry of 1 stands for [rad, rad/s, s, N]: fixed constants, so there is nothing to save, lose or mismatch."""
+
+_ERROR, _ANGLE, _VELOCITY, _TIME, _TENSION, _COMMAND = OBSERVATION_SCALES.values()
+
+METRICS = (
+    "position_ise",
+    "tension_ise",
+    "isav_biceps",
+    "isav_triceps",
+    "iav_biceps",
+    "iav_triceps",
+    "rise_time",
+    "settling_time",
+    "overshoot",
+    "tension_ise_estimated",
+    "isav_kick",
+    "contact_ise",
+    "contact_peak",
+    "push_deflection",
+    "resting_stiffness",
+    "setpoint_steps",
+    "steps_risen",
+    "steps_settled",
+    "agonist_switches",
+)
+"""Names of ``info["metrics"]``, in order; their units are in the environments' docstring."""
+
+MAY_BE_MISSING = ("rise_time", "settling_time", "resting_stiffness")
+"""Metrics that are NaN when no setpoint step got there, or the joint never rested."""
+
+READINGS = (
+    "time",
+    "joint_angle",
+    "joint_velocity",
+    "tension_setpoint",
+    "force_biceps",
+    "force_triceps",
+    "joint_stiffness",
+    "push_torque",
+    "contact_torque",
+)
+"""Names of further entries of ``info``: the truth behind the observation."""
+
+_NOISE_STREAM = np.uint64(0x0B5E)
+_DEG = 180.0 / math.pi
+
+
+@compiled
+def step(p, e, c_blocks, s_blocks, num_devices, actions, observations, rewards, terms):  # type: ignore[no-untyped-def]
+    """Take one agent step with all devices; fill observations, rewards and reward terms, one row a device."""
+    settings = e[0]
+    span = settings.high - settings.low
+    for device in range(num_devices):
+        action = min(max(float(actions[device]), -1.0), 1.0)
+        s_blocks[device // LANES].tension_command[device % LANES] = settings.low + 0.5 * (action + 1.0) * span
+    advance(p, c_blocks, s_blocks, num_devices, settings.ticks)
+    for device in range(num_devices):
+        block, i = device // LANES, device % LANES
+        observe(p[0], settings, c_blocks[block], s_blocks[block], i, observations[device])
+        rewards[device] = pay(p[0], settings, s_blocks[block], i, terms[device])
+
+
+@compiled
+def observe_devices(p, e, c_blocks, s_blocks, devices, observations):  # type: ignore[no-untyped-def]
+    """Fill the observations of the given devices, one row each."""
+    for row in range(devices.size):
+        block, i = devices[row] // LANES, devices[row] % LANES
+        observe(p[0], e[0], c_blocks[block], s_blocks[block], i, observations[row])
+
+
+@compiled
+def observe(p, e, c, s, i, row):  # type: ignore[no-untyped-def]
+    """Fill one observation with what the microcontroller knows, scaled and clipped to [-1, 1]."""
+    time = s.tick[i] * p.control_period
+    row[0] = (s.setpoint[i] - s.measured_angle[i]) / _ERROR
+    row[1] = s.measured_angle[i] / _ANGLE
+    row[2] = s.measured_velocity[i] / _VELOCITY
+    row[3] = s.setpoint[i] / _ANGLE
+    row[4] = (time - s.step_start[i]) / _TIME
+    row[5] = s.estimate_biceps[i] / _TENSION
+    row[6] = s.estimate_triceps[i] / _TENSION
+    row[7] = s.measured_biceps[i] / p.max_spring_deflection
+    row[8] = s.measured_triceps[i] / p.max_spring_deflection
+    row[9] = s.agonist[i]
+    row[10] = s.command_biceps[i] / _COMMAND
+    row[11] = s.command_triceps[i] / _COMMAND
+    row[12] = 2.0 * (s.tension_setpoint[i] - e.low) / (e.high - e.low) - 1.0
+    if e.observation_noise > 0.0:
+        key = c.noise_key[i] ^ _NOISE_STREAM
+        for k in range(row.size):
+            row[k] += e.observation_noise * noise(key, np.uint64(s.tick[i] * row.size + k))
+    for k in range(row.size):
+        row[k] = min(max(row[k], -1.0), 1.0)
+
+
+@compiled
+def pay(p, e, s, i, terms):  # type: ignore[no-untyped-def]
+    """Fill the reward's terms for what happened since the last call, and return their sum."""
+    effort = s.isav_biceps[i] + s.isav_triceps[i]
+    terms[0] = -e.position * (s.position_ise[i] - s.paid_position[i])
+    terms[1] = -e.effort * (effort - s.paid_effort[i])
+    terms[2] = -e.tension * (s.tension_ise[i] - s.paid_tension[i])
+    terms[3] = -e.contact * (s.contact_ise[i] - s.paid_contact[i])
+    terms[4] = 0.0
+    s.paid_position[i] = s.position_ise[i]
+    s.paid_effort[i] = effort
+    s.paid_tension[i] = s.tension_ise[i]
+    s.paid_contact[i] = s.contact_ise[i]
+    reward = terms[0] + terms[1] + terms[2] + terms[3]
+    if reward < -e.cost_cap:
+        for k in range(4):
+            terms[k] *= e.cost_cap / -reward
+        reward = terms[0] + terms[1] + terms[2] + terms[3]
+    if s.failure[i] != RUNNING:
+        # No smaller than the worst that the rest of the episode could have cost.
+        steps_done = s.tick[i] // e.ticks
+        terms[4] = -e.cost_cap * max(e.horizon - steps_done, 1.0)
+        reward += terms[4]
+    return reward
+
+
+@compiled
+def report(s_blocks, devices, metrics):  # type: ignore[no-untyped-def]
+    """Fill the cumulative metrics of the given devices, one row each."""
+    for row in range(devices.size):
+        s, i = s_blocks[devices[row] // LANES], devices[row] % LANES
+        m = metrics[row]
+        settled, settling = s.settling_count[i], s.settling_sum[i]
+        if not math.isnan(s.inside_since[i]):
+            settled += 1.0
+            settling += s.inside_since[i] - s.step_start[i]
+        m[0] = s.position_ise[i] * _DEG * _DEG
+        m[1] = s.tension_ise[i]
+        m[2] = s.isav_biceps[i] * _DEG * _DEG
+        m[3] = s.isav_triceps[i] * _DEG * _DEG
+        m[4] = s.iav_biceps[i] * _DEG
+        m[5] = s.iav_triceps[i] * _DEG
+        m[6] = s.rise_sum[i] / s.rise_count[i]
+        m[7] = settling / settled
+        m[8] = s.overshoot[i] * _DEG
+        m[9] = s.tension_ise_estimated[i]
+        m[10] = s.isav_kick[i] * _DEG * _DEG
+        m[11] = s.contact_ise[i]
+        m[12] = s.contact_peak[i]
+        m[13] = s.push_deflection[i] * _DEG
+        m[14] = s.resting_stiffness_sum[i] / s.resting_time[i]
+        m[15] = s.step_count[i]
+        m[16] = s.rise_count[i]
+        m[17] = settled
+        m[18] = s.switch_count[i]
+
+
+@compiled
+def read(p, s_blocks, devices, readings):  # type: ignore[no-untyped-def]
+    """Fill the true state of the given devices, one row each."""
+    for row in range(devices.size):
+        s, i = s_blocks[devices[row] // LANES], devices[row] % LANES
+        r = readings[row]
+        r[0] = s.tick[i] * p[0].control_period
+        r[1] = s.angle[i] * _DEG
+        r[2] = s.velocity[i] * _DEG
+        r[3] = s.tension_setpoint[i]
+        r[4] = s.force_biceps[i]
+        r[5] = s.force_triceps[i]
+        r[6] = joint_stiffness(p[0], s, i)
+        r[7] = s.push_torque[i]
+        r[8] = s.contact_torque[i]

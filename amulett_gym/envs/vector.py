@@ -1,0 +1,280 @@
+"""The native vector environments: many arms, one compiled call a step, bit for bit the single environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from amulett_gym.config import Profile
+from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes
+from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv, draw_key
+from amulett_gym.envs.transition import METRICS, READINGS
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.tasks.scenario import Scenario, unpack
+
+RESET_OPTIONS = ("scenario", "reset_mask")
+_FAILURES = np.array(FAILURES)
+
+
+class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """Many `Amulett/Tension-v0` at once; see :class:`amulett_gym.envs.single.ScalingEnv` for everything but this.
+
+    Device i, reset with seed s, plays exactly what the single environment plays after ``reset(seed=s + i)``. A device
+    whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0
+    (autoreset mode NEXT_STEP). ``info`` has the single environment's keys with arrays of length `num_envs`.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of devices.
+    max_episode_steps : int
+        After how many steps an episode is truncated.
+    **keywords
+        As those of the single environment.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": list(RENDER_MODES[:1]),
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+    _single: ClassVar[type[TensionEnv]] = TensionEnv
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int = DEFAULT_STEPS,
+        profile: str | Path | Mapping[str, Any] | Profile = "testbed",
+        suite: str = "steps",
+        split: str = "train",
+        control: Control = "decentralized",
+        tension_law: str = "agent",
+        reward_weights: Mapping[str, float] | None = None,
+        action_range: tuple[float, float] | None = None,
+        agent_period: float = 0.02,
+        observation_noise: float = 0.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
+            raise unknown("render_mode", render_mode, self.metadata["render_modes"])
+        if max_episode_steps < 1:
+            raise AmulettError(f"max_episode_steps is {max_episode_steps}; it has to be at least 1")
+        # One single environment checks the arguments and defines spaces and action range, so that they cannot differ.
+        single = self._single(
+            profile,
+            suite,
+            split,
+            control,
+            tension_law,
+            reward_weights,
+            action_range,
+            agent_period,
+            observation_noise,
+            render_mode,
+        )
+        self.num_envs = num_envs
+        self.max_episode_steps = max_episode_steps
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"]}
+        self.episodes = Episodes(
+            num_envs,
+            single.profile,
+            suite,
+            split,
+            control,
+            tension_law,
+            reward_weights,
+            single.tension_range,
+            agent_period,
+            observation_noise,
+        )
+        self.episodes.set_horizon(max_episode_steps)
+        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
+        self.observation_space = batch_space(single.observation_space, num_envs)
+        self.action_space = batch_space(single.action_space, num_envs)
+        self._devices = np.arange(num_envs)
+        self._seeded = np.zeros(num_envs, dtype=bool)
+        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self._ended = np.zeros(num_envs, dtype=bool)
+        self._renderers: list[Any] = []
+
+    @property
+    def profile(self) -> Profile:
+        """The device that is simulated."""
+        return self.episodes.profile
+
+    @property
+    def tension_range(self) -> tuple[float, float]:
+        """Tension setpoint at action -1 and +1 [N]."""
+        return self.episodes.tension_range
+
+    @property
+    def scenarios(self) -> list[Scenario]:
+        """The present episodes' scenarios."""
+        return [unpack(self.episodes.scenario(device)) for device in range(self.num_envs)]
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode with all devices, or with those of a mask.
+
+        Parameters
+        ----------
+        seed : int or sequence of int, optional
+            Device i is seeded with ``seed + i``, or with ``seed[i]``.
+        options : dict, optional
+            ``"reset_mask"``: ndarray of bool, shape (num_envs,), the devices to reset.
+            ``"scenario"``: one scenario for all devices that are reset, or a list with one for each of them.
+
+        Returns
+        -------
+        observations : ndarray of float32, shape (num_envs, 13)
+        info : dict
+
+        Raises
+        ------
+        AmulettError
+            If an option is unknown, or the mask, the seeds or a scenario is wrong.
+        """
+        for option in options or {}:
+            if option not in RESET_OPTIONS:
+                raise unknown("reset option", str(option), RESET_OPTIONS)
+        mask = self._mask(options)
+        devices = self._devices[mask]
+        self._seed(mask, seed)
+        scenarios = (options or {}).get("scenario")
+        if scenarios is not None:
+            scenarios = list(scenarios) if isinstance(scenarios, list | tuple) else [scenarios] * devices.size
+            if len(scenarios) != devices.size:
+                raise AmulettError(f"{len(scenarios)} scenarios were given for the {devices.size} devices to reset")
+        self._steps[mask] = 0
+        self._ended[mask] = False
+        observations = self.episodes.observe()
+        observations[mask] = self.episodes.start(devices, scenarios)
+        for device in devices[: len(self._renderers)]:
+            self._renderers[device].clear()
+        return observations, self._info(np.zeros((self.num_envs, len(TERMS))))
+
+    def step(
+        self, actions: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Hold each device's action for one agent period; start the next episode of those whose last one has ended.
+
+        Parameters
+        ----------
+        actions : ndarray, shape (num_envs, 1)
+            In [-1, 1]; values beyond are clipped.
+
+        Raises
+        ------
+        AmulettError
+            If the actions have another shape or one is NaN.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
+        """
+        if not self._seeded.all():
+            raise gym.error.ResetNeeded("call reset() before step()")
+        actions = np.asarray(actions)
+        if actions.shape != (self.num_envs, 1):
+            raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
+        again = self._devices[self._ended]
+        observations, rewards, terms = self.episodes.step(actions[:, 0])
+        self._steps += 1
+        if again.size:
+            self.episodes.next_episode(again)
+            observations[again] = self.episodes.start(again)
+            rewards[again], terms[again], self._steps[again] = 0.0, 0.0, 0
+        terminated = self.episodes.failed() != 0
+        truncated = ~terminated & (self._steps >= self.max_episode_steps)
+        self._ended = terminated | truncated
+        return observations, rewards, terminated, truncated, self._info(terms)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """Draw every device: a tuple of arrays (height, width, 3)."""
+        if self.render_mode is None:
+            gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array'")
+            return None
+        from amulett_gym.envs.rendering import Renderer, frame_of
+
+        if not self._renderers:
+            self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in self._devices]
+        return tuple(
+            renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers)
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of the renderers."""
+        for renderer in self._renderers:
+            renderer.close()
+        self._renderers = []
+
+    def get_state(self) -> dict[str, Any]:
+        """Return a snapshot of all episodes and the random generator."""
+        return {
+            "episodes": self.episodes.get_state(),
+            "np_random": self.np_random.bit_generator.state,
+            "seeded": self._seeded.copy(),
+            "steps": self._steps.copy(),
+            "ended": self._ended.copy(),
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go back to a snapshot taken by `get_state`."""
+        self.episodes.set_state(state["episodes"])
+        self.np_random.bit_generator.state = state["np_random"]
+        self._seeded[...], self._steps[...] = state["seeded"], state["steps"]
+        self._ended = state["ended"].copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderers": []}
+
+    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, dtype=bool)
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
+            raise AmulettError(f"reset_mask has to be an ndarray of bool, shape ({self.num_envs},); it is {mask!r}")
+        return mask
+
+    def _seed(self, mask: NDArray[np.bool_], seed: int | Sequence[int | None] | None) -> None:
+        """Give a key to each device of the mask that is seeded now or has none; move the others to their next episode."""
+        seeds: list[int | None]
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=None if seed is None else int(seed))
+            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+            if len(seeds) != self.num_envs:
+                raise AmulettError(f"{len(seeds)} seeds were given for {self.num_envs} devices")
+        for device in self._devices[mask]:
+            seed_of_device = seeds[device]
+            if seed_of_device is not None:
+                self.episodes.set_keys(device, draw_key(seeding.np_random(seed_of_device)[0])[0])
+            elif not self._seeded[device]:
+                self.episodes.set_keys(device, draw_key(self.np_random)[0])
+            else:
+                self.episodes.next_episode(device)
+        self._seeded |= mask
+
+    def _info(self, terms: NDArray[np.float64]) -> dict[str, Any]:
+        info: dict[str, Any] = dict(zip(READINGS, self.episodes.readings().T, strict=True))
+        info["reward_terms"] = dict(zip(TERMS, terms.T, strict=True))
+        info["metrics"] = dict(zip(METRICS, self.episodes.metrics().T, strict=True))
+        info["failure"] = _FAILURES[self.episodes.failed()]
+        return info
+
+
+class ScalingVectorEnv(TensionVectorEnv):
+    """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and :class:`amulett_gym.envs.single.ScalingEnv`."""
+
+    _single = ScalingEnv

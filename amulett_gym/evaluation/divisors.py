@@ -1,0 +1,69 @@
+"""Measure the reward's divisors: what eq. 6 pays per episode of each suite, on each shipped profile.
+
+``python -m amulett_gym.evaluation.divisors`` prints them; ``--write`` replaces the frozen file in the package. Changing
+them changes every reward, so it goes with a new version of the environments.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from amulett_gym.config import load_profile, profile_names
+from amulett_gym.files import write_json
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.tasks.suites import episode_keys, sample, suite_names
+
+EPISODES = 400
+DURATION = 10.0  # [s]
+NO_CONTACT = 0.1
+"""Divisor of the contact term where eq. 6 meets no obstacle: 0.1 N2 m2 s, a tenth of a second at 1 N m."""
+
+
+def measure() -> dict[str, dict[str, dict[str, float]]]:
+    """Return eq. 6's mean cost per episode: profile -> suite -> term."""
+    return {name: {suite: _measure(name, suite) for suite in suite_names()} for name in profile_names()}
+
+
+def _measure(profile_name: str, suite: str) -> dict[str, float]:
+    profile = load_profile(profile_name)
+    keys = episode_keys(np.arange(EPISODES, dtype=np.uint64), np.zeros(EPISODES, dtype=np.uint64), "train")
+    simulation = Simulation(profile, EPISODES, tension_law="eq6")
+    simulation.reset(sample(suite, keys, profile))
+    simulation.advance(round(DURATION / simulation.control_period))
+
+    def mean(*metrics: str) -> float:
+        return float(sum(simulation.read(metric) for metric in metrics).mean())
+
+    squared_degrees = float(np.degrees(1.0) ** 2)
+    costs = {
+        "position": mean("position_ise") * squared_degrees,
+        "effort": mean("isav_biceps", "isav_triceps") * squared_degrees,
+        "tension": mean("tension_ise"),
+        "contact": mean("contact_ise") or NO_CONTACT,
+    }
+    return {term: float(f"{cost:.4g}") for term, cost in costs.items()}
+
+
+def main() -> None:
+    """Print the divisors, or write them into the package."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="replace the frozen file in the package")
+    arguments = parser.parse_args()
+    content = {
+        "version": 1,
+        "units": {"position": "deg2 s", "effort": "deg2/s", "tension": "N2 s", "contact": "N2 m2 s"},
+        "divisors": measure(),
+    }
+    if arguments.write:
+        with resources.as_file(resources.files("amulett_gym") / "envs" / "divisors.json") as path:
+            write_json(Path(path), content)
+    print(json.dumps(content, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Stiffness laws: anything that maps an observation to an action."""
