@@ -1,0 +1,123 @@
+"""Contenders: pairs of environment keywords and a policy, by name.
+
+Some contenders live in the loop (eq. 6 at control rate, position control alone) and are chosen by a keyword of the
+environment; the others act from outside, through :func:`amulett_gym.laws.policies.load_policy`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.errors import AmulettError, unknown
+
+CONSTANT = "constant:"
+
+_IN_THE_LOOP: dict[str, dict[str, Any]] = {
+    "eq6": {"tension_law": "eq6"},
+    "eq6-printed": {"tension_law": "eq6-printed"},
+    "position-only": {"control": "position-only"},
+}
+
+_DESCRIPTIONS = {
+    "eq6": "eq. 6 as the text describes it, inside the loop at control rate",
+    "eq6-printed": "eq. 6 exactly as printed, inside the loop at control rate",
+    "position-only": "position control alone: a fixed co-contraction, no tension loop",
+    "eq6-held": "eq. 6 as the text describes it, from outside at agent rate",
+    "eq6-held-printed": "eq. 6 exactly as printed, from outside at agent rate",
+    "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
+    "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
+}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One entry of a comparison.
+
+    Attributes
+    ----------
+    name : str
+        As it was given.
+    env_keywords : dict
+        Keywords of the environment that this contender needs.
+    policy_name : str or None
+        What `load_policy` loads; None where the environment's loop decides and any action will do.
+    """
+
+    name: str
+    env_keywords: dict[str, Any] = field(default_factory=dict)
+    policy_name: str | None = None
+
+
+def contender_names() -> dict[str, str]:
+    """Return the contenders' names (two of them patterns), each with a one-line description."""
+    return dict(_DESCRIPTIONS)
+
+
+def parse_contender(name: str) -> Contender:
+    """Turn a name into a contender.
+
+    Parameters
+    ----------
+    name : str
+        A name of `contender_names`, ``constant:<N>``, or a folder that holds a policy bundle.
+
+    Returns
+    -------
+    Contender
+
+    Raises
+    ------
+    AmulettError
+        If the name is unknown, a tension is not a positive number, or a folder holds no policy bundle.
+    """
+    if name in _IN_THE_LOOP:
+        return Contender(name, dict(_IN_THE_LOOP[name]))
+    if name in ("eq6-held", "eq6-held-printed"):
+        return Contender(name, policy_name=name)
+    if name.startswith(CONSTANT):
+        constant_tension(name)
+        return Contender(name, policy_name=name)
+    return Contender(name, policy_name=str(bundle_folder(name)))
+
+
+def constant_tension(name: str) -> float:
+    """Return the tension setpoint [N] in a name like ``constant:10``.
+
+    Raises
+    ------
+    AmulettError
+        If it is no positive, finite number.
+    """
+    text = name.removeprefix(CONSTANT)
+    try:
+        tension = float(text)
+    except ValueError:
+        tension = math.nan
+    if not 0 < tension < math.inf:
+        raise AmulettError(f"'{name}' has to name a positive tension in N, for example constant:10; it has '{text}'")
+    return tension
+
+
+def bundle_folder(name: str) -> Path:
+    """Return the folder of a policy bundle: `name` itself, or its ``best`` if it is a training run's folder.
+
+    Raises
+    ------
+    AmulettError
+        If `name` is neither a known name nor such a folder.
+    """
+    folder = Path(name)
+    for candidate in (folder, folder / "best"):
+        if (candidate / "manifest.json").is_file():
+            return candidate
+    if folder.is_dir():
+        raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
+    if folder.exists():
+        raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json")
+    if os.sep in name or name.startswith("."):
+        raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist")
+    raise unknown("policy", name, _DESCRIPTIONS)
