@@ -18,14 +18,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def _cache_is_writable() -> bool:
     """Tell whether numba will find a folder for its cache: beside the source, the user's, or ``NUMBA_CACHE_DIR``."""
-    for folder in (Path(__file__).parent, Path.home()):
-        if os.access(folder, os.W_OK):
-            return True
-    return False
+    return any(os.access(folder, os.W_OK) for folder in (Path(__file__).parent, Path.home()))
 
 
 if not numba.config.CACHE_DIR and not _cache_is_writable():
-    numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / f"amulett-gym-{os.getuid()}")
+    # A folder of this process alone: a cache holds code, and a shared place could be filled by someone else.
+    numba.config.CACHE_DIR = tempfile.mkdtemp(prefix="amulett-gym-")
 
 
 def compiled(function: F) -> F:

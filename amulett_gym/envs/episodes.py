@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs import transition
-from amulett_gym.envs.reward import COST_CAP, TERMS, check_weights, divisors
+from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.simulation.layout import Control
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
@@ -26,13 +26,14 @@ TENSION_RANGE = (4.0, 15.0)
 """Tension setpoints that an action can choose by default [N]."""
 
 Observations = NDArray[np.float32]
+Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 
 
 class Episodes:
     """A batch of arms, each in an episode of its own.
 
-    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the range of the action in N.
+    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the action's range in N.
 
     Attributes
     ----------
@@ -106,9 +107,7 @@ class Episodes:
         -------
         ndarray of float32, shape (len(devices), 13)
         """
-        rows = sample(
-            self.suite, episode_keys(self._keys[devices], self._episodes[devices], self.split), self.profile
-        )
+        rows = sample(self.suite, episode_keys(self._keys[devices], self._episodes[devices], self.split), self.profile)
         if scenarios is not None:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)
@@ -122,9 +121,7 @@ class Episodes:
         transition.observe_devices(*self._arrays(), devices, observations)
         return observations
 
-    def step(
-        self, actions: NDArray[np.floating[Any]]
-    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.float64]]:
+    def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
         """Take one agent step with all devices.
 
         Parameters
@@ -135,9 +132,8 @@ class Episodes:
         Returns
         -------
         observations : ndarray of float32, shape (N, 13)
-        rewards : ndarray, shape (N,)
-        terms : ndarray, shape (N, 5)
-            The reward's terms, in the order of `envs.reward.TERMS`.
+        report : ndarray, shape (35, N)
+            Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
         ------
@@ -146,27 +142,16 @@ class Episodes:
         """
         if np.isnan(actions).any():
             raise AmulettError(f"action of device {int(np.argmax(np.isnan(actions)))} is NaN; allowed is [-1, 1]")
-        count = actions.shape[0]
-        observations = np.empty((count, len(transition.OBSERVATIONS)), dtype=np.float32)
-        rewards, terms = np.empty(count), np.empty((count, len(TERMS)))
-        transition.step(*self._arrays(), count, actions, observations, rewards, terms)
-        return observations, rewards, terms
+        observations = np.empty((self._all.size, len(transition.OBSERVATIONS)), dtype=np.float32)
+        report = np.empty((transition.REPORT_SIZE, self._all.size))
+        transition.step(*self._arrays(), actions, observations, report)
+        return observations, report
 
-    def failed(self) -> NDArray[np.int64]:
-        """Return each device's failure code, 0 while it runs (see `simulation.layout.FAILURES`)."""
-        return self.simulation.read("failure")
-
-    def metrics(self) -> NDArray[np.float64]:
-        """Return the cumulative metrics, shape (N, 19), columns as `envs.transition.METRICS`."""
-        metrics = np.empty((self._all.size, len(transition.METRICS)))
-        transition.report(self.simulation.states, self._all, metrics)
-        return metrics
-
-    def readings(self) -> NDArray[np.float64]:
-        """Return the truth behind the observations, shape (N, 9), columns as `envs.transition.READINGS`."""
-        readings = np.empty((self._all.size, len(transition.READINGS)))
-        transition.read(self.simulation.parameters, self.simulation.states, self._all, readings)
-        return readings
+    def report(self) -> Report:
+        """Return the report of the present state, shape (35, N), with no reward."""
+        report = np.empty((transition.REPORT_SIZE, self._all.size))
+        transition.tell_devices(self.simulation.parameters, self.simulation.states, report)
+        return report
 
     def scenario(self, device: int) -> NDArray[np.void]:
         """Return the packed scenario of one device's present episode."""
@@ -188,7 +173,7 @@ class Episodes:
         self._episodes[...] = state["episodes"]
         self._scenarios[...] = state["scenarios"]
 
-    def _arrays(self) -> tuple[NDArray[Any], ...]:
+    def _arrays(self) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
         simulation = self.simulation
         return simulation.parameters, self._settings, simulation.scenarios, simulation.states
 
@@ -217,11 +202,6 @@ def check_range(name: str, value: Any) -> tuple[float, float]:
     if not 0 < low < high < math.inf:
         raise AmulettError(f"{name} is {value!r}; it has to be 0 < low < high")
     return low, high
-
-
-def failure_name(code: int) -> str:
-    """Return why a device failed, an empty string while it runs."""
-    return FAILURES[code]
 
 
 def _ticks(agent_period: float, control_period: float) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,11 +13,19 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
-from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range, failure_name
+from amulett_gym.envs.episodes import TENSION_RANGE, Episodes, check_range
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATIONS, READINGS
+from amulett_gym.envs.transition import (
+    FIRST_METRIC,
+    FIRST_READING,
+    FIRST_TERM,
+    MAY_BE_MISSING,
+    METRICS,
+    OBSERVATIONS,
+    READINGS,
+)
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.layout import FAILURES, Control
 from amulett_gym.tasks.scenario import Scenario, unpack
 
 RENDER_MODES = ("rgb_array", "human")
@@ -57,7 +65,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     `action_range=(low, high)` sets another range [N].
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
 
     def __init__(
         self,
@@ -152,11 +160,9 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return observation, self._info(np.zeros((1, len(TERMS))))
+        return observation, self._info(self.episodes.report())
 
-    def step(
-        self, action: NDArray[np.floating[Any]]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Hold an action for one agent period.
 
         Parameters
@@ -186,13 +192,13 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         actions = np.asarray(action)
         if actions.shape != (1,):
             raise AmulettError(f"the action has shape {actions.shape}; it has to be (1,)")
-        observations, rewards, terms = self.episodes.step(actions)
-        info = self._info(terms)
+        observations, report = self.episodes.step(actions)
+        info = self._info(report)
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(rewards[0]), info["failure"] != "", False, info
+        return observations[0], float(report[0, 0]), info["failure"] != "", False, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Draw the present state: an array (height, width, 3) for `rgb_array`, a window for `human`."""
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array' or 'human'")
@@ -226,15 +232,16 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
-    def _info(self, terms: NDArray[np.float64]) -> dict[str, Any]:
-        info: dict[str, Any] = dict(zip(READINGS, self.episodes.readings()[0].tolist(), strict=True))
-        info["reward_terms"] = dict(zip(TERMS, terms[0].tolist(), strict=True))
-        metrics = dict(zip(METRICS, self.episodes.metrics()[0].tolist(), strict=True))
+    @staticmethod
+    def _info(report: NDArray[np.float64]) -> dict[str, Any]:
+        values = report[:, 0].tolist()
+        info: dict[str, Any] = dict(zip(READINGS, values[FIRST_READING:FIRST_METRIC], strict=True))
+        info["failure"] = FAILURES[int(info["failure"])]
+        info["reward_terms"] = dict(zip(TERMS, values[FIRST_TERM:FIRST_READING], strict=True))
+        info["metrics"] = metrics = dict(zip(METRICS, values[FIRST_METRIC:], strict=True))
         for name in MAY_BE_MISSING:
             if math.isnan(metrics[name]):
                 metrics[name] = _NOT_REACHED
-        info["metrics"] = metrics
-        info["failure"] = failure_name(int(self.episodes.failed()[0]))
         return info
 
 
@@ -292,8 +299,8 @@ class ScalingEnv(TensionEnv):
     - `contact` (0): square of the contact torque;
     - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left.
 
-    A step costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]` holds the weighted terms,
-    which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
+    A step costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]` holds the weighted
+    terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
 
     | Metric                                              | Unit    | Meaning                                         |
     |-----------------------------------------------------|---------|-------------------------------------------------|
@@ -335,8 +342,8 @@ class ScalingEnv(TensionEnv):
     | `profile`           | `"testbed"`       | `"testbed"`, `"simulation"`, a YAML file or a mapping                |
     | `suite`             | `"steps"`         | `"paper-step"`, `"steps"`, `"reach"`, `"hold-push"`                  |
     | `split`             | `"train"`         | `"train"`, `"validation"` or `"held-out"`: disjoint scenarios        |
-    | `control`           | `"decentralized"` | or `"position-only"`: no tension loop, actions have no effect        |
-    | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`: eq. 6 inside the loop, actions have no effect |
+    | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
+    | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
     | `reward_weights`    | None              | mapping of term to weight, for those that differ from the defaults   |
     | `action_range`      | None              | what action -1 and +1 stand for                                      |
     | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
@@ -362,6 +369,3 @@ class ScalingEnv(TensionEnv):
 def draw_key(generator: np.random.Generator) -> NDArray[np.uint64]:
     """Draw the 64-bit key of one device, shape (1,)."""
     return generator.integers(0, 2**64, size=1, dtype=np.uint64)
-
-
-__all__ = ["DEFAULT_STEPS", "ScalingEnv", "TensionEnv", "draw_key"]

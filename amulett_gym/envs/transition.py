@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from amulett_gym.compiled import compiled
+from amulett_gym.envs.reward import TERMS
 from amulett_gym.simulation.kernel import advance, joint_stiffness
 from amulett_gym.simulation.layout import LANES, RUNNING
 from amulett_gym.simulation.random import noise
@@ -83,6 +84,7 @@ MAY_BE_MISSING = ("rise_time", "settling_time", "resting_stiffness")
 """Metrics that are NaN when no setpoint step got there, or the joint never rested."""
 
 READINGS = (
+    "failure",
     "time",
     "joint_angle",
     "joint_velocity",
@@ -95,15 +97,22 @@ READINGS = (
 )
 """Names of further entries of ``info``: the truth behind the observation."""
 
+FIRST_TERM = 1
+FIRST_READING = FIRST_TERM + len(TERMS)
+FIRST_METRIC = FIRST_READING + len(READINGS)
+REPORT_SIZE = FIRST_METRIC + len(METRICS)
+"""A report is the reward, its terms, the readings and the metrics, in this order."""
+
 _NOISE_STREAM = np.uint64(0x0B5E)
 _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, c_blocks, s_blocks, num_devices, actions, observations, rewards, terms):  # type: ignore[no-untyped-def]
-    """Take one agent step with all devices; fill observations, rewards and reward terms, one row a device."""
+def step(p, e, c_blocks, s_blocks, actions, observations, report):
+    """Take one agent step with all devices; fill observations (one row a device) and report (one column a device)."""
     settings = e[0]
     span = settings.high - settings.low
+    num_devices = actions.shape[0]
     for device in range(num_devices):
         action = min(max(float(actions[device]), -1.0), 1.0)
         s_blocks[device // LANES].tension_command[device % LANES] = settings.low + 0.5 * (action + 1.0) * span
@@ -111,11 +120,20 @@ def step(p, e, c_blocks, s_blocks, num_devices, actions, observations, rewards, 
     for device in range(num_devices):
         block, i = device // LANES, device % LANES
         observe(p[0], settings, c_blocks[block], s_blocks[block], i, observations[device])
-        rewards[device] = pay(p[0], settings, s_blocks[block], i, terms[device])
+        pay(settings, s_blocks[block], i, report[:, device])
+        tell(p[0], s_blocks[block], i, report[:, device])
 
 
 @compiled
-def observe_devices(p, e, c_blocks, s_blocks, devices, observations):  # type: ignore[no-untyped-def]
+def tell_devices(p, s_blocks, report):
+    """Fill the report of all devices, one column each, but for the reward: nothing was paid since the last step."""
+    for device in range(report.shape[1]):
+        report[:FIRST_READING, device] = 0.0
+        tell(p[0], s_blocks[device // LANES], device % LANES, report[:, device])
+
+
+@compiled
+def observe_devices(p, e, c_blocks, s_blocks, devices, observations):
     """Fill the observations of the given devices, one row each."""
     for row in range(devices.size):
         block, i = devices[row] // LANES, devices[row] % LANES
@@ -123,7 +141,7 @@ def observe_devices(p, e, c_blocks, s_blocks, devices, observations):  # type: i
 
 
 @compiled
-def observe(p, e, c, s, i, row):  # type: ignore[no-untyped-def]
+def observe(p, e, c, s, i, row):
     """Fill one observation with what the microcontroller knows, scaled and clipped to [-1, 1]."""
     time = s.tick[i] * p.control_period
     row[0] = (s.setpoint[i] - s.measured_angle[i]) / _ERROR
@@ -148,8 +166,9 @@ def observe(p, e, c, s, i, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def pay(p, e, s, i, terms):  # type: ignore[no-untyped-def]
-    """Fill the reward's terms for what happened since the last call, and return their sum."""
+def pay(e, s, i, report):
+    """Report the reward for what happened since the last call, and its terms."""
+    terms = report[FIRST_TERM:FIRST_READING]
     effort = s.isav_biceps[i] + s.isav_triceps[i]
     terms[0] = -e.position * (s.position_ise[i] - s.paid_position[i])
     terms[1] = -e.effort * (effort - s.paid_effort[i])
@@ -160,62 +179,51 @@ def pay(p, e, s, i, terms):  # type: ignore[no-untyped-def]
     s.paid_effort[i] = effort
     s.paid_tension[i] = s.tension_ise[i]
     s.paid_contact[i] = s.contact_ise[i]
-    reward = terms[0] + terms[1] + terms[2] + terms[3]
-    if reward < -e.cost_cap:
+    cost = -(terms[0] + terms[1] + terms[2] + terms[3])
+    if cost > e.cost_cap:
         for k in range(4):
-            terms[k] *= e.cost_cap / -reward
-        reward = terms[0] + terms[1] + terms[2] + terms[3]
+            terms[k] *= e.cost_cap / cost
     if s.failure[i] != RUNNING:
         # No smaller than the worst that the rest of the episode could have cost.
-        steps_done = s.tick[i] // e.ticks
-        terms[4] = -e.cost_cap * max(e.horizon - steps_done, 1.0)
-        reward += terms[4]
-    return reward
+        terms[4] = -e.cost_cap * max(e.horizon - s.tick[i] // e.ticks, 1.0)
+    report[0] = terms[0] + terms[1] + terms[2] + terms[3] + terms[4]
 
 
 @compiled
-def report(s_blocks, devices, metrics):  # type: ignore[no-untyped-def]
-    """Fill the cumulative metrics of the given devices, one row each."""
-    for row in range(devices.size):
-        s, i = s_blocks[devices[row] // LANES], devices[row] % LANES
-        m = metrics[row]
-        settled, settling = s.settling_count[i], s.settling_sum[i]
-        if not math.isnan(s.inside_since[i]):
-            settled += 1.0
-            settling += s.inside_since[i] - s.step_start[i]
-        m[0] = s.position_ise[i] * _DEG * _DEG
-        m[1] = s.tension_ise[i]
-        m[2] = s.isav_biceps[i] * _DEG * _DEG
-        m[3] = s.isav_triceps[i] * _DEG * _DEG
-        m[4] = s.iav_biceps[i] * _DEG
-        m[5] = s.iav_triceps[i] * _DEG
-        m[6] = s.rise_sum[i] / s.rise_count[i]
-        m[7] = settling / settled
-        m[8] = s.overshoot[i] * _DEG
-        m[9] = s.tension_ise_estimated[i]
-        m[10] = s.isav_kick[i] * _DEG * _DEG
-        m[11] = s.contact_ise[i]
-        m[12] = s.contact_peak[i]
-        m[13] = s.push_deflection[i] * _DEG
-        m[14] = s.resting_stiffness_sum[i] / s.resting_time[i]
-        m[15] = s.step_count[i]
-        m[16] = s.rise_count[i]
-        m[17] = settled
-        m[18] = s.switch_count[i]
-
-
-@compiled
-def read(p, s_blocks, devices, readings):  # type: ignore[no-untyped-def]
-    """Fill the true state of the given devices, one row each."""
-    for row in range(devices.size):
-        s, i = s_blocks[devices[row] // LANES], devices[row] % LANES
-        r = readings[row]
-        r[0] = s.tick[i] * p[0].control_period
-        r[1] = s.angle[i] * _DEG
-        r[2] = s.velocity[i] * _DEG
-        r[3] = s.tension_setpoint[i]
-        r[4] = s.force_biceps[i]
-        r[5] = s.force_triceps[i]
-        r[6] = joint_stiffness(p[0], s, i)
-        r[7] = s.push_torque[i]
-        r[8] = s.contact_torque[i]
+def tell(p, s, i, report):
+    """Report the truth behind the observation and the cumulative metrics."""
+    r = report[FIRST_READING:FIRST_METRIC]
+    r[0] = s.failure[i]
+    r[1] = s.tick[i] * p.control_period
+    r[2] = s.angle[i] * _DEG
+    r[3] = s.velocity[i] * _DEG
+    r[4] = s.tension_setpoint[i]
+    r[5] = s.force_biceps[i]
+    r[6] = s.force_triceps[i]
+    r[7] = joint_stiffness(p, s, i)
+    r[8] = s.push_torque[i]
+    r[9] = s.contact_torque[i]
+    m = report[FIRST_METRIC:]
+    settled, settling = s.settling_count[i], s.settling_sum[i]
+    if not math.isnan(s.inside_since[i]):
+        settled += 1.0
+        settling += s.inside_since[i] - s.step_start[i]
+    m[0] = s.position_ise[i] * _DEG * _DEG
+    m[1] = s.tension_ise[i]
+    m[2] = s.isav_biceps[i] * _DEG * _DEG
+    m[3] = s.isav_triceps[i] * _DEG * _DEG
+    m[4] = s.iav_biceps[i] * _DEG
+    m[5] = s.iav_triceps[i] * _DEG
+    m[6] = s.rise_sum[i] / s.rise_count[i]
+    m[7] = settling / settled
+    m[8] = s.overshoot[i] * _DEG
+    m[9] = s.tension_ise_estimated[i]
+    m[10] = s.isav_kick[i] * _DEG * _DEG
+    m[11] = s.contact_ise[i]
+    m[12] = s.contact_peak[i]
+    m[13] = s.push_deflection[i] * _DEG
+    m[14] = s.resting_stiffness_sum[i] / s.resting_time[i]
+    m[15] = s.step_count[i]
+    m[16] = s.rise_count[i]
+    m[17] = settled
+    m[18] = s.switch_count[i]

@@ -17,9 +17,9 @@ from amulett_gym.config import Profile
 from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv, draw_key
-from amulett_gym.envs.transition import METRICS, READINGS
+from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.simulation.layout import FAILURES, RUNNING, Control
 from amulett_gym.tasks.scenario import Scenario, unpack
 
 RESET_OPTIONS = ("scenario", "reset_mask")
@@ -43,7 +43,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         As those of the single environment.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {
         "render_modes": list(RENDER_MODES[:1]),
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -163,7 +163,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         observations[mask] = self.episodes.start(devices, scenarios)
         for device in devices[: len(self._renderers)]:
             self._renderers[device].clear()
-        return observations, self._info(np.zeros((self.num_envs, len(TERMS))))
+        return observations, self._info(self.episodes.report())
 
     def step(
         self, actions: NDArray[np.floating[Any]]
@@ -188,18 +188,19 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if actions.shape != (self.num_envs, 1):
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
         again = self._devices[self._ended]
-        observations, rewards, terms = self.episodes.step(actions[:, 0])
+        observations, report = self.episodes.step(actions[:, 0])
         self._steps += 1
         if again.size:
             self.episodes.next_episode(again)
             observations[again] = self.episodes.start(again)
-            rewards[again], terms[again], self._steps[again] = 0.0, 0.0, 0
-        terminated = self.episodes.failed() != 0
+            report[:, again] = self.episodes.report()[:, again]
+            self._steps[again] = 0
+        terminated = report[FIRST_READING] != RUNNING
         truncated = ~terminated & (self._steps >= self.max_episode_steps)
         self._ended = terminated | truncated
-        return observations, rewards, terminated, truncated, self._info(terms)
+        return observations, report[0], terminated, truncated, self._info(report)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3)."""
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array'")
@@ -208,9 +209,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
         if not self._renderers:
             self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in self._devices]
-        return tuple(
-            renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers)
-        )
+        return tuple(renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of the renderers."""
@@ -247,7 +246,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return mask
 
     def _seed(self, mask: NDArray[np.bool_], seed: int | Sequence[int | None] | None) -> None:
-        """Give a key to each device of the mask that is seeded now or has none; move the others to their next episode."""
+        """Give a key to each device of the mask that is seeded now or has none; move on the others' episodes."""
         seeds: list[int | None]
         if seed is None or isinstance(seed, int | np.integer):
             super().reset(seed=None if seed is None else int(seed))
@@ -266,15 +265,16 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
                 self.episodes.next_episode(device)
         self._seeded |= mask
 
-    def _info(self, terms: NDArray[np.float64]) -> dict[str, Any]:
-        info: dict[str, Any] = dict(zip(READINGS, self.episodes.readings().T, strict=True))
-        info["reward_terms"] = dict(zip(TERMS, terms.T, strict=True))
-        info["metrics"] = dict(zip(METRICS, self.episodes.metrics().T, strict=True))
-        info["failure"] = _FAILURES[self.episodes.failed()]
+    @staticmethod
+    def _info(report: NDArray[np.float64]) -> dict[str, Any]:
+        info: dict[str, Any] = dict(zip(READINGS, report[FIRST_READING:FIRST_METRIC], strict=True))
+        info["failure"] = _FAILURES[info["failure"].astype(np.int64)]
+        info["reward_terms"] = dict(zip(TERMS, report[FIRST_TERM:FIRST_READING], strict=True))
+        info["metrics"] = dict(zip(METRICS, report[FIRST_METRIC:], strict=True))
         return info
 
 
 class ScalingVectorEnv(TensionVectorEnv):
-    """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and :class:`amulett_gym.envs.single.ScalingEnv`."""
+    """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and its single environment."""
 
     _single = ScalingEnv

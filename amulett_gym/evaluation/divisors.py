@@ -37,7 +37,7 @@ def _measure(profile_name: str, suite: str) -> dict[str, float]:
     simulation.advance(round(DURATION / simulation.control_period))
 
     def mean(*metrics: str) -> float:
-        return float(sum(simulation.read(metric) for metric in metrics).mean())
+        return float(sum(simulation.read(metric).mean() for metric in metrics))
 
     squared_degrees = float(np.degrees(1.0) ** 2)
     costs = {

@@ -128,6 +128,6 @@ class Simulation:
         if (needed > self.max_force).any():
             worst = int(np.argmax(needed))
             raise AmulettError(
-                f"scenario {worst} starts with a string force of {needed[worst]:.2f} N (its tension plus what holds the "
-                f"weight); the springs give at most {self.max_force:.2f} N"
+                f"scenario {worst} starts with a string force of {needed[worst]:.2f} N (its tension plus what holds "
+                f"the weight); the springs give at most {self.max_force:.2f} N"
             )

@@ -40,7 +40,7 @@ TIME_SLACK = 1e-9  # [s]; a time that is a multiple of the control period must n
 
 
 @compiled
-def advance(p, c_blocks, s_blocks, num_devices, ticks):  # type: ignore[no-untyped-def]
+def advance(p, c_blocks, s_blocks, num_devices, ticks):
     """Advance all devices by a number of control ticks; a device that failed stands still."""
     parameters = p[0]
     for block in range(s_blocks.shape[0]):
@@ -55,7 +55,7 @@ def advance(p, c_blocks, s_blocks, num_devices, ticks):  # type: ignore[no-untyp
 
 
 @compiled
-def control(p, s, i):  # type: ignore[no-untyped-def]
+def control(p, s, i):
     """Section 2.2: turn what was sensed into both drives' position commands."""
     error = s.setpoint[i] - s.measured_angle[i]
     agonist = p.fixed_agonist
@@ -95,7 +95,7 @@ def control(p, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def control_position(p, s, i, error):  # type: ignore[no-untyped-def]
+def control_position(p, s, i, error):
     """Run the joint's position controller."""
     signal = error if p.position_on_error else -s.measured_angle[i]
     s.position_derivative[i] = filtered_derivative(
@@ -115,7 +115,7 @@ def control_position(p, s, i, error):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def choose_tension(p, s, i, error):  # type: ignore[no-untyped-def]
+def choose_tension(p, s, i, error):
     """Return the tension setpoint [N]: the agent's, or eq. 6 at control rate."""
     if s.law[i] == AGENT:
         return s.tension_command[i]
@@ -127,7 +127,7 @@ def choose_tension(p, s, i, error):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def control_tension(p, s, i, restart):  # type: ignore[no-untyped-def]
+def control_tension(p, s, i, restart):
     """Run the antagonist's tension controller; after a switch it restarts on the other string with output zero."""
     biceps_is_antagonist = s.agonist[i] == TRICEPS
     estimate = s.estimate_biceps[i] if biceps_is_antagonist else s.estimate_triceps[i]
@@ -159,7 +159,7 @@ def control_tension(p, s, i, restart):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def command_drives(p, s, i, biceps, triceps):  # type: ignore[no-untyped-def]
+def command_drives(p, s, i, biceps, triceps):
     """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks)."""
     biceps = min(max(biceps, -p.command_limit), p.command_limit)
     triceps = min(max(triceps, -p.command_limit), p.command_limit)
@@ -180,7 +180,7 @@ def command_drives(p, s, i, biceps, triceps):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):  # type: ignore[no-untyped-def]
+def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
     """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
     stretch_biceps = deflection_biceps(drive_biceps, angle, p.drive_radius, p.joint_radius)
     stretch_triceps = deflection_triceps(drive_triceps, angle, p.drive_radius, p.joint_radius)
@@ -204,7 +204,7 @@ def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):  
 
 
 @compiled
-def obstacle_torque(c, i, angle, velocity):  # type: ignore[no-untyped-def]
+def obstacle_torque(c, i, angle, velocity):
     """Return the torque of the scenario's obstacle [N m]."""
     return contact_torque(
         angle, velocity, c.obstacle_angle[i], c.obstacle_side[i], c.obstacle_stiffness[i], c.obstacle_damping[i]
@@ -212,7 +212,7 @@ def obstacle_torque(c, i, angle, velocity):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def move(p, c, s, i):  # type: ignore[no-untyped-def]
+def move(p, c, s, i):
     """Integrate drives and arm over one control period (classical Runge-Kutta), commands and pushes held."""
     time = s.tick[i] * p.control_period
     push = 0.0
@@ -271,7 +271,7 @@ def move(p, c, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def feel_strings(p, s, i):  # type: ignore[no-untyped-def]
+def feel_strings(p, s, i):
     """Set the true string forces [N] of the present state."""
     biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
     triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
@@ -280,7 +280,7 @@ def feel_strings(p, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def joint_stiffness(p, s, i):  # type: ignore[no-untyped-def]
+def joint_stiffness(p, s, i):
     """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
     biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
     triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
@@ -290,7 +290,7 @@ def joint_stiffness(p, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def sense(p, c, s, i):  # type: ignore[no-untyped-def]
+def sense(p, c, s, i):
     """Read the sensors and the setpoint at the end of the tick, for the next one."""
     s.tick[i] += 1
     last_angle = s.measured_angle[i]
@@ -305,7 +305,7 @@ def sense(p, c, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def read_sensors(p, c, s, i):  # type: ignore[no-untyped-def]
+def read_sensors(p, c, s, i):
     """Measure the joint angle and both springs, and estimate the string forces."""
     key = c.noise_key[i]
     counter = np.uint64(s.tick[i]) * SENSOR_STREAMS
@@ -334,7 +334,7 @@ def read_sensors(p, c, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def trust(p, estimate, last):  # type: ignore[no-untyped-def]
+def trust(p, estimate, last):
     """Return the force estimate after the treatment of those below the floor (Figure 5b)."""
     if estimate >= p.force_floor:
         return estimate
@@ -346,13 +346,13 @@ def trust(p, estimate, last):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def low_pass(p, last, force):  # type: ignore[no-untyped-def]
+def low_pass(p, last, force):
     """Return the next value of the estimated force's first-order low-pass [N]."""
     return last + (force - last) * p.control_period / (p.force_filter + p.control_period)
 
 
 @compiled
-def read_setpoint(p, c, s, i):  # type: ignore[no-untyped-def]
+def read_setpoint(p, c, s, i):
     """Set the position setpoint [rad] for the present time, and note where a setpoint step begins."""
     time = s.tick[i] * p.control_period
     while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
@@ -375,7 +375,7 @@ def minimum_jerk(progress: float) -> float:
 
 
 @compiled
-def begin_step(s, i, time, target):  # type: ignore[no-untyped-def]
+def begin_step(s, i, time, target):
     """Close the setpoint step in progress and open the next; a move to where the setpoint is opens none."""
     change = target - s.setpoint[i]
     if not math.isnan(s.inside_since[i]):
@@ -391,7 +391,7 @@ def begin_step(s, i, time, target):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def track_step(p, s, i):  # type: ignore[no-untyped-def]
+def track_step(p, s, i):
     """Follow rise, settling, overshoot and the stiffness at rest."""
     if s.step_direction[i] != 0.0:
         beyond = s.step_direction[i] * (s.angle[i] - s.step_target[i])
@@ -412,7 +412,7 @@ def track_step(p, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def settle(p, c_blocks, s_blocks, devices):  # type: ignore[no-untyped-def]
+def settle(p, c_blocks, s_blocks, devices):
     """Start the given devices anew, at rest on their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
@@ -432,7 +432,7 @@ def settle(p, c_blocks, s_blocks, devices):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def settle_strings(p, c, s, i):  # type: ignore[no-untyped-def]
+def settle_strings(p, c, s, i):
     """Find the static equilibrium and give the controllers the memory that holds it."""
     angle = c.initial_angle[i]
     wound = angle * p.joint_radius / p.drive_radius  # drive angle at which both strings are just slack
@@ -473,7 +473,7 @@ def settle_strings(p, c, s, i):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def position_only_equilibrium(p, needed):  # type: ignore[no-untyped-def]
+def position_only_equilibrium(p, needed):
     """Return how far both drives turn beyond the slack angle [rad] so that f_1 - f_2 is `needed` [N], by bisection."""
     reach = 1.0 / (p.inverse_max_deflection * p.drive_radius) + p.position_only_offset
     low, high = -reach, reach

@@ -1,7 +1,7 @@
 """Suites: families of scenarios, sampled for many devices at once from one 64-bit key each.
 
-Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Pushes are fractions of
-the torque that the drives have left at the nominal tension, (f_max - sigma) R_2, so that they can be resisted.
+Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Pushes are fractions
+of the torque that the drives have left at the nominal tension, (f_max - sigma) R_2, so that they can be resisted.
 """
 
 from __future__ import annotations
