@@ -140,11 +140,11 @@ class Episodes:
         AmulettError
             If an action is NaN.
         """
-        if np.isnan(actions).any():
-            raise AmulettError(f"action of device {int(np.argmax(np.isnan(actions)))} is NaN; allowed is [-1, 1]")
         observations = np.empty((self._all.size, len(transition.OBSERVATIONS)), dtype=np.float32)
         report = np.empty((transition.REPORT_SIZE, self._all.size))
-        transition.step(*self._arrays(), actions, observations, report)
+        not_a_number = transition.step(*self._arrays(), actions, observations, report)
+        if not_a_number >= 0:
+            raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
         return observations, report
 
     def report(self) -> Report:

@@ -109,10 +109,16 @@ _DEG = 180.0 / math.pi
 
 @compiled
 def step(p, e, c_blocks, s_blocks, actions, observations, report):
-    """Take one agent step with all devices; fill observations (one row a device) and report (one column a device)."""
+    """Take one agent step with all devices; fill observations (one row a device) and report (one column a device).
+
+    Returns -1, or the first device whose action is NaN: then nothing was done.
+    """
+    num_devices = actions.shape[0]
+    for device in range(num_devices):
+        if math.isnan(actions[device]):
+            return device
     settings = e[0]
     span = settings.high - settings.low
-    num_devices = actions.shape[0]
     for device in range(num_devices):
         action = min(max(float(actions[device]), -1.0), 1.0)
         s_blocks[device // LANES].tension_command[device % LANES] = settings.low + 0.5 * (action + 1.0) * span
@@ -122,6 +128,7 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
         observe(p[0], settings, c_blocks[block], s_blocks[block], i, observations[device])
         pay(settings, s_blocks[block], i, report[:, device])
         tell(p[0], s_blocks[block], i, report[:, device])
+    return -1
 
 
 @compiled
