@@ -26,7 +26,9 @@ def filtered_derivative(derivative: float, change: float, gain: float, time_cons
 
 
 @compiled
-def integrate(integral: float, error: float, gain: float, period: float, headroom_up: bool, headroom_down: bool) -> float:
+def integrate(
+    integral: float, error: float, gain: float, period: float, headroom_up: bool, headroom_down: bool
+) -> float:
     """Return the next integral term; it stays where it is when the output it drives has no room that way (anti-windup).
 
     Parameters
