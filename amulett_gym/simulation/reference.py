@@ -1,0 +1,254 @@
+"""A slow second model of the device, written apart from the kernel, that exists to check it.
+
+:func:`replay_motion` integrates plant and drives (eqs. 1-5) between control ticks with scipy, to tolerances that leave
+no error to speak of; :func:`replay_control` is section 2.2 in plain Python. Both are fed with what a trajectory has
+recorded and say what should have come of it, so that the two halves of a loop are checked apart, without one's
+rounding being amplified by the other. Only the profile and the knots of the spring tables are shared with the kernel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import PchipInterpolator
+
+from amulett_gym.config import Pid, Profile
+from amulett_gym.model.spring import build_tables
+from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.trajectory import Trajectory
+
+RELATIVE_TOLERANCE = 1e-10
+ABSOLUTE_TOLERANCE = (1e-12, 1e-10, 1e-11, 1e-11)  # joint [rad], its rate [rad/s], both drives [rad]
+
+
+def string_force(profile: Profile) -> Callable[[float], float]:
+    """Return f(Delta l) [N] over a string's deflection [m]: none in a slack string, held beyond the table's end."""
+    tables = build_tables(profile.spring)
+    knots = np.append(tables.force[:, 0], tables.max_force)
+    curve = PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots)
+    end, most = tables.max_deflection, float(knots[-1])
+
+    def force(deflection: float) -> float:
+        if deflection <= 0.0:
+            return 0.0
+        return float(curve(deflection)) if deflection < end else most
+
+    return force
+
+
+def decay_rate(profile: Profile, preload: float) -> float:
+    """Return delta [1/s] of Figure 3 at a preload [N], in the form that the profile names."""
+    fit = profile.damping
+    exponent = fit.b * (preload + fit.c) if fit.fit == "shifted" else fit.b * preload + fit.c
+    return max(fit.a * math.exp(exponent) + fit.d, 0.0)
+
+
+def arm(profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0) -> tuple[float, float]:
+    """Return J of eq. 3 [kg m2] and M_m of eq. 2 [N m] of the arm with a payload."""
+    masses = np.array([item.mass for item in profile.plant.masses])
+    arms = np.array([item.arm for item in profile.plant.masses])
+    if payload_mass > 0.0:
+        masses, arms = np.append(masses, payload_mass), np.append(arms, payload_arm)
+    weight = 9.81 * float(masses @ arms) if profile.plant.orientation == "vertical" else 0.0
+    return float(masses.sum() * arms.max() ** 2 / 12 + masses @ arms**2), weight
+
+
+def replay_motion(
+    profile: Profile, scenario: NDArray[np.void] | np.void, trajectory: Trajectory
+) -> dict[str, NDArray[np.float64]]:
+    """Return how the arm should have moved under the recorded commands.
+
+    Parameters
+    ----------
+    profile : Profile
+    scenario : record of `layout.SCENARIO`
+        The payload, the pushes and the obstacle are taken from it.
+    trajectory : Trajectory
+        Gives the first row's angles and the commands of every tick.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (ticks + 1,)
+        ``angle``, ``drive_biceps``, ``drive_triceps`` [rad], ``velocity`` [rad/s], ``force_biceps``,
+        ``force_triceps`` [N], ``push_torque`` and ``contact_torque`` [N m].
+    """
+    period, lag = profile.loop.control_period, profile.drives.lag
+    to_drive = profile.plant.drive_pulley_radius
+    to_joint = profile.plant.joint_pulley_radius
+    fastest = math.inf if profile.drives.rate_limit_deg is None else math.radians(profile.drives.rate_limit_deg)
+    bare, _ = arm(profile)
+    inertia, weight = arm(profile, float(scenario["payload_mass"]), float(scenario["payload_arm"]))
+    friction_inertia = bare if profile.damping.keeps == "torque" else inertia
+    force = string_force(profile)
+    wall = {name: float(scenario[f"obstacle_{name}"]) for name in ("angle", "side", "stiffness", "damping")}
+
+    def forces(state: NDArray[np.float64]) -> tuple[float, float]:
+        joint, _, biceps, triceps = state
+        return force(biceps * to_drive - joint * to_joint), force(joint * to_joint - triceps * to_drive)
+
+    def contact(joint: float, velocity: float) -> float:
+        depth = (joint - wall["angle"]) * wall["side"]
+        if depth <= 0.0 or wall["stiffness"] == 0.0:
+            return 0.0
+        resistance = wall["stiffness"] * depth + wall["damping"] * velocity * wall["side"]
+        return -max(resistance, 0.0) * wall["side"]
+
+    def derivative(
+        _: float, state: NDArray[np.float64], to_biceps: float, to_triceps: float, push: float
+    ) -> tuple[float, float, float, float]:
+        joint, velocity, biceps, triceps = state
+        pull_biceps, pull_triceps = forces(state)
+        friction = 2 * decay_rate(profile, min(pull_biceps, pull_triceps)) * friction_inertia * velocity
+        torque = (pull_biceps - pull_triceps) * to_joint - weight * math.sin(joint) - friction
+        torque += push + contact(joint, velocity)
+        turn_biceps = turn_triceps = 0.0
+        if lag > 0.0:
+            turn_biceps = float(np.clip((to_biceps - biceps) / lag, -fastest, fastest))
+            turn_triceps = float(np.clip((to_triceps - triceps) / lag, -fastest, fastest))
+        return velocity, torque / inertia, turn_biceps, turn_triceps
+
+    names = ("angle", "velocity", "drive_biceps", "drive_triceps")
+    state = np.array([trajectory[name][0] for name in names])
+    rows = [(*state, *forces(state), 0.0, contact(state[0], state[1]))]
+    for tick in range(len(trajectory) - 1):
+        commands = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
+        push = _push(scenario, tick, period)
+        if lag == 0.0:
+            state[2:] = commands
+        # Springs, friction and obstacle have kinks: short steps, so that none is stepped over unseen.
+        solution = solve_ivp(
+            derivative,
+            (0.0, period),
+            state,
+            method="DOP853",
+            args=(*commands, push),
+            rtol=RELATIVE_TOLERANCE,
+            atol=ABSOLUTE_TOLERANCE,
+            max_step=min(period / 2, 1e-3),
+        )
+        state = solution.y[:, -1]
+        rows.append((*state, *forces(state), push, contact(state[0], state[1])))
+    columns = (*names, "force_biceps", "force_triceps", "push_torque", "contact_torque")
+    return dict(zip(columns, np.array(rows).T, strict=True))
+
+
+def replay_control(
+    profile: Profile, trajectory: Trajectory, control: Control = "decentralized"
+) -> dict[str, NDArray[np.float64]]:
+    """Return what the loop should have commanded after what was recorded of its sensors.
+
+    Parameters
+    ----------
+    profile : Profile
+    trajectory : Trajectory
+        Gives setpoint, measured angle and deflections, estimated forces and tension setpoint of every tick, and the
+        first row's commands and agonist.
+    control : {"decentralized", "position-only"}
+
+    Returns
+    -------
+    dict of str to ndarray, shape (ticks + 1,)
+        ``command_biceps``, ``command_triceps`` [rad] and ``agonist``.
+    """
+    loop, period = profile.loop, profile.loop.control_period
+    limit = math.inf if profile.drives.command_limit_deg is None else math.radians(profile.drives.command_limit_deg)
+    sensor_end = build_tables(profile.spring).max_spring_deflection
+    other = {"biceps": "triceps", "triceps": "biceps"}
+    pulls = {"biceps": 1.0, "triceps": -1.0}  # sense in which a drive tightens its string
+    leader = "biceps" if trajectory["agonist"][0] > 0 else "triceps"
+    command = {name: float(trajectory[f"command_{name}"][0]) for name in other}
+    gains = loop.position if control == "decentralized" else loop.position_only
+    position = _Pid(gains, period, 1.0, float(trajectory["position_signal"][0]))
+    tension = _Pid(loop.tension, period, math.radians(1.0), float(trajectory["tension_signal"][0]))
+    share = 1.0 if loop.wiring == "sum" else 0.0
+    position.integral = command[leader]
+    offset = {leader: 0.0, other[leader]: command[other[leader]] - share * position.integral}
+    if control == "position-only":
+        offset = {name: pulls[name] * math.radians(loop.offset_deg) for name in other}
+        position.integral = command["biceps"] - offset["biceps"]
+    last_output = position.integral
+    rows = [(command["biceps"], command["triceps"], pulls[leader])]
+    for row in range(len(trajectory) - 1):
+        error = float(trajectory["setpoint"][row] - trajectory["measured_angle"][row])
+        stretch = {name: float(trajectory[f"measured_{name}"][row]) for name in other}
+        before = leader
+        leader = _leader(profile, leader, stretch["biceps"] - stretch["triceps"], error)
+        follower = other[leader]
+        room = command[leader] < limit, command[leader] > -limit
+        output = position.update(error, -float(trajectory["measured_angle"][row]), *room)
+        if control == "position-only":
+            command = {name: min(max(offset[name] + output, -limit), limit) for name in other}
+            rows.append((command["biceps"], command["triceps"], pulls[leader]))
+            continue
+        estimate = float(trajectory[f"estimate_{follower}"][row])
+        blind = bool(trajectory[f"untrusted_{follower}"][row])
+        lack = float(trajectory["tension_setpoint"][row + 1]) - estimate
+        if blind and profile.sensors.below_floor == "ignore":
+            lack = 0.0
+        if leader == before:
+            wound = command[follower] * pulls[follower]
+            room = wound < limit and stretch[follower] < sensor_end, wound > -limit and not blind
+            pull = tension.update(lack, -estimate, *room)
+        else:
+            # Both drives go on from where they are: the tension controller starts anew at no output.
+            pull = 0.0
+            tension.restart(lack, -estimate)
+            shares = {leader: 1.0, follower: share}
+            offset = {name: command[name] - shares[name] * last_output for name in other}
+        command[leader] = offset[leader] + output
+        command[follower] = offset[follower] + share * output + pulls[follower] * pull
+        command = {name: min(max(angle, -limit), limit) for name, angle in command.items()}
+        last_output = output
+        rows.append((command["biceps"], command["triceps"], pulls[leader]))
+    return dict(zip(("command_biceps", "command_triceps", "agonist"), np.array(rows).T, strict=True))
+
+
+class _Pid:
+    """One PID controller: K_p e + K_i integral e + K_d s/(filter s + 1) e, discretised by backward differences."""
+
+    def __init__(self, gains: Pid, period: float, unit: float, signal: float) -> None:
+        self.gains, self.period, self.unit, self.signal = gains, period, unit, signal
+        self.integral = self.slope = 0.0
+
+    def update(self, error: float, minus_measurement: float, may_rise: bool, may_fall: bool) -> float:
+        """Return the output for one tick."""
+        signal = error if self.gains.derivative_on == "error" else minus_measurement
+        weight = self.period / (self.gains.derivative_filter + self.period)
+        self.slope += weight * ((signal - self.signal) / self.period - self.slope)
+        self.signal = signal
+        if may_rise if error > 0.0 else may_fall:
+            self.integral += self.unit * self.gains.ki * self.period * error
+        return self.unit * (self.gains.kp * error + self.gains.kd * self.slope) + self.integral
+
+    def restart(self, error: float, minus_measurement: float) -> None:
+        """Forget the past, such that the output is zero at this error."""
+        self.signal = error if self.gains.derivative_on == "error" else minus_measurement
+        self.slope = 0.0
+        self.integral = -self.unit * self.gains.kp * error
+
+
+def _leader(profile: Profile, leader: str, difference: float, error: float) -> str:
+    """Return the agonist: the more deflected spring's drive, on a tie that of the desired motion (section 2.2)."""
+    loop = profile.loop
+    if loop.agonist != "switching":
+        return loop.agonist
+    if abs(difference) > loop.switch_hysteresis:
+        return "biceps" if difference > 0 else "triceps"
+    wanted = abs(error) >= math.radians(loop.tie_error_deg) and error != 0.0
+    if wanted and abs(difference) <= loop.tie_width:
+        return "biceps" if error > 0 else "triceps"
+    return leader
+
+
+def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> float:
+    """Return the sum of the pushes [N m] that act in a tick: those begun at its start and not yet over."""
+    total = 0.0
+    for push in range(int(scenario["push_count"])):
+        since = tick * period - float(scenario["push_time"][push])
+        if -1e-9 <= since < float(scenario["push_duration"][push]) - 1e-9:
+            total += float(scenario["push_torque"][push])
+    return total

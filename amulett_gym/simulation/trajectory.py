@@ -1,0 +1,140 @@
+"""One device's recorded motion, control tick by control tick, and its CSV file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.files import atomic_path
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import LANES, STATE_NAMES
+
+_TO_DEGREES = float(np.degrees(1.0))
+
+CSV_COLUMNS = {
+    "time_s": ("time", 1.0),
+    "setpoint_deg": ("setpoint", _TO_DEGREES),
+    "joint_angle_deg": ("angle", _TO_DEGREES),
+    "joint_velocity_deg_per_s": ("velocity", _TO_DEGREES),
+    "measured_angle_deg": ("measured_angle", _TO_DEGREES),
+    "measured_velocity_deg_per_s": ("measured_velocity", _TO_DEGREES),
+    "agonist": ("agonist", 1.0),
+    "tension_setpoint_N": ("tension_setpoint", 1.0),
+    "force_biceps_N": ("force_biceps", 1.0),
+    "force_triceps_N": ("force_triceps", 1.0),
+    "estimated_force_biceps_N": ("estimate_biceps", 1.0),
+    "estimated_force_triceps_N": ("estimate_triceps", 1.0),
+    "measured_deflection_biceps_mm": ("measured_biceps", 1000.0),
+    "measured_deflection_triceps_mm": ("measured_triceps", 1000.0),
+    "position_output_deg": ("position_output", _TO_DEGREES),
+    "tension_output_deg": ("tension_output", _TO_DEGREES),
+    "command_biceps_deg": ("command_biceps", _TO_DEGREES),
+    "command_triceps_deg": ("command_triceps", _TO_DEGREES),
+    "drive_biceps_deg": ("drive_biceps", _TO_DEGREES),
+    "drive_triceps_deg": ("drive_triceps", _TO_DEGREES),
+    "push_torque_Nm": ("push_torque", 1.0),
+    "contact_torque_Nm": ("contact_torque", 1.0),
+}
+"""Column of the CSV file -> signal and the factor that turns its SI unit into the column's."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What one device did: every quantity of its state at every control tick, the initial one included.
+
+    Row k holds the state at ``k control_period``. The truth, what was sensed and the setpoint belong to that moment; the
+    next tick acts on them. Agonist, tension setpoint, controller outputs, commands and push are those of the tick that
+    ended there.
+
+    Attributes
+    ----------
+    profile : str
+        The profile's name.
+    control_period : float
+        Time between two rows [s].
+    signals : mapping of str to ndarray, shape (ticks + 1,)
+        By the names of `layout.STATE_NAMES`, in SI units and radians. Agonist: +1 biceps, -1 triceps.
+    """
+
+    profile: str
+    control_period: float
+    signals: Mapping[str, NDArray[Any]]
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return one signal, shape (ticks + 1,); ``"time"`` [s] is one too.
+
+        Raises
+        ------
+        AmulettError
+            If there is no signal of that name.
+        """
+        if name == "time":
+            return self.signals["tick"] * self.control_period
+        if name not in self.signals:
+            raise unknown("signal", name, ["time", *self.signals])
+        return self.signals[name]
+
+    def __len__(self) -> int:
+        return len(self.signals["tick"])
+
+
+def record(
+    simulation: Simulation, ticks: int, device: int = 0, before_tick: Callable[[int], None] | None = None
+) -> Trajectory:
+    """Advance a simulation tick by tick and keep what one of its devices does.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Reset by the caller; all its devices advance.
+    ticks : int
+        Control ticks to simulate.
+    device : int
+        The one to record.
+    before_tick : callable, optional
+        Called with 0, 1, ... before each tick, e.g. to command a tension at the caller's own rate.
+
+    Returns
+    -------
+    Trajectory
+        Of ``ticks + 1`` rows.
+
+    Raises
+    ------
+    AmulettError
+        If there is no such device.
+    """
+    if not 0 <= device < simulation.num_devices:
+        raise AmulettError(f"device is {device}; it has to be 0 to {simulation.num_devices - 1}")
+    block, lane = divmod(device, LANES)
+    live = {name: simulation.states[name][block, lane, ...] for name in STATE_NAMES}
+    signals = {name: np.empty(ticks + 1, dtype=view.dtype) for name, view in live.items()}
+    for row in range(ticks + 1):
+        if row > 0:
+            if before_tick is not None:
+                before_tick(row - 1)
+            simulation.advance(1)
+        for name, view in live.items():
+            signals[name][row] = view
+    return Trajectory(simulation.profile.name, simulation.control_period, signals)
+
+
+def write_csv(trajectory: Trajectory, path: str | Path) -> None:
+    """Write a trajectory as CSV, one row a tick and the units in the header (see `CSV_COLUMNS`).
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be written; nothing half-written is left.
+    """
+    columns = [trajectory[name] * factor for name, factor in CSV_COLUMNS.values()]
+    with atomic_path(path) as temporary:
+        np.savetxt(
+            temporary, np.column_stack(columns), fmt="%.10g", delimiter=",", header=",".join(CSV_COLUMNS), comments=""
+        )
