@@ -1,0 +1,98 @@
+"""The console script `amulett`. Each command is a module here; what is heavy it imports when it runs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NoReturn
+
+from amulett_gym.errors import AmulettError, nearest
+
+COMMANDS = ("quickstart", "train", "evaluate", "simulate", "play", "check", "list", "bench")
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors suggest the nearest valid word."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the usage and the message with a suggestion, and exit with 2."""
+        self.print_usage(sys.stderr)
+        self.exit(2, f"{self.prog}: error: {message}{self._suggestion(message)}\n")
+
+    def _suggestion(self, message: str) -> str:
+        if message.startswith("unrecognized arguments: "):
+            word = message.removeprefix("unrecognized arguments: ").split()[0].split("=")[0]
+            return nearest(word, self._option_string_actions)
+        if "invalid choice: '" in message:
+            word = message.split("invalid choice: '")[1].split("'")[0]
+            choices = [str(choice) for action in self._actions for choice in action.choices or ()]
+            return nearest(word, choices)
+        return ""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and let the command's own parser complain about what it does not know."""
+        arguments, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            getattr(arguments, "parser", self).error(f"unrecognized arguments: {' '.join(unknown)}")
+        return arguments
+
+
+def build_parser() -> Parser:
+    """Return the parser of all commands."""
+    parser = Parser(
+        prog="amulett",
+        description="Learn how stiff an antagonistic joint should be, moment by moment.",
+        epilog="Start with: amulett quickstart",
+    )
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command")
+    for name in COMMANDS:
+        module = import_module(f"amulett_gym.cli.{name}")
+        command = commands.add_parser(
+            name,
+            help=module.HELP,
+            description=module.HELP,
+            epilog=f"examples:\n{module.EXAMPLES.rstrip()}",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        module.add_arguments(command)
+        command.set_defaults(run=module.run, parser=command)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The words after ``amulett``; those of the process if None.
+
+    Returns
+    -------
+    int
+        Exit code: 0 success, 1 a check failed, 2 wrong input, 130 interrupted.
+    """
+    parser = build_parser()
+    arguments = parser.parse_args(argv)
+    if arguments.version:
+        from importlib.metadata import version
+
+        print(f"amulett-gym {version('amulett-gym')}")
+        return 0
+    if arguments.command is None:
+        parser.print_help()
+        return 2
+    try:
+        return int(arguments.run(arguments))
+    except AmulettError as error:
+        print(f"amulett: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("amulett: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 1

@@ -1,0 +1,261 @@
+"""Conformance checks: does an environment do what Gymnasium, SB3 and this package promise?
+
+Each check is a function that takes a `Subject` and raises an exception if the promise is broken.
+"""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils.env_checker import check_env, data_equivalence
+
+from amulett_gym.errors import AmulettError
+
+STEPS = 120
+
+
+class NotApplicable(Exception):
+    """A promise that says nothing about this environment."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The environment to check: its id and keywords."""
+
+    env_id: str
+    keywords: dict[str, Any]
+
+    def make(self, **more: Any) -> gym.Env[Any, Any]:
+        """Make the environment as a user would."""
+        return gym.make(self.env_id, **self.keywords, **more)
+
+    def make_vec(self, num_envs: int, **more: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
+        """Make the vector environment as a user would."""
+        return gym.make_vec(self.env_id, num_envs=num_envs, **self.keywords, **more)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One check's result: `problem` is empty if it passed; `skipped` says why it could not run."""
+
+    check: str
+    problem: str = ""
+    skipped: str = ""
+
+
+def run_checks(subject: Subject) -> Iterator[Outcome]:
+    """Run every check on an environment, with every warning an error.
+
+    Yields
+    ------
+    Outcome
+        One for each check, in order, as soon as it is known.
+    """
+    for check in CHECKS:
+        name = (check.__doc__ or "").split("\n")[0].rstrip(".")
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check(subject)
+        except ModuleNotFoundError as error:
+            yield Outcome(name, skipped=f"{error.name} is not installed")
+        except NotApplicable as error:
+            yield Outcome(name, skipped=str(error))
+        except Exception as error:
+            yield Outcome(name, problem=f"{type(error).__name__}: {error}")
+        else:
+            yield Outcome(name)
+
+
+def _gymnasium(subject: Subject) -> None:
+    """Gymnasium's check_env, rendering included, without a warning."""
+    env = subject.make(render_mode="rgb_array")
+    check_env(env.unwrapped, skip_render_check=False)
+    env.close()
+
+
+def _sb3(subject: Subject) -> None:
+    """Stable-Baselines3's check_env, without a warning."""
+    from stable_baselines3.common.env_checker import check_env as check_sb3
+
+    check_sb3(subject.make())
+
+
+def _spec(subject: Subject) -> None:
+    """EnvSpec survives JSON, keywords included."""
+    spec = subject.make().spec
+    assert spec is not None
+    again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
+    _assert(again == spec, f"{again} is not {spec}")
+    _assert(_rollout(gym.make(again), 1) == _rollout(subject.make(), 1), "the environment made from JSON differs")
+
+
+def _bounds(subject: Subject) -> None:
+    """Finite bounds, actions in [-1, 1], observations float32 within their space."""
+    env = subject.make()
+    for space in (env.observation_space, env.action_space):
+        assert isinstance(space, gym.spaces.Box)
+        _assert(bool(np.isfinite(space.low).all() and np.isfinite(space.high).all()), f"{space} is not bounded")
+    _assert(env.action_space == gym.spaces.Box(-1.0, 1.0, (1,), np.float32), f"the action space is {env.action_space}")
+    for observation, *_ in _steps(env, 2):
+        _assert(env.observation_space.contains(observation), f"{observation} is outside the observation space")
+
+
+def _reward_terms(subject: Subject) -> None:
+    """Reward terms in info sum to the reward."""
+    for _, reward, _, _, info in _steps(subject.make(), 3):
+        total = sum(info["reward_terms"].values())
+        _assert(abs(total - reward) <= 1e-12 * max(1.0, abs(reward)), f"terms sum to {total}, the reward is {reward}")
+
+
+def _same_seed(subject: Subject) -> None:
+    """Same seed, same trajectory, in this process and another one."""
+    _assert(_rollout(subject.make(), 4) == _rollout(subject.make(), 4), "two runs with one seed differ")
+    script = (
+        "import json, sys; from amulett_gym.evaluation import conformance as c; "
+        f"s = c.Subject({subject.env_id!r}, {subject.keywords!r}); sys.stdout.write(c.fingerprint(s, 4))"
+    )
+    other = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    _assert(other == fingerprint(subject, 4), "another process gives another trajectory")
+
+
+def _other_seed(subject: Subject) -> None:
+    """Another seed, and another reset, give another episode."""
+    env = subject.make()
+    unwrapped: Any = env.unwrapped
+    sensors = unwrapped.profile.sensors
+    if not (_drawn(unwrapped, 5) != _drawn(unwrapped, 6) or sensors.encoder_noise_deg or sensors.potentiometer_noise):
+        raise NotApplicable("this suite draws nothing and the sensors are exact")
+    _assert(_rollout(env, 5) != _rollout(env, 6), "seeds 5 and 6 give the same trajectory")
+    rolled = _rollout(env, None)
+    _assert(rolled != _rollout(env, None), "two unseeded resets give the same trajectory")
+
+
+def _aliasing(subject: Subject) -> None:
+    """Returned arrays never alias the environment's state."""
+    env = subject.make()
+    first, _ = env.reset(seed=0)
+    kept = first.copy()
+    second = env.step(np.ones(1, dtype=np.float32))[0]
+    _assert(np.array_equal(first, kept) and not np.shares_memory(first, second), "an observation changed afterwards")
+
+
+def _copies(subject: Subject) -> None:
+    """Pickle and deepcopy in the middle of an episode go on alike."""
+    env = subject.make()
+    env.reset(seed=7)
+    action = np.full(1, 0.3, dtype=np.float32)
+    for _ in range(40):
+        env.step(action)
+    twins = (pickle.loads(pickle.dumps(env)), copy.deepcopy(env))
+    for _ in range(40):
+        expected = env.step(action)
+        for twin in twins:
+            _assert(data_equivalence(twin.step(action), expected, exact=True), "a copy went another way")
+
+
+def _vector(subject: Subject) -> None:
+    """The vector environment equals the single one, bit for bit, over an automatic reset."""
+    count, limit = 3, 50
+    vector = subject.make_vec(count, max_episode_steps=limit)
+    singles = [subject.make(max_episode_steps=limit) for _ in range(count)]
+    observations, _ = vector.reset(seed=20)
+    expected = [env.reset(seed=20 + i)[0] for i, env in enumerate(singles)]
+    _assert(np.array_equal(observations, expected), "reset differs")
+    ended = [False] * count
+    for actions in np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 1)).astype(np.float32):
+        observations, rewards, terminated, truncated, infos = vector.step(actions)
+        for i, env in enumerate(singles):
+            if ended[i]:
+                outcome = (env.reset()[0], 0.0, False, False)
+                ended[i] = False
+            else:
+                outcome = env.step(actions[i])[:4]
+                ended[i] = bool(outcome[2] or outcome[3])
+            got = (observations[i], rewards[i], terminated[i], truncated[i])
+            _assert(all(np.array_equal(a, b) for a, b in zip(got, outcome, strict=True)), f"device {i} differs")
+
+
+def _reset_mask(subject: Subject) -> None:
+    """reset_mask starts the chosen devices anew and leaves the others alone."""
+    vector = subject.make_vec(4)
+    vector.reset(seed=0)
+    before = vector.step(np.zeros((4, 1), dtype=np.float32))[0]
+    mask = np.array([True, False, True, False])
+    after, info = vector.reset(options={"reset_mask": mask})
+    _assert(np.array_equal(after[~mask], before[~mask]), "an unmasked device changed")
+    _assert(bool((info["time"][mask] == 0).all() and (info["time"][~mask] > 0).all()), "the mask was not followed")
+
+
+def _bad_actions(subject: Subject) -> None:
+    """NaN and misshapen actions are refused."""
+    env = subject.make().unwrapped
+    env.reset(seed=0)
+    for action in (np.array([np.nan], dtype=np.float32), np.zeros(2, dtype=np.float32), np.float32(0)):
+        try:
+            env.step(action)
+        except AmulettError:
+            continue
+        raise AssertionError(f"action {action!r} was taken")
+
+
+def _closes(subject: Subject) -> None:
+    """close() twice."""
+    env = subject.make(render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+    env.close()
+    env.close()
+
+
+CHECKS: tuple[Callable[[Subject], None], ...] = (
+    _gymnasium,
+    _sb3,
+    _spec,
+    _bounds,
+    _reward_terms,
+    _same_seed,
+    _other_seed,
+    _aliasing,
+    _copies,
+    _vector,
+    _reset_mask,
+    _bad_actions,
+    _closes,
+)
+
+
+def fingerprint(subject: Subject, seed: int) -> str:
+    """Return an episode's beginning as text, each number to its last bit."""
+    return repr(_rollout(subject.make(), seed))
+
+
+def _drawn(env: Any, seed: int) -> Any:
+    """Return the scenario that a seed draws, but for its noise."""
+    env.reset(seed=seed)
+    return env.scenario.model_copy(update={"noise_seed": None})
+
+
+def _steps(env: gym.Env[Any, Any], seed: int | None) -> Iterator[tuple[Any, ...]]:
+    env.reset(seed=seed)
+    generator = np.random.default_rng(0)
+    for _ in range(STEPS):
+        yield env.step(generator.uniform(-1, 1, 1).astype(np.float32))
+
+
+def _rollout(env: gym.Env[Any, Any], seed: int | None) -> list[tuple[Any, ...]]:
+    return [(observation.tolist(), reward) for observation, reward, *_ in _steps(env, seed)]
+
+
+def _assert(holds: bool, problem: str) -> None:
+    if not holds:
+        raise AssertionError(problem)
