@@ -205,7 +205,7 @@ def check_range(name: str, value: Any) -> tuple[float, float]:
 
 
 def _ticks(agent_period: float, control_period: float) -> int:
-    ticks = max(round(agent_period / control_period), 1) if agent_period > 0 else 1
+    ticks = max(round(agent_period / control_period), 1) if 0 < agent_period < math.inf else 1
     if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-9):
         raise AmulettError(
             f"agent_period is {agent_period} s; it has to be a multiple of the profile's control period, "

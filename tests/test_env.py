@@ -1,0 +1,350 @@
+"""The environments keep what their docstring promises."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import amulett_gym
+from amulett_gym.control.variable_stiffness import scaling_factor
+from amulett_gym.envs.reward import COST_CAP
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
+from amulett_gym.tasks.suites import suite_names
+
+SCALING, TENSION = amulett_gym.ENV_IDS
+MID = np.zeros(1, dtype=np.float32)
+
+
+@pytest.mark.parametrize("suite", suite_names())
+@pytest.mark.parametrize("profile_name", ["testbed", "simulation"])
+@pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
+def test_conformance(env_id, profile_name, suite):
+    outcomes = list(run_checks(Subject(env_id, {"profile": profile_name, "suite": suite})))
+    assert len(outcomes) == len(CHECKS)
+    assert [outcome for outcome in outcomes if outcome.problem] == []
+
+
+def test_ids_resolve_without_an_import_of_ours():
+    script = "import gymnasium; print(gymnasium.make('amulett_gym:Amulett/Scaling-v0').spec.id)"
+    output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == SCALING
+
+
+def test_package_imports_neither_torch_nor_the_kernel():
+    script = "import amulett_gym, sys; print([m for m in ('torch', 'stable_baselines3', 'numba') if m in sys.modules])"
+    output = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == "[]"
+
+
+def test_both_actions_span_the_same_tensions():
+    scaling, tension = (gym.make(env_id).unwrapped for env_id in amulett_gym.ENV_IDS)
+    assert scaling.tension_range == tension.tension_range == (4.0, 15.0)
+    for env in (scaling, tension):
+        env.reset(seed=0)
+        assert env.step(np.array([0.2], dtype=np.float32))[4]["tension_setpoint"] == pytest.approx(4 + 0.6 * 11)
+
+
+def test_action_ranges_are_factors_and_newtons():
+    assert gym.make(SCALING, action_range=(0.5, 1.2)).unwrapped.tension_range == (5.0, 12.0)
+    assert gym.make(TENSION, action_range=(5.0, 12.0)).unwrapped.tension_range == (5.0, 12.0)
+
+
+def test_actions_beyond_the_space_are_clipped():
+    env = gym.make(TENSION).unwrapped
+    env.reset(seed=0)
+    assert env.step(np.array([7.0]))[4]["tension_setpoint"] == 15.0
+    assert env.step(np.array([-np.inf]))[4]["tension_setpoint"] == 4.0
+
+
+def test_observation_is_what_the_table_says():
+    env = gym.make(SCALING, profile="simulation", suite="steps").unwrapped
+    env.reset(seed=0)
+    for _ in range(60):
+        observation, *_, info = env.step(MID)
+    entry = dict(zip(OBSERVATIONS, observation.tolist(), strict=True))
+    assert entry["joint_angle"] * 150 == pytest.approx(info["joint_angle"], abs=1e-4)
+    assert entry["estimated_tension_biceps"] * 20 == pytest.approx(info["force_biceps"], abs=2.0)
+    assert entry["tension_setpoint"] == pytest.approx(0.0, abs=1e-6)
+    assert entry["position_error"] * 90 == pytest.approx(
+        (entry["setpoint"] - entry["joint_angle"]) * math.degrees(OBSERVATION_SCALES["joint_angle"]), abs=1e-3
+    )
+    assert entry["time_since_move"] * 2 == pytest.approx(info["time"] - 0.5, abs=1e-6)
+
+
+def test_time_limit_truncates():
+    env = gym.make(SCALING)
+    env.reset(seed=0)
+    ends = [env.step(MID)[2:4] for _ in range(500)]
+    assert ends == [(False, False)] * 499 + [(False, True)]
+
+
+def test_eq6_returns_about_minus_one():
+    for suite in suite_names():
+        env = gym.make_vec(SCALING, num_envs=64, suite=suite, tension_law="eq6")
+        env.reset(seed=0)
+        returns = sum(env.step(np.zeros((64, 1), dtype=np.float32))[1] for _ in range(500))
+        assert np.mean(returns) == pytest.approx(-1.0, abs=0.15)
+
+
+def test_returns_are_the_weighted_metrics_over_the_divisors():
+    from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+
+    env = gym.make(TENSION, suite="reach").unwrapped
+    env.reset(seed=1)
+    total = sum(env.step(MID)[1] for _ in range(300))
+    metrics = env.step(MID)[4]["metrics"]
+    before = env.get_state()
+    paid = divisors(env.profile, "reach")
+    expected = -(
+        DEFAULT_WEIGHTS["position"] * metrics["position_ise"] / paid["position"]
+        + DEFAULT_WEIGHTS["effort"] * (metrics["isav_biceps"] + metrics["isav_triceps"]) / paid["effort"]
+        + DEFAULT_WEIGHTS["tension"] * metrics["tension_ise"] / paid["tension"]
+    )
+    env.set_state(before)
+    assert total == pytest.approx(expected, rel=0.02)
+
+
+def test_weights_change_their_term_alone():
+    plain, heavy = gym.make(SCALING).unwrapped, gym.make(SCALING, reward_weights={"position": 1.0}).unwrapped
+    for env in (plain, heavy):
+        env.reset(seed=0)
+    for _ in range(60):
+        terms = [env.step(MID)[4]["reward_terms"] for env in (plain, heavy)]
+    assert terms[1]["position"] == pytest.approx(2 * terms[0]["position"])
+    assert terms[1]["effort"] == terms[0]["effort"]
+
+
+def test_failure_terminates_and_costs_no_less_than_the_rest_could():
+    push = {"initial_angle_deg": 80.0, "pushes": [{"time": 0.1, "duration": 5.0, "torque": 20.0}]}
+    env = gym.make(SCALING)
+    env.reset(seed=0, options={"scenario": push})
+    for steps in range(1, 500):
+        _, reward, terminated, _, info = env.step(MID)
+        if terminated:
+            break
+    assert info["failure"] == "joint angle limit"
+    assert reward <= -COST_CAP * (500 - steps)
+    assert sum(info["reward_terms"].values()) == pytest.approx(reward)
+
+
+def test_failure_leaves_neighbours_alone_and_starts_anew():
+    push = {"initial_angle_deg": 80.0, "pushes": [{"time": 0.1, "duration": 5.0, "torque": 20.0}]}
+    rest = {"initial_angle_deg": 10.0}
+    pair, alone = (gym.make_vec(SCALING, num_envs=n, suite="steps") for n in (2, 1))
+    pair.reset(seed=0, options={"scenario": [rest, push]})
+    alone.reset(seed=0, options={"scenario": rest})
+    failed = False
+    for _ in range(60):
+        observations, rewards, terminated, _, info = pair.step(np.zeros((2, 1)))
+        expected = alone.step(np.zeros((1, 1)))
+        assert np.array_equal(observations[:1], expected[0])
+        assert rewards[0] == expected[1][0]
+        if failed:
+            assert (rewards[1], terminated[1], info["time"][1], info["failure"][1]) == (0.0, False, 0.0, "")
+            break
+        failed = bool(terminated[1])
+    assert failed
+
+
+def test_scenario_option_replays_an_episode():
+    env = gym.make(SCALING, suite="hold-push")
+    env.reset(seed=3)
+    scenario = json.loads(env.unwrapped.scenario.model_dump_json())
+    first = [env.step(MID)[0].tolist() for _ in range(100)]
+    env.reset(seed=99, options={"scenario": scenario})
+    assert [env.step(MID)[0].tolist() for _ in range(100)] == first
+
+
+def test_obstacle_is_felt():
+    wall = {"moves": [{"time": 0.1, "angle_deg": 60.0}], "obstacle": {"angle_deg": 30.0, "stiffness": 20.0}}
+    env = gym.make(SCALING)
+    env.reset(seed=0, options={"scenario": wall})
+    for _ in range(300):
+        info = env.step(MID)[4]
+    assert 30.0 < info["joint_angle"] < 35.0
+    assert info["metrics"]["contact_peak"] > 0.1
+    assert info["contact_torque"] < 0
+
+
+def test_vertical_arm_holds_its_payload():
+    profile = {"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}}
+    env = gym.make(SCALING, profile=profile)
+    # 0.1 N m is what the strings can hold beside 10 N of co-contraction.
+    env.reset(seed=0, options={"scenario": {"initial_angle_deg": 20.0, "payload": {"mass": 0.02, "arm": 0.1}}})
+    info = env.step(MID)[4]
+    for _ in range(200):
+        info = env.step(MID)[4]
+    assert info["joint_angle"] == pytest.approx(20.0, abs=0.5)
+    assert info["force_biceps"] > info["force_triceps"] + 1.0
+
+
+def test_impossible_posture_is_refused():
+    profile = {"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}}
+    env = gym.make(SCALING, profile=profile)
+    with pytest.raises(AmulettError, match="springs give at most"):
+        env.reset(options={"scenario": {"initial_angle_deg": 90.0, "payload": {"mass": 1.0, "arm": 0.2}}})
+
+
+def test_eq6_from_outside_at_control_rate_equals_the_built_in_law():
+    keywords = {"profile": "simulation", "suite": "steps"}
+    inside = gym.make(SCALING, tension_law="eq6", **keywords).unwrapped
+    outside = gym.make(SCALING, agent_period=0.001, **keywords).unwrapped
+    observation, _ = outside.reset(seed=2)
+    inside.reset(seed=2)
+    low, high = outside.tension_range
+    for _ in range(100):
+        for _ in range(20):
+            error = float(observation[0]) * OBSERVATION_SCALES["position_error"]
+            tension = 10.0 * scaling_factor(error, 10.0, 4.0, math.radians(30.0))
+            action = np.array([2 * (tension - low) / (high - low) - 1])
+            observation, *_, theirs = outside.step(action)
+        ours = inside.step(MID)[4]
+        # The observation is float32, the loop float64.
+        assert theirs["joint_angle"] == pytest.approx(ours["joint_angle"], abs=2e-3)
+        assert theirs["tension_setpoint"] == pytest.approx(ours["tension_setpoint"], abs=2e-4)
+
+
+def test_position_only_ignores_actions():
+    first, second = (gym.make(SCALING, control="position-only").unwrapped for _ in range(2))
+    for env in (first, second):
+        env.reset(seed=0)
+    for _ in range(50):
+        assert np.array_equal(first.step(np.ones(1))[0], second.step(-np.ones(1))[0])
+
+
+def test_observation_noise_is_seeded():
+    noisy = gym.make(SCALING, observation_noise=0.1)
+    first, again = noisy.reset(seed=0)[0], noisy.reset(seed=0)[0]
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, gym.make(SCALING).reset(seed=0)[0])
+
+
+def test_scenarios_of_the_splits_differ():
+    angles = [gym.make(SCALING, split=split).reset(seed=0)[0][1] for split in ("train", "validation", "held-out")]
+    assert len(set(angles)) == 3
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"suite": "stepz"}, "unknown suite 'stepz'.*did you mean 'steps'"),
+        ({"profile": "testbet"}, "did you mean 'testbed'"),
+        ({"split": "test"}, "unknown split 'test'"),
+        ({"control": "centralized"}, "did you mean 'decentralized'"),
+        ({"tension_law": "eq7"}, "did you mean 'eq6'"),
+        ({"reward_weights": {"efort": 1.0}}, "did you mean 'effort'"),
+        ({"reward_weights": {"effort": -1.0}}, "'effort' is -1.0; it has to be a finite number of at least 0"),
+        ({"reward_weights": {"effort": math.nan}}, "'effort' is nan"),
+        ({"action_range": (2.0, 1.0)}, "0 < low < high"),
+        ({"action_range": 3.0}, "a pair"),
+        ({"agent_period": 0.003}, "multiple of the profile's control period, 0.004 s; the nearest is 0.004 s"),
+        ({"agent_period": -1.0}, "agent_period is -1.0"),
+        ({"agent_period": math.nan}, "agent_period is nan"),
+        ({"agent_period": math.inf}, "agent_period is inf"),
+        ({"observation_noise": -0.1}, "observation_noise is -0.1"),
+        ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
+    ],
+)
+def test_wrong_keywords_are_refused(keywords, message):
+    from amulett_gym.envs.single import ScalingEnv
+    from amulett_gym.envs.vector import ScalingVectorEnv
+
+    for make in (ScalingEnv, ScalingVectorEnv):
+        with pytest.raises(AmulettError, match=message):
+            make(**keywords)
+
+
+def test_wrong_reset_options_are_refused():
+    env = gym.make(SCALING).unwrapped
+    with pytest.raises(AmulettError, match="unknown reset option 'scenarios'.*did you mean 'scenario'"):
+        env.reset(options={"scenarios": {}})
+    vector = gym.make_vec(SCALING, num_envs=2)
+    for options, message in [
+        ({"scenaro": {}}, "did you mean 'scenario'"),
+        ({"reset_mask": [True, False]}, "ndarray of bool"),
+        ({"reset_mask": np.ones(3, dtype=bool)}, "ndarray of bool"),
+        ({"scenario": [{}]}, "1 scenarios were given for the 2 devices"),
+    ]:
+        with pytest.raises(AmulettError, match=message):
+            vector.reset(options=options)
+    with pytest.raises(AmulettError, match="3 seeds were given for 2"):
+        vector.reset(seed=[1, 2, 3])
+
+
+def test_steps_before_reset_and_wrong_shapes_are_refused():
+    vector = gym.make_vec(SCALING, num_envs=2)
+    with pytest.raises(gym.error.ResetNeeded):
+        vector.step(np.zeros((2, 1)))
+    vector.reset(seed=0)
+    with pytest.raises(AmulettError, match=r"has to be \(2, 1\)"):
+        vector.step(np.zeros(2))
+    before = vector.get_state()["episodes"]["simulation"]["states"].tobytes()
+    with pytest.raises(AmulettError, match="action of device 1 is NaN"):
+        vector.step(np.array([[0.5], [np.nan]]))
+    assert vector.get_state()["episodes"]["simulation"]["states"].tobytes() == before
+
+
+def test_vector_seeds_and_autoreset():
+    vector = gym.make_vec(SCALING, num_envs=3, max_episode_steps=5)
+    assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    first, _ = vector.reset(seed=10)
+    listed, _ = vector.reset(seed=[10, 11, 12])
+    assert np.array_equal(first, listed)
+    assert len(np.unique(first[:, 1])) == 3
+    for _ in range(5):
+        *_, truncated, _ = vector.step(np.zeros((3, 1)))
+    assert truncated.all()
+    observations, rewards, _, truncated, info = vector.step(np.ones((3, 1)))
+    assert not truncated.any()
+    assert (rewards == 0).all()
+    assert (info["time"] == 0).all()
+    assert not np.array_equal(observations, first)
+
+
+def test_states_can_be_taken_and_put_back():
+    for env in (gym.make(SCALING).unwrapped, gym.make_vec(SCALING, num_envs=3, max_episode_steps=30)):
+        shape = (1,) if isinstance(env, gym.Env) else (3, 1)
+        env.reset(seed=0)
+        for _ in range(10):
+            env.step(np.zeros(shape))
+        state = pickle.loads(pickle.dumps(env.get_state()))
+
+        def follow(env=env, shape=shape):
+            steps = [env.step(np.full(shape, 0.5))[0].tolist() for _ in range(40)]
+            return steps, env.reset()[0].tolist()
+
+        expected = follow()
+        env.set_state(state)
+        assert follow() == expected
+
+
+def test_vector_copies_go_on_alike():
+    vector = gym.make_vec(SCALING, num_envs=3)
+    vector.reset(seed=0)
+    vector.step(np.zeros((3, 1)))
+    copy = pickle.loads(pickle.dumps(vector))
+    assert np.array_equal(vector.step(np.ones((3, 1)))[0], copy.step(np.ones((3, 1)))[0])
+
+
+def test_gymnasium_wrappers_take_the_vector_environment():
+    from gymnasium.wrappers import vector as wrappers
+
+    env = gym.make_vec(SCALING, num_envs=4, max_episode_steps=20)
+    env = wrappers.RecordEpisodeStatistics(wrappers.NormalizeObservation(env))
+    env.reset(seed=0)
+    for _ in range(20):
+        *_, info = env.step(np.zeros((4, 1), dtype=np.float32))
+    assert (info["episode"]["l"] == 20).all()
+    listed = wrappers.DictInfoToList(gym.make_vec(SCALING, num_envs=2))
+    _, infos = listed.reset(seed=0)
+    assert infos[1]["metrics"]["position_ise"] == 0.0

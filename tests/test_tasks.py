@@ -1,0 +1,141 @@
+"""Suites draw different scenarios from different keys; a scenario is data that packs and unpacks without loss."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amulett_gym.config import load_profile
+from amulett_gym.errors import AmulettError
+from amulett_gym.model.spring import build_tables
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, unpack
+from amulett_gym.tasks.suites import SPLITS, WORKSPACE_DEG, episode_keys, sample, suite_names
+
+TESTBED = load_profile("testbed")
+DRAWN = [suite for suite in suite_names() if suite != "paper-step"]
+
+
+def keys(count: int) -> np.ndarray:
+    return np.arange(count, dtype=np.uint64)
+
+
+@pytest.mark.parametrize("suite", suite_names())
+def test_scenarios_do_not_depend_on_the_batch(suite):
+    together = sample(suite, keys(50), TESTBED)
+    for i in (0, 17, 49):
+        assert sample(suite, keys(50)[i : i + 1], TESTBED)[0] == together[i]
+
+
+@pytest.mark.parametrize("suite", DRAWN)
+def test_other_keys_give_other_scenarios(suite):
+    rows = sample(suite, keys(200), TESTBED)
+    assert len({row.tobytes() for row in rows}) == 200
+
+
+@pytest.mark.parametrize("suite", suite_names())
+def test_scenarios_replay_exactly_from_json(suite):
+    for row in sample(suite, keys(20), TESTBED):
+        scenario = Scenario.model_validate_json(unpack(row).model_dump_json())
+        assert pack(scenario, TESTBED)[0] == row
+
+
+def test_splits_and_episodes_have_keys_of_their_own():
+    episodes = np.zeros(1000, dtype=np.uint64)
+    found = [episode_keys(keys(1000), episodes + np.uint64(e), split) for split in SPLITS for e in range(3)]
+    assert np.unique(np.concatenate(found)).size == 9000
+
+
+def test_paper_step_is_the_papers_protocol():
+    (move,) = unpack(sample("paper-step", keys(1), TESTBED)[0]).moves
+    assert (move.angle_deg, move.duration) == (45.0, 0.0)
+
+
+@pytest.mark.parametrize("suite", ["steps", "reach"])
+def test_moves_stay_in_the_workspace_and_go_both_ways(suite):
+    low, high = WORKSPACE_DEG
+    changes = []
+    for row in sample(suite, keys(300), TESTBED):
+        scenario = unpack(row)
+        angles = [scenario.initial_angle_deg, *(move.angle_deg for move in scenario.moves)]
+        assert all(low <= angle <= high for angle in angles)
+        changes += list(np.diff(angles))
+    assert min(np.abs(changes)) >= 10.0 - 1e-9
+    assert max(np.abs(changes)) <= 60.0 + 1e-9
+    assert 0.4 < np.mean(np.array(changes) > 0) < 0.6
+
+
+def test_moves_outlast_the_default_episode():
+    rows = sample("steps", keys(300), TESTBED)
+    assert rows["move_time"][:, -1].min() > 9.5
+
+
+def test_pushes_can_be_resisted():
+    spare = (build_tables(TESTBED.spring).max_force - 10.0) * TESTBED.plant.joint_pulley_radius
+    torque = np.abs(sample("hold-push", keys(300), TESTBED)["push_torque"])
+    assert 0.19 * spare < torque.min() < torque.max() < 0.71 * spare
+
+
+@given(
+    angle=st.floats(-149, 149),
+    times=st.lists(st.floats(0, 100), max_size=10, unique=True),
+    mass=st.floats(0, 2),
+    blocks=st.sampled_from(["flexion", "extension"]),
+)
+def test_packing_keeps_every_scenario(angle, times, mass, blocks):
+    scenario = Scenario(
+        initial_angle_deg=round(angle, 6),
+        initial_tension=9.0,
+        moves=[{"time": time, "angle_deg": 30.0} for time in sorted(times)],
+        pushes=[{"time": time, "duration": 0.1, "torque": -0.5} for time in times[:4]],
+        obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0},
+        payload={"mass": mass, "arm": 0.2} if mass > 0 else None,
+        noise_seed=3,
+    )
+    assert unpack(pack(scenario, TESTBED)[0]) == scenario
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"intial_angle_deg": 3.0}, "unknown key 'intial_angle_deg'; did you mean 'initial_angle_deg'"),
+        ({"moves": [{"time": -1.0, "angle_deg": 0.0}]}, r"'moves.0.time' is -1.0.*greater than or equal to 0"),
+        ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duraton": 1.0}]}, "'moves.0.duraton'; did you mean 'duration'"),
+        (
+            {"moves": [{"time": 1.0, "angle_deg": 9.0, "duration": 1.0}, {"time": 1.5, "angle_deg": 0.0}]},
+            "before the one at 1.0 s has ended",
+        ),
+        ({"moves": [{"time": float(t), "angle_deg": 0.0} for t in range(11)]}, "at most 10"),
+        ({"pushes": [{"time": 0.0, "duration": 0.0, "torque": 1.0}]}, "'pushes.0.duration' is 0.0"),
+        ({"obstacle": {"angle_deg": 3.0, "stiffness": float("inf")}}, "finite"),
+    ],
+)
+def test_wrong_scenarios_are_refused(content, message):
+    with pytest.raises(AmulettError, match=message):
+        load_scenario(content)
+
+
+def test_wrong_scenario_files_are_refused(tmp_path: Path):
+    with pytest.raises(AmulettError, match="cannot read scenario"):
+        load_scenario(tmp_path / "none.json")
+    (tmp_path / "broken.json").write_text("{")
+    with pytest.raises(AmulettError, match="not valid JSON"):
+        load_scenario(tmp_path / "broken.json")
+    (tmp_path / "good.json").write_text(json.dumps({"initial_angle_deg": 10.0}))
+    assert load_scenario(tmp_path / "good.json").initial_angle_deg == 10.0
+
+
+def test_initial_angle_beyond_the_device_is_refused():
+    with pytest.raises(AmulettError, match=r"limit is \+-150"):
+        pack(Scenario(initial_angle_deg=150.0), TESTBED)
+
+
+def test_unknown_names_suggest_the_nearest():
+    with pytest.raises(AmulettError, match="unknown suite 'step'.*did you mean 'steps'"):
+        sample("step", keys(1), TESTBED)
+    with pytest.raises(AmulettError, match="unknown split 'heldout'.*did you mean 'held-out'"):
+        episode_keys(keys(1), keys(1), "heldout")
