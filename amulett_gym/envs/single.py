@@ -325,7 +325,8 @@ class ScalingEnv(TensionEnv):
 
     ## Starting State
 
-    At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N).
+    At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N). The suites'
+    tasks begin after 0.5 s, and so do rewards and metrics: time to settle at the tension that the agent prefers.
     `reset(seed=...)` fixes the scenarios and the noise of this and all later episodes. `reset(options={"scenario": s})`
     plays a scenario of your own (a mapping, a JSON file or a :class:`amulett_gym.tasks.scenario.Scenario`).
 

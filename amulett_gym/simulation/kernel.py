@@ -48,10 +48,17 @@ def advance(p, c_blocks, s_blocks, num_devices, ticks):
         for _ in range(ticks):
             for i in range(min(LANES, num_devices - block * LANES)):
                 if s.failure[i] == RUNNING:
+                    start_counting(parameters, c, s, i)
                     control(parameters, s, i)
                     move(parameters, c, s, i)
                     sense(parameters, c, s, i)
                     track_step(parameters, s, i)
+
+
+@compiled
+def start_counting(p, c, s, i):
+    """Count this tick in the metrics, unless it belongs to the time in which the arm settles as its law likes."""
+    s.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
 
 
 @compiled
@@ -165,15 +172,15 @@ def command_drives(p, s, i, biceps, triceps):
     triceps = min(max(triceps, -p.command_limit), p.command_limit)
     change_biceps = biceps - s.command_biceps[i]
     change_triceps = triceps - s.command_triceps[i]
-    s.isav_biceps[i] += change_biceps * change_biceps / p.control_period
-    s.isav_triceps[i] += change_triceps * change_triceps / p.control_period
-    s.iav_biceps[i] += abs(change_biceps)
-    s.iav_triceps[i] += abs(change_triceps)
+    s.isav_biceps[i] += s.counting[i] * change_biceps * change_biceps / p.control_period
+    s.isav_triceps[i] += s.counting[i] * change_triceps * change_triceps / p.control_period
+    s.iav_biceps[i] += s.counting[i] * abs(change_biceps)
+    s.iav_triceps[i] += s.counting[i] * abs(change_triceps)
     gain = p.position_kp
     if p.position_on_error:
         gain += p.position_kd / (p.position_filter + p.control_period)
     kick = gain * (s.setpoint[i] - s.previous_setpoint[i])
-    s.isav_kick[i] += kick * kick / p.control_period
+    s.isav_kick[i] += s.counting[i] * kick * kick / p.control_period
     s.previous_setpoint[i] = s.setpoint[i]
     s.command_biceps[i] = biceps
     s.command_triceps[i] = triceps
@@ -260,14 +267,15 @@ def move(p, c, s, i):
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
     feel_strings(p, s, i)
     error_after = s.setpoint[i] - x
-    s.position_ise[i] += 0.5 * p.control_period * (error_before * error_before + error_after * error_after)
-    s.contact_ise[i] += p.control_period * s.contact_torque[i] * s.contact_torque[i]
+    counted = s.counting[i] * p.control_period
+    s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)
+    s.contact_ise[i] += counted * s.contact_torque[i] * s.contact_torque[i]
     s.contact_peak[i] = max(s.contact_peak[i], abs(s.contact_torque[i]))
     if push != 0.0:
         s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
     # At the end of the tick only: an ideal drive lets the force jump at its beginning.
     tension_error = s.tension_setpoint[i] - (s.force_triceps[i] if s.agonist[i] == BICEPS else s.force_biceps[i])
-    s.tension_ise[i] += p.control_period * tension_error * tension_error
+    s.tension_ise[i] += counted * tension_error * tension_error
 
 
 @compiled
@@ -300,7 +308,7 @@ def sense(p, c, s, i):
     )
     force = s.estimate_triceps[i] if s.agonist[i] == BICEPS else s.estimate_biceps[i]
     error = s.tension_setpoint[i] - force
-    s.tension_ise_estimated[i] += p.control_period * error * error
+    s.tension_ise_estimated[i] += s.counting[i] * p.control_period * error * error
     read_setpoint(p, c, s, i)
 
 
@@ -407,8 +415,8 @@ def track_step(p, s, i):
                 s.rise_sum[i] += time - s.step_start[i]
                 s.rise_count[i] += 1.0
     if abs(s.setpoint[i] - s.angle[i]) <= p.margin and s.setpoint[i] == s.previous_setpoint[i]:
-        s.resting_stiffness_sum[i] += p.control_period * joint_stiffness(p, s, i)
-        s.resting_time[i] += p.control_period
+        s.resting_stiffness_sum[i] += s.counting[i] * p.control_period * joint_stiffness(p, s, i)
+        s.resting_time[i] += s.counting[i] * p.control_period
 
 
 @compiled

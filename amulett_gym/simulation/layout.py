@@ -117,6 +117,7 @@ _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("obstacle_side", "f8"),
     ("obstacle_stiffness", "f8"),
     ("obstacle_damping", "f8"),
+    ("measure_from", "f8"),
     ("noise_key", "u8"),
 ]
 
@@ -150,6 +151,7 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("tick", "i8"),
     ("failure", "i8"),
     ("law", "i8"),
+    ("counting", "f8"),
     # the truth
     ("angle", "f8"),
     ("velocity", "f8"),

@@ -65,6 +65,11 @@ class Scenario(Group):
     pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES)
     obstacle: Obstacle | None = None
     payload: Payload | None = None
+    measure_from: float = Field(
+        default=0.0,
+        ge=0,
+        description="metrics and rewards count from here [s]; before, the arm settles as its law likes",
+    )
     noise_seed: int | None = Field(
         default=None, ge=0, lt=2**64, description="key of the sensor noise; null: drawn by the environment"
     )
@@ -142,6 +147,7 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["obstacle_side"] = 1.0 if scenario.obstacle.blocks == "flexion" else -1.0
         row["obstacle_stiffness"] = scenario.obstacle.stiffness
         row["obstacle_damping"] = scenario.obstacle.damping
+    row["measure_from"] = scenario.measure_from
     if scenario.noise_seed is not None:
         row["noise_key"] = scenario.noise_seed
     return row
@@ -184,6 +190,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
         ],
         obstacle=obstacle,
         payload=payload,
+        measure_from=float(row["measure_from"]),
         noise_seed=int(row["noise_key"]),
     )
 

@@ -2,6 +2,9 @@
 
 Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Pushes are fractions
 of the torque that the drives have left at the nominal tension, (f_max - sigma) R_2, so that they can be resisted.
+
+Nothing happens, and nothing is counted, in the first half second: an arm starts at the nominal tension, and a law that
+wants another one must not pay for the start that others are given.
 """
 
 from __future__ import annotations
@@ -22,6 +25,9 @@ SPLITS = {"train": 1, "validation": 2, "held-out": 3}
 """Disjoint families of seeds: to train on, to choose a policy by, and to report."""
 
 WORKSPACE_DEG = (0.0, 90.0)
+
+START = 0.5
+"""When the task begins and metrics start to count [s]."""
 
 _SCENARIO_STREAM, _NOISE_STREAM = 0, 1
 
@@ -53,6 +59,7 @@ def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
     if suite not in _SUITES:
         raise unknown("suite", suite, _SUITES)
     rows = empty_rows(keys.size, profile)
+    rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), 4 * max(MAX_MOVES, MAX_PUSHES) + 4)
     _SUITES[suite](rows, draws, profile)
     rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
@@ -85,7 +92,7 @@ def describe_suite(suite: str) -> str:
 def _paper_step(rows: Rows, draws: Draws, profile: Profile) -> None:
     """One setpoint step from 0 to 45 deg at 0.5 s, from rest (the paper's protocol)."""
     rows["move_count"] = 1
-    rows["move_time"][:, 0] = 0.5
+    rows["move_time"][:, 0] = START
     rows["move_angle"][:, 0] = np.radians(45.0)
 
 
@@ -109,7 +116,7 @@ def _hold_push(rows: Rows, draws: Draws, profile: Profile) -> None:
     spare = max(spare, 0.0)
     for k in range(MAX_PUSHES):
         when, how_long, how_strong, direction = draws[:, 4 * k + 4 : 4 * k + 8].T
-        rows["push_time"][:, k] = _between(when, 2.4 * k + 0.5, 2.4 * k + 1.5, 3)
+        rows["push_time"][:, k] = _between(when, 2.4 * k + START, 2.4 * k + START + 1.0, 3)
         rows["push_duration"][:, k] = _between(how_long, 0.1, 0.5, 3)
         sign = np.where(direction < 0.5, -1.0, 1.0)
         rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
@@ -120,7 +127,7 @@ def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration
     angle = _between(draws[:, 0], low, high, 2)
     rows["initial_angle"] = np.radians(angle)
     rows["move_count"] = MAX_MOVES
-    time = np.full(len(rows), 0.5)
+    time = np.full(len(rows), START)
     for k in range(MAX_MOVES):
         how_far, direction, how_long, pause = draws[:, 4 * k + 4 : 4 * k + 8].T
         far = _between(how_far, 10.0, 60.0, 2)
