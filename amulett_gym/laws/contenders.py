@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.laws.bundle import MANIFEST, read_bundle
 
 CONSTANT = "constant:"
 
@@ -72,7 +73,7 @@ def parse_contender(name: str) -> Contender:
     Raises
     ------
     AmulettError
-        If the name is unknown, a tension is not a positive number, or a folder holds no policy bundle.
+        If the name is unknown, a tension is not a positive number, or a folder holds no valid policy bundle.
     """
     if name in _IN_THE_LOOP:
         return Contender(name, dict(_IN_THE_LOOP[name]))
@@ -81,7 +82,8 @@ def parse_contender(name: str) -> Contender:
     if name.startswith(CONSTANT):
         constant_tension(name)
         return Contender(name, policy_name=name)
-    return Contender(name, policy_name=str(bundle_folder(name)))
+    folder = bundle_folder(name)
+    return Contender(name, {"agent_period": read_bundle(folder).policy.agent_period}, str(folder))
 
 
 def constant_tension(name: str) -> float:
@@ -112,7 +114,7 @@ def bundle_folder(name: str) -> Path:
     """
     folder = Path(name)
     for candidate in (folder, folder / "best"):
-        if (candidate / "manifest.json").is_file():
+        if (candidate / MANIFEST).is_file():
             return candidate
     if folder.is_dir():
         raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")

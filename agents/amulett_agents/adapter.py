@@ -1,0 +1,159 @@
+"""Stable-Baselines3 on the native vector environment: a thin adapter between their two interfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+import amulett_gym
+from amulett_gym.errors import AmulettError, unknown
+
+Indices = None | int | Iterable[int]
+
+
+def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywords: Any) -> SB3VecEnv:
+    """Make the native vector environment for Stable-Baselines3.
+
+    Put SB3's ``VecMonitor`` outside of it to log returns and lengths of episodes.
+
+    Parameters
+    ----------
+    env_id : str
+        An id of `amulett_gym.ENV_IDS`, with or without the prefix ``amulett_gym:``.
+    num_envs : int
+        Number of devices.
+    **keywords
+        As those of the environment, ``max_episode_steps`` included.
+
+    Returns
+    -------
+    SB3VecEnv
+
+    Raises
+    ------
+    AmulettError
+        If the id, the number of devices or a keyword is wrong.
+    """
+    name = env_id.removeprefix("amulett_gym:")
+    if name not in amulett_gym.ENV_IDS:
+        raise unknown("environment", env_id, amulett_gym.ENV_IDS)
+    if num_envs < 1:
+        raise AmulettError(f"num_envs is {num_envs}; at least 1 is needed")
+    return SB3VecEnv(gym.make_vec(name, num_envs=num_envs, **keywords))
+
+
+class SB3VecEnv(VecEnv):
+    """A native vector environment (autoreset mode NEXT_STEP) seen as SB3's `VecEnv`, bit for bit as its `DummyVecEnv`.
+
+    SB3 wants the first observation of the next episode in the step that ends one. So finished devices are reset at
+    once, by a mask, and what they saw last is kept in their info.
+
+    ``infos`` are empty but for devices whose episode has just ended. Those have everything that the single
+    environment's info has, and ``terminal_observation``, ``TimeLimit.truncated`` and ``episode_terms``, the reward's
+    terms summed over the episode.
+
+    Parameters
+    ----------
+    venv : VectorEnv
+    """
+
+    def __init__(self, venv: VectorEnv[Any, Any, Any]) -> None:
+        self.venv = venv
+        self._actions: NDArray[np.float32] = np.zeros((venv.num_envs, 1), dtype=np.float32)
+        self._terms: dict[str, NDArray[np.float64]] = {}
+        super().__init__(venv.num_envs, venv.single_observation_space, venv.single_action_space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start an episode with all devices; return the observations, shape (num_envs, 13)."""
+        seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
+        observations, info = self.venv.reset(seed=seeds, options=self._common_options())  # type: ignore[arg-type]
+        self._terms = {name: np.zeros(self.num_envs) for name in info["reward_terms"]}
+        self.reset_infos = [pick(info, device) for device in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Take one step with all devices; see :class:`SB3VecEnv` for the infos."""
+        observations, rewards, terminated, truncated, info = self.venv.step(self._actions)
+        for name, term in info["reward_terms"].items():
+            self._terms[name] += term
+        dones = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        finished = np.flatnonzero(dones).tolist()
+        if finished:
+            for device in finished:
+                infos[device] = pick(info, device) | {
+                    "terminal_observation": observations[device].copy(),
+                    "TimeLimit.truncated": bool(truncated[device] and not terminated[device]),
+                    "episode_terms": {name: float(term[device]) for name, term in self._terms.items()},
+                }
+            for term in self._terms.values():
+                term[dones] = 0.0
+            observations, info = self.venv.reset(options={"reset_mask": dones})
+            for device in finished:
+                self.reset_infos[device] = pick(info, device)
+        return observations, rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.venv.close()
+
+    def get_images(self) -> list[NDArray[np.uint8] | None]:
+        """Draw every device."""
+        frames = self.venv.render()
+        return [None] * self.num_envs if frames is None else list(frames)  # type: ignore[arg-type]
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """Return an attribute of the vector environment once for each of the devices, which share it."""
+        if attr_name == "render_mode":
+            return [self.venv.render_mode for _ in self._get_indices(indices)]
+        value = getattr(self.venv.unwrapped, attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of the vector environment; the devices share it, so it cannot be set for some of them."""
+        if len(list(self._get_indices(indices))) != self.num_envs:
+            raise AmulettError(f"'{attr_name}' belongs to all {self.num_envs} devices; it cannot be set for some")
+        setattr(self.venv.unwrapped, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
+        """Refuse: devices of a native vector environment have no methods of their own."""
+        raise AmulettError(
+            f"'{method_name}' cannot be called on single devices of a native vector environment; "
+            "call it on `.venv`, or use SB3's DummyVecEnv of single environments"
+        )
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
+    ) -> list[bool]:
+        """Tell that no device is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _common_options(self) -> dict[str, Any] | None:
+        """Return the options given by SB3's `set_options`, as the vector environment takes them."""
+        given = [options for options in self._options if options]
+        if not given:
+            return None
+        if any(set(options) != {"scenario"} for options in given) or len(given) != self.num_envs:
+            raise AmulettError("set_options has to give every device a 'scenario' and nothing else, or nothing at all")
+        return {"scenario": [options["scenario"] for options in given]}
+
+
+def pick(info: dict[str, Any], device: int) -> dict[str, Any]:
+    """Return one device's part of a vector environment's info, with Python numbers as in the single environment's."""
+    return {
+        key: pick(value, device) if isinstance(value, dict) else value[device].item() for key, value in info.items()
+    }

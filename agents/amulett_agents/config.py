@@ -1,0 +1,206 @@
+"""The training recipe: typed, range-checked settings, whose defaults are the tuned recipe of ``configs/ppo.yaml``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from amulett_gym import ENV_IDS
+from amulett_gym.config import Group, Positive, describe, load_profile, merge, read_yaml
+from amulett_gym.envs.reward import check_weights
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.tasks.suites import suite_names
+
+Fraction = Field(ge=0, le=1)
+
+
+class EnvSettings(Group):
+    """The environment that is trained in."""
+
+    id: str = ENV_IDS[0]
+    profile: str | dict[str, Any] = Field(default="testbed", description="shipped profile, YAML file or mapping")
+    suite: str = "steps"
+    tension_range: list[float] = Field(
+        default=[5.0, 13.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
+    )
+    agent_period: Positive = Field(default=0.02, description="time an action is held [s]")
+    max_episode_steps: int = Field(default=500, ge=1)
+    reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
+    observation_noise: float = Field(default=0.0, ge=0, description="standard deviation, in the observation's unit")
+
+    @field_validator("id")
+    @classmethod
+    def _check_id(cls, name: str) -> str:
+        name = name.removeprefix("amulett_gym:")
+        if name not in ENV_IDS:
+            raise unknown("environment", name, ENV_IDS)
+        return name
+
+    @field_validator("suite")
+    @classmethod
+    def _check_suite(cls, suite: str) -> str:
+        if suite not in suite_names():
+            raise unknown("suite", suite, suite_names())
+        return suite
+
+    @field_validator("reward_weights")
+    @classmethod
+    def _check_weights(cls, weights: dict[str, float]) -> dict[str, float]:
+        check_weights(weights)
+        return weights
+
+    @field_validator("tension_range")
+    @classmethod
+    def _check_range(cls, tension_range: list[float]) -> list[float]:
+        if not 0 < tension_range[0] < tension_range[1]:
+            raise ValueError("it has to be [low, high] with 0 < low < high")
+        return tension_range
+
+    def keywords(self) -> dict[str, Any]:
+        """Return the keywords for `gym.make`, without those that differ between training and validation."""
+        unit = load_profile(self.profile).variable_stiffness.nominal_tension if self.id == ENV_IDS[0] else 1.0
+        return {
+            "profile": self.profile,
+            "suite": self.suite,
+            "action_range": [tension / unit for tension in self.tension_range],
+            "agent_period": self.agent_period,
+            "reward_weights": self.reward_weights,
+            "observation_noise": self.observation_noise,
+        }
+
+
+class PpoSettings(Group):
+    """Settings of Stable-Baselines3's PPO; see its documentation."""
+
+    n_steps: int = Field(default=64, ge=1, description="steps of each device between two updates")
+    batch_size: int = Field(default=1024, ge=2)
+    n_epochs: int = Field(default=6, ge=1)
+    learning_rate: Positive = 1e-3
+    anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step")
+    gae_lambda: float = Field(default=0.9, ge=0, le=1)
+    clip_range: Positive = 0.3
+    ent_coef: float = Field(default=0.0, ge=0)
+    vf_coef: float = Field(default=0.5, ge=0)
+    max_grad_norm: Positive = 0.5
+    reward_scale: Positive = Field(
+        default=10.0, description="fixed factor on what PPO sees: a step of eq. 6 costs 0.002, a whole episode 1"
+    )
+    initial_std: Positive = Field(default=0.2, description="of the exploration, in the action's unit")
+    use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
+    sde_sample_freq: int = Field(default=8, ge=-1)
+
+
+class NetworkSettings(Group):
+    """The policy's network; the critic's is the same."""
+
+    hidden: list[int] = Field(default=[64, 64], min_length=1, max_length=8)
+    activation: Literal["tanh", "relu"] = "relu"
+    initial_tension: float | None = Field(
+        default=None, gt=0, description="the first policy is this constant [N]; null: the middle of the range"
+    )
+
+    @field_validator("hidden")
+    @classmethod
+    def _check_sizes(cls, hidden: list[int]) -> list[int]:
+        if any(not 1 <= size <= 1024 for size in hidden):
+            raise ValueError("every size has to be from 1 to 1024")
+        return hidden
+
+
+class ValidationSettings(Group):
+    """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
+
+    every_steps: int = Field(default=250_000, ge=1)
+    episodes: int = Field(default=100, ge=1)
+    seed: int = Field(default=0, ge=0)
+
+
+class TrainConfig(Group):
+    """A training run."""
+
+    env: EnvSettings = EnvSettings()
+    ppo: PpoSettings = PpoSettings()
+    network: NetworkSettings = NetworkSettings()
+    validation: ValidationSettings = ValidationSettings()
+    num_envs: int = Field(default=256, ge=1, description="devices that are simulated side by side")
+    total_steps: int = Field(default=4_000_000, ge=1, description="agent steps of all devices together")
+    max_seconds: float | None = Field(default=None, gt=0, description="stop after this time, too; null: no limit")
+    seed: int = Field(default=0, ge=0, lt=2**31)
+    threads: int = Field(default=1, ge=1, le=256, description="of torch")
+    checkpoint: bool = Field(default=False, description="also keep SB3's own last_sb3.zip (a pickle: mind who made it)")
+
+    @model_validator(mode="after")
+    def _check_batch(self) -> TrainConfig:
+        rollout = self.num_envs * self.ppo.n_steps
+        if rollout < 2:
+            raise ValueError("num_envs times ppo.n_steps is 1; PPO needs a rollout of at least 2 steps")
+        if rollout % self.ppo.batch_size:
+            raise ValueError(
+                f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
+            )
+        low, high = self.env.tension_range
+        start = self.network.initial_tension
+        if start is not None and not low <= start <= high:
+            raise ValueError(
+                f"network.initial_tension is {start} N; it has to be in env.tension_range, {low} to {high} N"
+            )
+        return self
+
+
+def load_train_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> TrainConfig:
+    """Read a recipe.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        A YAML file with the keys of `TrainConfig` that differ from its defaults; the defaults alone if None.
+    overrides : sequence of str
+        Changes like ``"ppo.learning_rate=3e-4"``: dotted keys, values in YAML.
+
+    Returns
+    -------
+    TrainConfig
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, a key is unknown, or a value is wrong.
+    """
+    content: Mapping[str, Any] = {} if path is None else read_yaml(path, "recipe")
+    for override in overrides:
+        content = merge(content, _parse_override(override))
+    try:
+        return TrainConfig.model_validate(_read_numbers(content))
+    except ValidationError as error:
+        raise describe(error, TrainConfig, "recipe" if path is None else f"recipe '{path}'") from error
+
+
+def _parse_override(override: str) -> dict[str, Any]:
+    key, equals, text = override.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise AmulettError(f"'{override}' is no change of a key; write it as key=value, for example ppo.gamma=0.98")
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise AmulettError(f"'{override}': the value is not valid YAML: {error}") from error
+    for part in reversed(parts):
+        value = {part: value}
+    return value
+
+
+def _read_numbers(value: Any) -> Any:
+    """Turn ``"3e-4"`` into a number: YAML 1.1, unlike everybody, takes it for a string unless it is ``3.0e-4``."""
+    if isinstance(value, Mapping):
+        return {key: _read_numbers(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_read_numbers(item) for item in value]
+    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+", value):
+        return float(value)
+    return value

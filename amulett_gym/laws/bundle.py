@@ -1,0 +1,338 @@
+"""Policy bundles: a learned law as data, not code.
+
+A bundle is a folder:
+
+=======================  ==============================================================================
+``weights.safetensors``  ``layer_<k>.weight`` (outputs, inputs) and ``layer_<k>.bias``, float32
+``policy.json``          the network, the meaning of its observations and of its action
+``env.json``             the environment that it was trained in: id, keywords, steps of an episode
+``provenance.json``      where it comes from: command, configuration, versions, seed, scores
+``manifest.json``        the SHA-256 of every other file
+=======================  ==============================================================================
+
+Nothing is unpickled, and nothing is believed before the manifest has vouched for it. No running normalisation has to be
+kept: observations are scaled by constants.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import safetensors.numpy
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, ValidationError, model_validator
+from safetensors import SafetensorError
+
+from amulett_gym.config import Group, describe
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import write_json
+
+MANIFEST = "manifest.json"
+WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
+MAX_BYTES = 16_000_000
+"""Largest file accepted in a bundle; the shipped recipes' networks have 20 kB."""
+
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+class Network(Group):
+    """A fully connected network."""
+
+    layers: list[int] = Field(min_length=2, max_length=20, description="sizes, from the observation to the action")
+    activation: Literal["tanh", "relu"] = Field(description="of every layer but the last")
+    output: Literal["clip", "tanh"] = Field(description="how the last layer's output is brought into [-1, 1]")
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> Network:
+        if any(not 1 <= size <= 4096 for size in self.layers):
+            raise ValueError(f"layers are {self.layers}; every size has to be from 1 to 4096")
+        return self
+
+
+class PolicyDescription(Group):
+    """Content of ``policy.json``: all that is needed to run the weights, and to know on what."""
+
+    version: Literal[1] = Field(default=1, description="of this format")
+    network: Network
+    observations: list[str] = Field(description="names of the observation's entries, in order; all in [-1, 1]")
+    observation_scales: dict[str, float] = Field(description="what an entry of 1 stands for [rad, rad/s, s, N]")
+    tension_range: list[float] = Field(
+        min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
+    )
+    agent_period: float = Field(gt=0, description="time an action is held [s]")
+
+    @model_validator(mode="after")
+    def _check_sizes(self) -> PolicyDescription:
+        inputs, outputs = self.network.layers[0], self.network.layers[-1]
+        if (inputs, outputs) != (len(self.observations), 1):
+            raise ValueError(
+                f"the network maps {inputs} numbers to {outputs}; it has to map the {len(self.observations)} "
+                "observations to 1 action"
+            )
+        if not 0 < self.tension_range[0] < self.tension_range[1]:
+            raise ValueError(f"tension_range is {self.tension_range}; it has to be 0 < low < high")
+        return self
+
+
+class TrainingEnv(Group):
+    """Content of ``env.json``: what ``gym.make(id, max_episode_steps=..., **keywords)`` needs."""
+
+    id: str
+    keywords: dict[str, Any] = Field(description="JSON-serialisable keywords of the environment")
+    max_episode_steps: int = Field(ge=1)
+
+
+class Manifest(Group):
+    """Content of ``manifest.json``."""
+
+    format: Literal["amulett-policy-bundle"] = "amulett-policy-bundle"
+    version: Literal[1] = 1
+    sha256: dict[str, str] = Field(description="file name -> SHA-256 of its content, in lower-case hexadecimal digits")
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A verified policy bundle.
+
+    Attributes
+    ----------
+    folder : Path
+    layers : list of (weight, bias)
+        ndarrays of float32, shapes (outputs, inputs) and (outputs,).
+    policy : PolicyDescription
+    env : TrainingEnv
+    provenance : dict
+    """
+
+    folder: Path
+    layers: Layers
+    policy: PolicyDescription
+    env: TrainingEnv
+    provenance: dict[str, Any]
+
+    def act(self, observations: ArrayLike) -> NDArray[np.float32]:
+        """Run the network on a batch.
+
+        Parameters
+        ----------
+        observations : array_like, shape (N, inputs)
+
+        Returns
+        -------
+        ndarray of float32, shape (N, 1)
+            In [-1, 1], in terms of the bundle's own `tension_range`.
+        """
+        return forward(self.layers, self.policy.network, observations)
+
+
+def forward(layers: Layers, network: Network, observations: ArrayLike) -> NDArray[np.float32]:
+    """Return the network's output, shape (N, outputs).
+
+    Computed in float64 and rounded at the end: the order in which a batch is summed does not show in the result.
+    """
+    values = np.asarray(observations, dtype=np.float64)
+    for k, (weight, bias) in enumerate(layers):
+        values = values @ weight.T.astype(np.float64) + bias
+        if k < len(layers) - 1:
+            values = np.tanh(values) if network.activation == "tanh" else np.maximum(values, 0.0)
+    values = np.tanh(values) if network.output == "tanh" else np.clip(values, -1.0, 1.0)
+    return values.astype(np.float32)
+
+
+def read_bundle(folder: str | Path) -> Bundle:
+    """Read and verify a policy bundle.
+
+    Parameters
+    ----------
+    folder : str or Path
+
+    Returns
+    -------
+    Bundle
+
+    Raises
+    ------
+    AmulettError
+        If a file is missing, too many, too large or not what the manifest says; if the format's version is unknown; if
+        weights are missing, misshapen or not finite; or if the observations are not those of this version of
+        amulett-gym. The error names the file.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise AmulettError(f"cannot read policy bundle '{folder}': it is no folder")
+    manifest = _parse(Manifest, _read(folder / MANIFEST), folder / MANIFEST)
+    contents = _verified(folder, manifest)
+    policy = _parse(PolicyDescription, contents[POLICY], folder / POLICY)
+    _check_observations(policy, folder / POLICY)
+    return Bundle(
+        folder=folder,
+        layers=_read_layers(contents[WEIGHTS], policy.network, folder / WEIGHTS),
+        policy=policy,
+        env=_parse(TrainingEnv, contents[ENV], folder / ENV),
+        provenance=_json(contents[PROVENANCE], folder / PROVENANCE),
+    )
+
+
+def write_bundle(
+    folder: str | Path,
+    layers: Layers,
+    policy: PolicyDescription,
+    env: TrainingEnv,
+    provenance: Mapping[str, Any],
+) -> Path:
+    """Write a policy bundle, whole or not at all; a bundle that is already there is replaced.
+
+    The files are written into a folder beside it and read back; then the folder is renamed.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    AmulettError
+        If the bundle would not be valid, `folder` holds something else than a bundle, or cannot be written.
+    """
+    folder = Path(folder)
+    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
+        raise AmulettError(f"'{folder}' holds something else than a policy bundle; it is left as it is")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
+            new = Path(temporary) / "new"
+            new.mkdir()
+            _write_files(new, layers, policy, env, provenance)
+            read_bundle(new)
+            _put_in_place(new, folder, Path(temporary) / "old")
+    except OSError as error:
+        raise AmulettError(f"cannot write policy bundle '{folder}': {error.strerror or error}") from error
+    return folder
+
+
+def _write_files(
+    folder: Path, layers: Layers, policy: PolicyDescription, env: TrainingEnv, provenance: Mapping[str, Any]
+) -> None:
+    tensors = {}
+    for k, (weight, bias) in enumerate(layers):
+        tensors[f"layer_{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
+        tensors[f"layer_{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
+    safetensors.numpy.save_file(tensors, folder / WEIGHTS)
+    write_json(folder / POLICY, policy.model_dump())
+    write_json(folder / ENV, env.model_dump())
+    write_json(folder / PROVENANCE, dict(provenance))
+    manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in FILES})
+    write_json(folder / MANIFEST, manifest.model_dump())
+
+
+def _put_in_place(new: Path, folder: Path, old: Path) -> None:
+    """Rename `new` to `folder`; what was there goes to `old`, and comes back if that fails."""
+    replaces = folder.exists()
+    if replaces:
+        folder.rename(old)
+    try:
+        new.rename(folder)
+    except BaseException:  # Ctrl-C, too
+        if replaces:
+            old.rename(folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
+    """Return the content of every file that the manifest lists, none of them changed, missing or unlisted."""
+    for name in manifest.sha256:
+        if not _PLAIN_NAME.fullmatch(name) or name == MANIFEST:
+            raise AmulettError(f"'{folder / MANIFEST}' lists {name!r}, which is no plain name of a file in the bundle")
+    for name in FILES:
+        if name not in manifest.sha256:
+            raise AmulettError(f"'{folder / MANIFEST}' does not list '{name}'")
+    for path in sorted(folder.iterdir()):
+        if path.name not in manifest.sha256 and path.name != MANIFEST:
+            raise AmulettError(f"'{path}' is not listed in the bundle's manifest")
+    contents = {}
+    for name, digest in manifest.sha256.items():
+        contents[name] = _read(folder / name)
+        if _digest(contents[name]) != digest:
+            raise AmulettError(f"'{folder / name}' was changed after it had been written: its SHA-256 is another one")
+    return contents
+
+
+def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
+    try:
+        tensors = safetensors.numpy.load(content)
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise AmulettError(f"'{path}' is not a valid safetensors file: {error}") from error
+    shapes: dict[str, tuple[int, ...]] = {}
+    for k, (inputs, outputs) in enumerate(zip(network.layers, network.layers[1:], strict=False)):
+        shapes[f"layer_{k}.weight"], shapes[f"layer_{k}.bias"] = (outputs, inputs), (outputs,)
+    if set(tensors) != set(shapes):
+        wrong = ", ".join(sorted(set(tensors) ^ set(shapes)))
+        raise AmulettError(f"'{path}' does not hold the weights that {POLICY} describes: {wrong} missing or too many")
+    for name, shape in shapes.items():
+        tensor = tensors[name]
+        if tensor.shape != shape or tensor.dtype != np.float32:
+            raise AmulettError(
+                f"'{path}': '{name}' is {tensor.dtype} of shape {tensor.shape}; it has to be float32 of shape {shape}"
+            )
+        if not np.isfinite(tensor).all():
+            raise AmulettError(f"'{path}': '{name}' holds a number that is not finite")
+    return [(tensors[f"layer_{k}.weight"], tensors[f"layer_{k}.bias"]) for k in range(len(network.layers) - 1)]
+
+
+def _check_observations(policy: PolicyDescription, path: Path) -> None:
+    """Refuse a policy whose observations are not, name by name and scale by scale, those of this version."""
+    if tuple(policy.observations) != OBSERVATIONS:
+        different = ", ".join(sorted(set(policy.observations) ^ set(OBSERVATIONS))) or "their order"
+        raise AmulettError(f"'{path}': the observations are not those of this amulett-gym; what differs: {different}")
+    for name, scale in OBSERVATION_SCALES.items():
+        theirs = policy.observation_scales.get(name, math.nan)
+        if not math.isclose(theirs, scale, rel_tol=1e-12):
+            raise AmulettError(
+                f"'{path}': observation '{name}' was scaled by {theirs}; this amulett-gym's scale is {scale}"
+            )
+
+
+def _parse(model: type[Any], content: bytes, path: Path) -> Any:
+    value = _json(content, path)
+    try:
+        return model.model_validate(value)
+    except ValidationError as error:
+        raise describe(error, model, f"'{path}'") from error
+
+
+def _json(content: bytes, path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(content.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise AmulettError(f"'{path}' is not valid JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise AmulettError(f"'{path}' has to hold a JSON object, not {type(value).__name__}")
+    return value
+
+
+def _read(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise AmulettError(f"'{path}' has {size} bytes; at most {MAX_BYTES} are allowed")
+        return path.read_bytes()
+    except OSError as error:
+        raise AmulettError(f"cannot read '{path}': {error.strerror or error}") from error
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,155 @@
+"""Policies by name: anything that maps an observation to an action, from outside the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulett_gym.compiled import compiled
+from amulett_gym.config import Profile
+from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.errors import AmulettError
+from amulett_gym.laws.bundle import Bundle, read_bundle
+from amulett_gym.laws.contenders import CONSTANT, bundle_folder, constant_tension
+
+Policy = Callable[[ArrayLike], NDArray[np.float32]]
+"""Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
+
+_POSITION_ERROR = OBSERVATIONS.index("position_error")
+_TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
+
+
+def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
+    """Make a policy for an environment.
+
+    Parameters
+    ----------
+    name_or_folder : str or Path
+        ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"`` or a policy bundle's folder (or a training run's, for
+        its best policy).
+    env : gymnasium.Env or VectorEnv
+        An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
+        an action.
+
+    Returns
+    -------
+    callable
+        Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1].
+
+    Raises
+    ------
+    AmulettError
+        If the name is unknown, the bundle is damaged, or the policy cannot act in this environment.
+    """
+    base = env.unwrapped
+    if not hasattr(base, "tension_range"):
+        raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
+    name, tension_range = str(name_or_folder), base.tension_range
+    if name.startswith(CONSTANT):
+        return _constant(constant_tension(name), tension_range)
+    if name in ("eq6-held", "eq6-held-printed"):
+        return _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
+    return _from_bundle(read_bundle(bundle_folder(name)), tension_range, base.episodes.agent_period)
+
+
+def tension_to_action(tension: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the action that means a tension [N]."""
+    low, high = tension_range
+    return 2.0 * (np.asarray(tension, dtype=np.float64) - low) / (high - low) - 1.0
+
+
+def action_to_tension(action: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the tension [N] that an action means."""
+    low, high = tension_range
+    return low + 0.5 * (np.asarray(action, dtype=np.float64) + 1.0) * (high - low)
+
+
+def _constant(tension: float, tension_range: tuple[float, float]) -> Policy:
+    _check_reach(f"the tension of constant:{tension:g}", tension, tension, tension_range)
+    action = tension_to_action(np.array([tension]), tension_range).astype(np.float32)
+
+    def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
+        return np.repeat(action[None], len(batch), axis=0)
+
+    return _for_one_or_many(act)
+
+
+def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) -> Policy:
+    """Eq. 6 at agent rate, by the observed position error, which reaches 90 deg."""
+    law = profile.variable_stiffness
+    _check_reach("eq. 6", law.minimum_tension, law.nominal_tension, tension_range)
+    scale, offset = OBSERVATION_SCALES["position_error"], float(np.radians(law.error_offset_deg))
+    if offset > scale:
+        raise AmulettError(
+            f"eq. 6 with an error_offset_deg of {law.error_offset_deg} needs errors that the observation cannot show; "
+            f"it ends at {np.degrees(scale):g} deg"
+        )
+
+    def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
+        factors = _factors(batch[:, _POSITION_ERROR] * scale, law.nominal_tension, law.minimum_tension, offset, printed)
+        return tension_to_action(factors * law.nominal_tension, tension_range).astype(np.float32)[:, None]
+
+    return _for_one_or_many(act)
+
+
+@compiled
+def _factors(errors, nominal, minimum, offset, printed):  # type: ignore[no-untyped-def]
+    factors = np.empty(errors.size)
+    for k in range(errors.size):
+        if printed:
+            factors[k] = scaling_factor_printed(errors[k], nominal, minimum, offset)
+        else:
+            factors[k] = scaling_factor(errors[k], nominal, minimum, offset)
+    return factors
+
+
+def _from_bundle(bundle: Bundle, tension_range: tuple[float, float], agent_period: float) -> Policy:
+    """Run a bundle; where its action range is not the environment's, actions are converted through tensions."""
+    trained = bundle.policy.agent_period
+    if not np.isclose(trained, agent_period, rtol=1e-9):
+        raise AmulettError(
+            f"policy bundle '{bundle.folder}' acts every {trained} s, this environment every {agent_period} s; "
+            f"make it with agent_period={trained}"
+        )
+    low, high = bundle.policy.tension_range
+    own_range = (low, high)
+    if own_range == tuple(tension_range):
+        return _for_one_or_many(bundle.act)
+    _check_reach(f"policy bundle '{bundle.folder}'", low, high, tension_range)
+
+    def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
+        converted = batch.copy()
+        setpoint = action_to_tension(batch[:, _TENSION_SETPOINT], tension_range)
+        converted[:, _TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
+        tension = action_to_tension(bundle.act(converted), own_range)
+        return tension_to_action(tension, tension_range).astype(np.float32)
+
+    return _for_one_or_many(act)
+
+
+def _check_reach(what: str, lowest: float, highest: float, tension_range: tuple[float, float]) -> None:
+    low, high = tension_range
+    if lowest < low - 1e-9 or highest > high + 1e-9:
+        needed = f"{lowest:g} N" if lowest == highest else f"{lowest:g} to {highest:g} N"
+        raise AmulettError(f"{what} needs {needed}; the actions of this environment reach from {low:g} to {high:g} N")
+
+
+def _for_one_or_many(act: Callable[[NDArray[np.float64]], NDArray[np.float32]]) -> Policy:
+    """Let a function of a batch take a single observation, too."""
+
+    def policy(observation: ArrayLike) -> NDArray[np.float32]:
+        observations = np.asarray(observation, dtype=np.float64)
+        if observations.ndim not in (1, 2) or observations.shape[-1] != len(OBSERVATIONS):
+            raise AmulettError(
+                f"the observation has shape {observations.shape}; it has to be ({len(OBSERVATIONS)},) or "
+                f"(N, {len(OBSERVATIONS)})"
+            )
+        actions = act(np.atleast_2d(observations))
+        return actions[0] if observations.ndim == 1 else actions
+
+    return policy
