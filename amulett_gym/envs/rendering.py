@@ -1,0 +1,240 @@
+"""From the state of an episode to a picture: what it shows, and where it goes."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.episodes import Episodes
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.model.plant import deflection_biceps, deflection_triceps
+from amulett_gym.simulation.layout import FAILURES, LANES
+
+MODES = ("rgb_array", "human")
+
+STRIP_SECONDS = 5.0
+"""How much of the past the strip below the arm shows [s]."""
+
+_MOST_FPS = 60
+_UNSEEN_DRIVERS = ("offscreen", "dummy")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a picture shows of one device at one moment: the truth, not what the sensors say.
+
+    Parameters
+    ----------
+    time : float
+        Since the start of the episode [s].
+    joint_angle, setpoint : float
+        x_a and its setpoint, flexion is positive [rad].
+    force_biceps, force_triceps : float
+        True string forces [N].
+    tension_setpoint : float or None
+        Of the antagonist [N]; None if the loop has no tension controller.
+    agonist : float or None
+        +1 biceps, -1 triceps; None if the loop does not tell them apart.
+    drive_biceps, drive_triceps : float
+        x_e1, x_e2 [rad].
+    deflection_biceps, deflection_triceps : float
+        Delta l_1, Delta l_2 [m]; negative if the string is slack.
+    joint_radius, drive_radius : float
+        R_2, R_1 [m].
+    max_force : float
+        Where the springs saturate [N].
+    obstacle_angle : float or None
+        Where an obstacle begins [rad]; None if there is none.
+    obstacle_side : float
+        +1 if it blocks flexion, -1 if it blocks extension.
+    push_torque, contact_torque : float
+        External torques, positive in flexion [N m].
+    payload_mass : float
+        Carried by the forearm [kg].
+    failure : str
+        Why the device left its limits; empty while it runs.
+    """
+
+    time: float
+    joint_angle: float
+    setpoint: float
+    force_biceps: float
+    force_triceps: float
+    tension_setpoint: float | None
+    agonist: float | None
+    drive_biceps: float
+    drive_triceps: float
+    deflection_biceps: float
+    deflection_triceps: float
+    joint_radius: float
+    drive_radius: float
+    max_force: float
+    obstacle_angle: float | None
+    obstacle_side: float
+    push_torque: float
+    contact_torque: float
+    payload_mass: float
+    failure: str
+
+
+def frame_of(episodes: Episodes, device: int) -> Frame:
+    """Return what a picture of one device needs."""
+    simulation, scenario = episodes.simulation, episodes.scenario(device)
+    parameters = simulation.parameters[0]
+    block, lane = divmod(int(device), LANES)
+
+    def state(name: str) -> float:
+        return float(simulation.states[name][block, lane])
+
+    angle, biceps, triceps = state("angle"), state("drive_biceps"), state("drive_triceps")
+    drive_radius, joint_radius = float(parameters["drive_radius"]), float(parameters["joint_radius"])
+    controls_tension = bool(parameters["tension_loop"])
+    return Frame(
+        time=state("tick") * simulation.control_period,
+        joint_angle=angle,
+        setpoint=state("setpoint"),
+        force_biceps=state("force_biceps"),
+        force_triceps=state("force_triceps"),
+        tension_setpoint=state("tension_setpoint") if controls_tension else None,
+        agonist=state("agonist") if controls_tension else None,
+        drive_biceps=biceps,
+        drive_triceps=triceps,
+        deflection_biceps=deflection_biceps(biceps, angle, drive_radius, joint_radius),
+        deflection_triceps=deflection_triceps(triceps, angle, drive_radius, joint_radius),
+        joint_radius=joint_radius,
+        drive_radius=drive_radius,
+        max_force=simulation.max_force,
+        obstacle_angle=float(scenario["obstacle_angle"]) if scenario["obstacle_stiffness"] > 0 else None,
+        obstacle_side=float(scenario["obstacle_side"]),
+        push_torque=state("push_torque"),
+        contact_torque=state("contact_torque"),
+        payload_mass=float(scenario["payload_mass"]),
+        failure=FAILURES[int(state("failure"))],
+    )
+
+
+class Renderer:
+    """Draws frames, into an array or a window, and remembers the last seconds for the strip below the arm.
+
+    Parameters
+    ----------
+    mode : {"rgb_array", "human"}
+        An array needs no display; a window does, and keeps real time.
+    fps : float
+        Frames a second, for the window.
+    title : str
+        Written above the arm.
+
+    Raises
+    ------
+    AmulettError
+        If the mode is unknown, pygame is not installed, or there is no display for a window.
+    """
+
+    def __init__(self, mode: str, fps: float, title: str = "AMULETT elbow") -> None:
+        if mode not in MODES:
+            raise unknown("render_mode", mode, MODES)
+        self._pygame = _import_pygame()
+        # Real time first: where more frames are due than a display shows, only some of them are drawn.
+        self._stride = max(math.ceil(fps / _MOST_FPS), 1)
+        self._fps, self._title = fps, title
+        self._history: deque[Frame] = deque()
+        self._in_window = mode == "human"
+        self._window: Any = self._open() if self._in_window else None
+        self._clock = self._pygame.time.Clock()
+        self._due = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a window, and nobody has closed it."""
+        return self._window is not None
+
+    def draw(self, frame: Frame) -> NDArray[np.uint8] | None:
+        """Draw a frame.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3), or None for "human"
+            A window that was closed stays closed: the simulation goes on, and nothing is drawn.
+        """
+        from amulett_gym.envs.picture import paint
+
+        self._remember(frame)
+        if self._in_window:
+            self._handle_events()
+            self._due -= 1
+            if self._window is not None and self._due <= 0:
+                self._due = self._stride
+                self._window.blit(paint(frame, self._history, self._title), (0, 0))
+                self._pygame.display.flip()
+                self._clock.tick(self._fps / self._stride)
+            return None
+        surface = paint(frame, self._history, self._title)
+        width, height = surface.get_size()
+        pixels = bytearray(self._pygame.image.tobytes(surface, "RGB"))
+        return np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
+
+    def clear(self) -> None:
+        """Forget the strip's past: a new episode begins."""
+        self._history.clear()
+
+    def close(self) -> None:
+        """Close the window, if there is one; may be called again."""
+        if self._window is not None:
+            self._window = None
+            self._pygame.display.quit()
+
+    def _remember(self, frame: Frame) -> None:
+        # An episode that restarted or went back to a snapshot takes the strip back with it.
+        while self._history and self._history[-1].time >= frame.time:
+            self._history.pop()
+        self._history.append(frame)
+        # One frame before the strip's edge stays, so that the curves reach it.
+        while len(self._history) > 2 and self._history[1].time < frame.time - STRIP_SECONDS:
+            self._history.popleft()
+
+    def _open(self) -> Any:
+        from amulett_gym.envs.picture import SIZE
+
+        display = self._pygame.display
+        try:
+            display.init()
+            # Without a display SDL quietly draws where nobody can see it; only who asked for that gets it.
+            if display.get_driver() in _UNSEEN_DRIVERS and not os.environ.get("SDL_VIDEODRIVER"):
+                display.quit()
+                raise self._pygame.error("there is no display")
+            window = display.set_mode(SIZE)
+        except self._pygame.error as error:
+            raise AmulettError(
+                f"cannot open a window: {error}; "
+                "render_mode='rgb_array' needs none, nor does 'amulett play' with '--video FILE'"
+            ) from error
+        display.set_caption(self._title)
+        return window
+
+    def _handle_events(self) -> None:
+        pygame = self._pygame
+        if self._window is None:
+            return
+        if not pygame.display.get_init():  # another environment's close() took the display with it
+            self._window = None
+            return
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
+                self.close()
+                return
+
+
+def _import_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ImportError as error:
+        raise AmulettError("rendering needs pygame; install it with 'pip install pygame-ce'") from error
+    return pygame
