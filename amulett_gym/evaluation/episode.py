@@ -1,0 +1,96 @@
+"""One contender in one scenario, recorded at control rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.transition import FIRST_METRIC, METRICS
+from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
+from amulett_gym.evaluation.runner import Protocol, load_contender
+from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.policies import action_to_tension
+from amulett_gym.simulation.layout import FAILURES
+from amulett_gym.simulation.trajectory import Trajectory, record
+from amulett_gym.tasks.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A recorded episode.
+
+    Attributes
+    ----------
+    contender : str
+    trajectory : Trajectory
+        Up to the failure, if there was one.
+    scenario : Scenario
+    metrics : dict of str to float
+        Final values; NaN where not reached. ``return`` is not among them: it is defined at agent rate.
+    failure : str
+        Why the device failed; empty if it did not.
+    """
+
+    contender: str
+    trajectory: Trajectory
+    scenario: Scenario
+    metrics: dict[str, float]
+    failure: str
+
+
+def record_episode(
+    name: str, protocol: Protocol, scenario: str | Path | Mapping[str, Any] | Scenario | None = None
+) -> Episode:
+    """Play one episode with a contender and keep every control tick.
+
+    The contender acts at its own rate; what happens is, bit for bit, what it does in :func:`runner.evaluate`.
+
+    Parameters
+    ----------
+    name : str
+        A contender's name or a policy bundle's folder.
+    protocol : Protocol
+        Its first scenario is played; `episodes` does not matter.
+    scenario : str, Path, mapping or Scenario, optional
+        Played in the place of the suite's.
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown or a scenario is wrong.
+    """
+    contender = parse_contender(name)
+    keywords = protocol.keywords(contender)
+    env: Any = gym.make(protocol.env_id, disable_env_checker=True, **keywords).unwrapped
+    policy = load_contender(contender, env)
+    env.reset(seed=protocol.seed, options=None if scenario is None else {"scenario": scenario})
+    episodes = env.episodes
+    simulation = episodes.simulation
+    ticks_per_step = round(keywords["agent_period"] / simulation.control_period)
+
+    def act(tick: int) -> None:
+        if tick % ticks_per_step == 0:
+            action = np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)
+            simulation.command_tension(action_to_tension(action, env.tension_range))
+
+    trajectory = record(simulation, keywords["max_episode_steps"] * ticks_per_step, before_tick=act)
+    failure = FAILURES[int(simulation.read("failure")[0])]
+    if failure:
+        rows = int(trajectory["tick"][-1]) + 1  # a failed device's clock stands still
+        trajectory = Trajectory(
+            trajectory.profile,
+            trajectory.control_period,
+            {signal: values[:rows] for signal, values in trajectory.signals.items()},
+        )
+    raw = dict(zip(METRICS, episodes.report()[FIRST_METRIC:], strict=True))
+    ended = float(trajectory["time"][-1])
+    charge = failure_cost(ended, protocol.duration, protocol.agent_period) if failure else 0.0
+    values = derive(raw, np.array([charge]), DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))
+    metrics = {metric: float(values[metric][0]) for metric in UNITS if metric in values}
+    return Episode(name, trajectory, env.scenario, metrics, failure)

@@ -1,0 +1,460 @@
+"""Figures of trajectories, schedules and comparisons.
+
+The only module that draws with matplotlib. Figures are objects of their own (no pyplot, no global state): import this
+module only where something is drawn. Colours are those of Okabe and Ito, which colour-blind readers can tell apart.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+
+from amulett_gym.config import VariableStiffness
+from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.metrics import COSTS
+from amulett_gym.evaluation.results import number, pretty
+from amulett_gym.evaluation.runner import YARDSTICK, Schedule
+from amulett_gym.files import atomic_path
+from amulett_gym.simulation.trajectory import Trajectory
+
+BLACK, GREY = "#000000", "#7a7a7a"
+ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+
+_FIXED_COLOURS = {"eq6": BLACK, "eq6-printed": GREY}
+_CYCLE = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY)
+_MARKERS = "osD^vPXh<>p"
+_TERM_COLOURS = dict(zip(COSTS, (BLUE, ORANGE, GREEN, PURPLE, RED), strict=True))
+_PHASES = {1: ("towards the setpoint", RED), 0: ("standing", BLUE), -1: ("away from the setpoint", GREEN)}
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "figure.dpi": 100,
+    "savefig.dpi": 180,
+    "svg.hashsalt": "amulett-gym",
+}
+_POINTS = 3000
+"""Points drawn of a schedule; its curves use all of them."""
+
+P = ParamSpec("P")
+
+
+def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Let a function draw in this module's style, and leave matplotlib's settings as they were."""
+
+    @wraps(draw)
+    def styled(*args: P.args, **keywords: P.kwargs) -> Figure:
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **keywords)
+
+    return styled
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG or SVG, by the file's suffix, whole or not at all.
+
+    Raises
+    ------
+    AmulettError
+        If the suffix is another one or the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg"):
+        raise AmulettError(f"a figure is written as .png or .svg; '{path}' is neither")
+    with atomic_path(path) as temporary, mpl.rc_context(_STYLE):
+        figure.savefig(temporary, format=kind, metadata={"Date": None} if kind == "svg" else {"Software": None})
+
+
+def figure_svg(figure: Figure, prefix: str) -> str:
+    """Return a figure as an SVG element to put into a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Goes before every id, so that figures in the same page do not meet.
+    """
+    buffer = io.StringIO()
+    with mpl.rc_context(_STYLE):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
+    return re.sub(r'((?:url\(|href=")#)', rf"\g<1>{prefix}-", svg)
+
+
+def labels(names: Sequence[str]) -> dict[str, str]:
+    """Return a short label for each contender: of a bundle's folder only the end that tells it from the others."""
+    short = {name: _short(name) for name in names}
+    return {name: label if list(short.values()).count(label) == 1 else name for name, label in short.items()}
+
+
+def colours(names: Sequence[str]) -> dict[str, str]:
+    """Return a colour for each contender: eq. 6 is black."""
+    others = [name for name in names if name not in _FIXED_COLOURS]
+    return {**_FIXED_COLOURS, **{name: _CYCLE[k % len(_CYCLE)] for k, name in enumerate(others)}}
+
+
+@_styled
+def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
+    """Draw one recorded episode: joint angle, string tensions, drive commands, and external torques if there are any.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    title : str
+    """
+    time = trajectory["time"]
+    torques = {
+        "push": trajectory["push_torque"],
+        "contact": trajectory["contact_torque"],
+    }
+    torques = {name: torque for name, torque in torques.items() if np.any(torque != 0.0)}
+    heights = [3.0, 3.0, 2.4] + [1.4] * bool(torques)
+    figure = Figure(figsize=(7.2, 1.0 + 0.72 * sum(heights)), layout="constrained")
+    axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    angle, tension, command = axes[:3]
+
+    angle.plot(time, np.degrees(trajectory["setpoint"]), color=BLACK, linestyle="--", linewidth=1.0, label="setpoint")
+    angle.plot(time, np.degrees(trajectory["angle"]), color=RED, label="joint angle")
+    angle.set_ylabel("joint angle [deg]")
+
+    for string, colour in (("biceps", RED), ("triceps", BLUE)):
+        estimate = trajectory[f"estimate_{string}"]
+        tension.plot(time, estimate, color=colour, alpha=0.35, linewidth=0.9, label=f"{string}, estimated")
+        tension.plot(time, trajectory[f"force_{string}"], color=colour, label=f"{string}, true")
+        commanded = np.degrees(trajectory[f"command_{string}"])
+        command.plot(time, commanded, color=colour, drawstyle="steps-pre", label=string)
+    tension.plot(
+        time,
+        trajectory["tension_setpoint"],
+        color=BLACK,
+        linestyle="--",
+        linewidth=1.0,
+        drawstyle="steps-pre",
+        label="antagonist's setpoint",
+    )
+    tension.set_ylabel("string tension [N]")
+    tension.set_ylim(bottom=0.0)
+    command.set_ylabel("drive command [deg]")
+    shaded = _shade_triceps(axes, time, trajectory["agonist"])
+    for (name, torque), style in zip(torques.items(), ("-", "--"), strict=False):
+        axes[3].plot(time, torque, color=GREY, linestyle=style, drawstyle="steps-pre", label=f"{name} torque")
+        axes[3].set_ylabel("torque [N m]")
+    for panel in axes:
+        handles, names = panel.get_legend_handles_labels()
+        if panel is angle and shaded:
+            handles, names = [*handles, shaded], [*names, "triceps is agonist"]
+        panel.legend(handles, names, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
+    if title:
+        figure.suptitle(title, fontsize=10.5)
+    return figure
+
+
+@_styled
+def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
+    """Draw what several contenders do in the same scenario, side by side, eq. 6 behind each.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By contender.
+    title : str
+    """
+    names = list(trajectories)
+    label, colour = labels(names), colours(names)
+    columns = min(len(names), 3)
+    rows = math.ceil(len(names) / columns)
+    figure = Figure(figsize=(1.0 + 3.0 * columns, 0.8 + 3.0 * rows), layout="constrained")
+    grid = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2] * rows)
+    reference = trajectories.get(YARDSTICK)
+    top_angle = max(float(np.degrees(trajectories[name]["angle"]).max()) for name in names)
+    top_tension = max(float(_antagonist_tension(trajectories[name]).max()) for name in names)
+    for k, name in enumerate(names):
+        row, column = divmod(k, columns)
+        angle, tension = grid[2 * row, column], grid[2 * row + 1, column]
+        trajectory = trajectories[name]
+        time = trajectory["time"]
+        angle.set_title(label[name], color=colour[name], fontweight="bold")
+        angle.plot(time, np.degrees(trajectory["setpoint"]), color=GREY, linestyle="--", linewidth=0.9)
+        if reference is not None and name != YARDSTICK:
+            angle.plot(reference["time"], np.degrees(reference["angle"]), color="#b5b5b5", linewidth=1.1)
+        angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
+        tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
+        tension.plot(time, trajectory["tension_setpoint"], color=GREY, linestyle="--", linewidth=0.9)
+        angle.set_ylim(top=top_angle + 5.0)
+        angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
+        tension.set_ylim(0.0, 1.05 * top_tension)
+        for panel, text in ((angle, "joint angle [deg]"), (tension, "antagonist's\ntension [N]")):
+            panel.sharey(grid[0 if panel is angle else 1, 0])
+            if column == 0:
+                panel.set_ylabel(text)
+            else:
+                panel.tick_params(labelleft=False)
+        tension.set_xlabel("time [s]")
+        tension.tick_params(labelbottom=True)
+    for k in range(len(names), rows * columns):
+        for panel in (grid[2 * (k // columns), k % columns], grid[2 * (k // columns) + 1, k % columns]):
+            panel.set_axis_off()
+    handles = [
+        Line2D([], [], color=BLACK, label="contender"),
+        Line2D([], [], color="#b5b5b5", label=f"{YARDSTICK}, for comparison"),
+        Line2D([], [], color=GREY, linestyle="--", linewidth=0.9, label="setpoint"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    if title:
+        figure.suptitle(title, fontsize=10.5)
+    return figure
+
+
+@_styled
+def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -> Figure:
+    """Draw the tension that policies choose against the position error, over both readings of eq. 6.
+
+    Points are coloured by what the joint was doing; the thick lines are each phase's median.
+
+    Parameters
+    ----------
+    schedules : mapping of str to Schedule
+        By contender. Those whose tension never changes are left out, unless there are no others.
+    law : VariableStiffness
+        Eq. 6's parameters.
+    """
+    names = [name for name, schedule in schedules.items() if np.ptp(schedule.tension) > 0.01] or list(schedules)
+    label = labels(names)
+    columns = min(max(len(names), 1), 3)
+    rows = max(math.ceil(len(names) / columns), 1)
+    figure = Figure(figsize=(1.4 + 3.2 * columns, 1.1 + 2.9 * rows), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    reach = max([float(np.percentile(schedules[name].error, 99.8)) for name in names], default=0.0)
+    reach = min(max(reach, 1.3 * law.error_offset_deg), 90.0)
+    for k, panel in enumerate(grid.flat):
+        if k >= max(len(names), 1):
+            panel.set_axis_off()
+            continue
+        if k < len(names):
+            panel.set_title(label[names[k]], fontweight="bold")
+            _draw_schedule(panel, schedules[names[k]])
+        _draw_eq6(panel, law, reach)
+        if k % columns == 0:
+            panel.set_ylabel("tension setpoint [N]")
+        if k + columns >= len(names):
+            panel.set_xlabel("|position error| [deg]")
+            panel.tick_params(labelbottom=True)
+    grid[0, 0].set_xlim(0.0, reach)
+    highest = max([law.nominal_tension, *[float(schedules[name].tension.max()) for name in names]])
+    grid[0, 0].set_ylim(0.0, 1.06 * highest)
+    handles = [
+        Line2D([], [], color=BLACK, label="eq. 6, text"),
+        Line2D([], [], color=BLACK, linestyle=":", label="eq. 6, as printed"),
+        *[
+            Line2D([], [], color=colour, marker="o", markersize=4, linewidth=2.2, label=f"joint moves {text}")
+            if phase
+            else Line2D([], [], color=colour, marker="o", markersize=4, linewidth=2.2, label="joint stands")
+            for phase, (text, colour) in _PHASES.items()
+        ],
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5 if columns == 3 else 2 if columns == 1 else 3)
+    return figure
+
+
+@_styled
+def cost_figure(summary: Mapping[str, Any]) -> Figure:
+    """Draw each contender's mean cost as a bar of its terms, with the interval of the whole.
+
+    Parameters
+    ----------
+    summary : mapping
+        From :func:`amulett_gym.evaluation.results.summarise`.
+    """
+    policies = summary["policies"]
+    names = list(policies)
+    label = labels(names)
+    figure = Figure(figsize=(7.2, 1.5 + 0.42 * len(names)), layout="constrained")
+    panel = figure.subplots()
+    # A failure costs as much as hundreds of episodes; it must not squeeze the others into a line.
+    sound = [policies[name]["cost"] for name in names if not policies[name]["failed"]["mean"]]
+    shown = sound or [policies[name]["cost"] for name in names]
+    end = 1.08 * max(max(cost["high"] or 0.0, cost["mean"]) for cost in shown)
+    rows = np.arange(len(names))[::-1]
+    left = np.zeros(len(names))
+    for term in COSTS:
+        widths = np.array([policies[name][f"cost_{term}"]["mean"] for name in names])
+        if widths.any():
+            panel.barh(rows, widths, left=left, height=0.62, color=_TERM_COLOURS[term], label=term)
+            left += widths
+    for row, name in zip(rows, names, strict=True):
+        cost = policies[name]["cost"]
+        inside = cost["mean"] <= end
+        if inside:
+            panel.errorbar(cost["mean"], row, xerr=_reach(cost), color=BLACK, capsize=3, linewidth=1.1)
+        ratio = cost["ratio_to_eq6"]
+        texts = (
+            pretty(number(cost["mean"])) + ("" if inside else " ▶"),
+            f"{number(ratio['mean'])} [{number(ratio['low'])}, {number(ratio['high'])}]",
+        )
+        for text, column in zip(texts, _COLUMNS, strict=True):
+            panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
+    for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
+        panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=GREY)
+    panel.axvline(policies[YARDSTICK]["cost"]["mean"], color=BLACK, linestyle=":", linewidth=1.0)
+    panel.set_xlim(0.0, end)
+    panel.set_ylim(-0.6, len(names) - 0.4)
+    panel.set_yticks(rows, [label[name] for name in names])
+    panel.tick_params(axis="y", length=0)
+    panel.grid(False, axis="y")
+    panel.set_xlabel("mean cost of an episode [1]; dotted: eq. 6")
+    figure.legend(loc="outside upper center", ncols=len(COSTS))
+    return figure
+
+
+@_styled
+def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
+    """Draw position ISE against both drives' ISAV, as ratios to eq. 6 with their intervals: lower left is better.
+
+    Parameters
+    ----------
+    summary : mapping
+        From :func:`amulett_gym.evaluation.results.summarise`. A contender without ratios is left out.
+    """
+    policies = summary["policies"]
+    label, colour = labels(list(policies)), colours(list(policies))
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    panel = figure.subplots()
+    panel.axhline(1.0, color=GREY, linewidth=0.8)
+    panel.axvline(1.0, color=GREY, linewidth=0.8)
+    efforts = []
+    for k, (name, metrics) in enumerate(policies.items()):
+        position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", "isav"))
+        if position["mean"] is None or effort["mean"] is None:
+            continue
+        efforts.append(effort["mean"])
+        panel.errorbar(
+            position["mean"],
+            effort["mean"],
+            xerr=_reach(position),
+            yerr=_reach(effort),
+            color=colour[name],
+            marker=_MARKERS[k % len(_MARKERS)],
+            markersize=7,
+            markeredgecolor="white",
+            markeredgewidth=0.6,
+            linewidth=0.0,
+            elinewidth=1.1,
+            capsize=2,
+        )
+        panel.plot([], [], color=colour[name], marker=_MARKERS[k % len(_MARKERS)], linewidth=0, label=label[name])
+    if efforts and 0 < 10 * min(efforts) < max(efforts):
+        panel.set_yscale("log")
+        for which in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+            which(FuncFormatter(lambda value, _: f"{value:g}"))
+    paid = policies[YARDSTICK]
+    panel.set_xlabel(f"position ISE, in units of {YARDSTICK}'s {pretty(number(paid['position_ise']['mean']))} deg² s")
+    panel.set_ylabel(f"ISAV of both drives, in units of\n{YARDSTICK}'s {pretty(number(paid['isav']['mean']))} deg²/s")
+    panel.annotate("better", (0.03, 0.04), (0.11, 0.13), xycoords="axes fraction", color=GREY, arrowprops=_ARROW)
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+_COLUMNS, _BESIDE = (1.02, 1.13), ("axes fraction", "data")
+_ARROW = {"arrowstyle": "->", "color": GREY}
+
+
+def _reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
+    """Return how far an interval reaches below and above its mean, as matplotlib wants it; None without an interval."""
+    middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
+    if middle is None or low is None or high is None:
+        return None
+    return [[max(middle - low, 0.0)], [max(high - middle, 0.0)]]
+
+
+def _short(name: str) -> str:
+    parts = [part for part in Path(name).parts if part not in ("best", "last", "/", ".", "..")]
+    return parts[-1] if parts else name
+
+
+def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:
+    """Shade the spans in which the triceps is the agonist; return the legend's handle if there is one."""
+    triceps = agonist < 0
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], triceps, [False]]).astype(int)))
+    for start, end in edges.reshape(-1, 2):
+        # An agonist belongs to the tick that ends at its row.
+        span = time[max(start - 1, 0)], time[end - 1]
+        for panel in axes:
+            panel.axvspan(*span, color="#eef3f8", linewidth=0, zorder=0)
+    return Patch(color="#dfe8f1", label="triceps is agonist") if triceps.any() else None
+
+
+def _antagonist_tension(trajectory: Trajectory) -> NDArray[np.float64]:
+    return np.where(trajectory["agonist"] > 0, trajectory["force_triceps"], trajectory["force_biceps"])
+
+
+def _draw_eq6(panel: Any, law: VariableStiffness, reach: float) -> None:
+    errors = np.linspace(0.0, reach, 200)
+    nominal, minimum, offset = law.nominal_tension, law.minimum_tension, law.error_offset_deg
+    for factor, style in ((scaling_factor, "-"), (scaling_factor_printed, ":")):
+        tensions = [factor(error, nominal, minimum, offset) * nominal for error in errors]
+        panel.plot(errors, tensions, color=BLACK, linestyle=style, linewidth=1.3, zorder=4)
+
+
+def _draw_schedule(panel: Any, schedule: Schedule) -> None:
+    error, tension, phase = schedule.error, schedule.tension, schedule.phase
+    if error.size > _POINTS:
+        chosen = np.random.default_rng(0).choice(error.size, _POINTS, replace=False)
+        panel.scatter(
+            error[chosen],
+            tension[chosen],
+            s=3.0,
+            linewidths=0,
+            alpha=0.35,
+            color=[_PHASES[int(p)][1] for p in phase[chosen]],
+            rasterized=True,
+        )
+    else:
+        panel.scatter(error, tension, s=3.0, linewidths=0, alpha=0.5, color=[_PHASES[int(p)][1] for p in phase])
+    for code, (_, colour) in _PHASES.items():
+        centres, medians = _medians(error[phase == code], tension[phase == code])
+        panel.plot(centres, medians, color="white", linewidth=4.0, zorder=5)
+        panel.plot(centres, medians, color=colour, linewidth=2.2, zorder=6)
+
+
+def _medians(error: NDArray[Any], tension: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return median error [deg] and median tension [N] of every bin of the error that holds enough points for one."""
+    edges = np.concatenate([[0.0, 0.5, 1.0, 2.0, 3.5, 5.0], np.arange(7.5, 90.1, 2.5)])
+    bins = np.digitize(error, edges)
+    kept = [bins == k for k in range(1, len(edges)) if np.count_nonzero(bins == k) >= 20]
+    return (
+        np.array([float(np.median(error[inside])) for inside in kept]),
+        np.array([float(np.median(tension[inside])) for inside in kept]),
+    )

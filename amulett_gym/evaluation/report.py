@@ -1,0 +1,160 @@
+"""The files of a comparison: numbers, figures, and a page that explains them and needs nothing else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from matplotlib.figure import Figure
+
+from amulett_gym.evaluation import plots
+from amulett_gym.evaluation.episode import record_episode
+from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.results import Summary, number, pretty, risen, summarise, write_scenarios
+from amulett_gym.evaluation.runner import Results
+from amulett_gym.files import write_json, write_text
+
+FEW = 20
+"""Below this number of scenarios a bootstrap interval is likely to be too narrow."""
+
+RESPONSES = 9
+"""Contenders whose responses are drawn side by side."""
+
+_MAIN = {
+    "cost": "cost",
+    "position_ise": "position ISE",
+    "isav": "ISAV, both drives",
+    "tension_ise": "tension ISE",
+}
+_DETAILS = {
+    "rise_time": "rise time",
+    "settling_time": "settling time",
+    "overshoot": "overshoot",
+    "resting_stiffness": "resting stiffness",
+    "push_deflection": "push deflection",
+    "agonist_switches": "agonist switches",
+    "return": "return",
+    "failed": "failed",
+}
+_LOWER_IS_BETTER = ("cost", "position_ise", "isav", "tension_ise")
+
+
+def write_report(results: Results, folder: str | Path) -> Summary:
+    """Write ``results.json``, ``scenarios.csv``, ``report.html`` and the figures into a folder.
+
+    Everything is made before the first file is written, and each file is written whole or not at all.
+
+    Returns
+    -------
+    dict
+        The content of ``results.json``.
+
+    Raises
+    ------
+    AmulettError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    summary = summarise(results)
+    figures = draw(results, summary)
+    page = render(results, summary, figures)
+    for name, figure in figures.items():
+        plots.save_figure(figure, folder / f"{name}.png")
+    write_scenarios(results, folder / "scenarios.csv")
+    write_text(folder / "report.html", page)
+    write_json(folder / "results.json", summary)
+    return summary
+
+
+def draw(results: Results, summary: Summary) -> dict[str, Figure]:
+    """Return the figures of a comparison by name: `cost`, `schedule` (if one chose tensions), `trade_off`, `responses`.
+
+    The responses are those to the first scenario, recorded again at control rate.
+    """
+    protocol = results.protocol
+    names = list(results.values)[:RESPONSES]
+    trajectories = {name: record_episode(name, protocol).trajectory for name in names}
+    figures = {"cost": plots.cost_figure(summary)}
+    if results.schedules:
+        figures["schedule"] = plots.schedule_figure(results.schedules, protocol.profile.variable_stiffness)
+    figures["trade_off"] = plots.trade_off_figure(summary)
+    figures["responses"] = plots.step_response_figure(trajectories)
+    return figures
+
+
+def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> str:
+    """Return the report as one HTML page with inline figures, styles and no script.
+
+    Parameters
+    ----------
+    results : Results
+    summary : dict
+        From :func:`amulett_gym.evaluation.results.summarise`.
+    figures : dict of str to Figure
+        From :func:`draw`.
+    """
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    template = (resources.files("amulett_gym") / "evaluation" / "report.html.j2").read_text(encoding="utf-8")
+    label = plots.labels(list(summary["policies"]))
+    return environment.from_string(template).render(
+        summary=summary,
+        labels=label,
+        long_names={name: short for name, short in label.items() if name != short},
+        main=_columns(summary, _MAIN),
+        details=_columns(summary, _DETAILS),
+        everything=_columns(summary, {metric: metric for metric in UNITS}),
+        risen={name: risen(metrics) for name, metrics in summary["policies"].items()},
+        failures=_failures(results),
+        few=summary["episodes"] < FEW,
+        command=summary["command"] or _call(results),
+        figures={name: plots.figure_svg(figure, name) for name, figure in figures.items()},
+        pretty=pretty,
+    )
+
+
+def _columns(summary: Summary, titles: dict[str, str]) -> list[dict[str, Any]]:
+    """Return one column of cells for each metric, in words."""
+    columns = []
+    for metric, title in titles.items():
+        entries = {name: metrics[metric] for name, metrics in summary["policies"].items()}
+        means = [entry["mean"] for entry in entries.values() if entry["mean"] is not None]
+        cells = {}
+        for name, entry in entries.items():
+            ratio = entry["ratio_to_eq6"]
+            cells[name] = {
+                "mean": pretty(number(entry["mean"])),
+                "interval": _interval(entry),
+                "ratio": "" if ratio["mean"] is None else f"{pretty(number(ratio['mean']))} {_interval(ratio)}".strip(),
+                "best": metric in _LOWER_IS_BETTER and entry["mean"] == min(means),
+                "missing": entry.get("not_reached", 0),
+            }
+        columns.append({"metric": metric, "title": title, "unit": pretty(UNITS[metric]), "cells": cells})
+    return columns
+
+
+def _interval(entry: dict[str, Any]) -> str:
+    if entry["low"] is None and entry["high"] is None:
+        return ""
+    return f"[{pretty(number(entry['low']))}, {pretty(number(entry['high']))}]"
+
+
+def _failures(results: Results) -> list[str]:
+    return [
+        f"{name}: {count} of {results.protocol.episodes}, {reason}"
+        for name, reasons in results.failures.items()
+        for reason, count in sorted(Counter(reasons).items())
+        if reason
+    ]
+
+
+def _call(results: Results) -> str:
+    protocol = results.protocol
+    names = [name for name in results.values if results.listed or name != "eq6"]
+    return (
+        f"evaluate({names}, suite={protocol.suite!r}, profile=<{protocol.profile.name}>, episodes={protocol.episodes}, "
+        f"seed={protocol.seed}, env_id={protocol.env_id!r}, split={protocol.split!r}, duration={protocol.duration}, "
+        f"agent_period={protocol.agent_period})"
+    )

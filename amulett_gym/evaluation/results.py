@@ -1,0 +1,196 @@
+"""Results as numbers with intervals, as words, and as files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from amulett_gym import __version__
+from amulett_gym.envs.reward import COST_CAP, DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.transition import MAY_BE_MISSING
+from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.runner import YARDSTICK, Results
+from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
+from amulett_gym.files import write_text
+
+Summary = dict[str, Any]
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def summarise(results: Results) -> Summary:
+    """Turn results into the content of ``results.json``.
+
+    Returns
+    -------
+    dict
+        ``{"suite", "profile", "env_id", "seed", "episodes", "policies": {name: {metric: {"mean", "low", "high",
+        "ratio_to_eq6": {"mean", "low", "high"}}}}}``, and what else it takes to understand and repeat them. A number
+        that does not exist is None; metrics that some scenarios do not have count those as ``"not_reached"``.
+    """
+    protocol = results.protocol
+    weights = draw_weights(protocol.episodes)
+    yardstick = results.values[YARDSTICK]
+    policies: dict[str, dict[str, Any]] = {}
+    for name, metrics in results.values.items():
+        policies[name] = {}
+        for metric, values in metrics.items():
+            entry: dict[str, Any] = {
+                **_numbers(mean(values, weights)),
+                "ratio_to_eq6": _numbers(ratio_of_sums(values, yardstick[metric], weights)),
+            }
+            if metric in MAY_BE_MISSING:
+                entry["not_reached"] = sum(map(math.isnan, values.tolist()))
+            policies[name][metric] = entry
+    return {
+        "suite": protocol.suite,
+        "profile": protocol.profile.name,
+        "env_id": protocol.env_id,
+        "split": protocol.split,
+        "seed": protocol.seed,
+        "episodes": protocol.episodes,
+        "duration": protocol.duration,
+        "agent_period": protocol.agent_period,
+        "push_suite": results.push_suite,
+        "yardstick": {"name": YARDSTICK, "listed": results.listed},
+        "cost": {
+            "weights": dict(DEFAULT_WEIGHTS),
+            "divisors": divisors(protocol.profile, protocol.suite),
+            "failure": f"{COST_CAP:g} for each agent step left",
+        },
+        "bootstrap": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED},
+        "units": dict(UNITS),
+        "versions": {"amulett-gym": __version__, "numba": version("numba"), "numpy": version("numpy")},
+        "command": results.command,
+        "verdict": verdict(results),
+        "policies": policies,
+    }
+
+
+def verdict(results: Results) -> str:
+    """Say in a sentence or two which contender costs least, how sure that is, and who failed."""
+    protocol = results.protocol
+    costs = {name: values["cost"] for name, values in results.values.items()}
+    scenarios = f"{protocol.episodes} {protocol.split} scenarios of {protocol.suite} on the {protocol.profile.name}"
+    scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
+    failed = [
+        f"{name} failed in {count} of {protocol.episodes}"
+        for name, reasons in results.failures.items()
+        if (count := sum(reason != "" for reason in reasons))
+    ]
+    ending = f" Failures: {', '.join(failed)}." if failed else ""
+    ranking = sorted(costs, key=lambda name: float(costs[name].mean()))
+    best = ranking[0]
+    if len(ranking) == 1:
+        return f"{YARDSTICK} ran alone, at a cost of {costs[best].mean():.3g}, in {scenarios}.{ending}"
+    weights = draw_weights(protocol.episodes)
+    against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
+    text = f"{best} costs least in {scenarios}"
+    if best != YARDSTICK:
+        text += f": {_span(against)} of what {YARDSTICK} costs{_doubt(against, best, YARDSTICK)}"
+    if best == YARDSTICK or ranking[1] != YARDSTICK:
+        lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
+        text += f". {ranking[1]} comes next, at {_span(lead)} times the cost of {best}{_doubt(lead, ranking[1], best)}"
+    return f"{text}.{ending}"
+
+
+def table(summary: Summary) -> str:
+    """Return the comparison as aligned text: cost, its ratio to eq. 6 with interval, and the main metrics."""
+    header = [
+        "policy",
+        "cost",
+        "ratio to eq6 [95 %]",
+        "pos. ISE [deg2 s]",
+        "ISAV [deg2/s]",
+        "tens. ISE [N2 s]",
+        "rise [s] (risen)",
+        "rest [N m/rad]",
+        "push [deg]",
+        "failed",
+    ]
+    rows = [header]
+    for name, metrics in summary["policies"].items():
+        ratio = metrics["cost"]["ratio_to_eq6"]
+        means = {metric: number(entry["mean"]) for metric, entry in metrics.items()}
+        rows.append(
+            [
+                name,
+                means["cost"],
+                f"{number(ratio['mean'])} [{number(ratio['low'])}, {number(ratio['high'])}]",
+                number(metrics["position_ise"]["mean"], 4),
+                means["isav"],
+                means["tension_ise"],
+                f"{means['rise_time']} ({risen(metrics)})",
+                means["resting_stiffness"],
+                means["push_deflection"],
+                f"{metrics['failed']['mean']:.0%}",
+            ]
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
+        lines.append("  ".join([row[0].ljust(widths[0]), *cells[1:]]))
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def risen(metrics: Mapping[str, Any]) -> str:
+    """Return the share of setpoint steps that reached their target: a time is a mean over those only."""
+    steps = metrics["setpoint_steps"]["mean"]
+    return f"{metrics['steps_risen']['mean'] / steps:.0%}" if steps else "no steps"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, a dash if there is none; no exponent below a million."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 6:
+        return f"{value:.{digits - 1}e}"
+    return f"{round(value, digits - 1 - exponent):.{max(digits - 1 - exponent, 0)}f}"
+
+
+def pretty(text: str) -> str:
+    """Return a text with numbers as people write them: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
+    text = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda match: f"×10{str(int(match[1])).translate(_SUPERSCRIPTS)}", text)
+    text = re.sub(r"\b(deg|N|m)2\b", r"\1²", text)
+    return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+
+
+def write_scenarios(results: Results, path: str | Path) -> None:
+    """Write one CSV row for each policy and scenario: seed, failure, and every metric (empty: not reached)."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(["policy", "scenario", "seed", "failure", *UNITS])
+    for name, metrics in results.values.items():
+        for i, failure in enumerate(results.failures[name]):
+            cells = ["" if math.isnan(metrics[metric][i]) else repr(float(metrics[metric][i])) for metric in UNITS]
+            writer.writerow([name, i, results.protocol.seed + i, failure, *cells])
+    write_text(path, buffer.getvalue())
+
+
+def _numbers(estimate: Estimate) -> dict[str, float | None]:
+    numbers = {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
+    return {key: value if math.isfinite(value) else None for key, value in numbers.items()}
+
+
+def _span(ratio: Estimate) -> str:
+    if math.isnan(ratio.low):
+        return number(ratio.mean)
+    return f"{number(ratio.mean)} [{number(ratio.low)}, {number(ratio.high)}]"
+
+
+def _doubt(ratio: Estimate, one: str, other: str) -> str:
+    if math.isnan(ratio.low):
+        return " (one scenario says nothing about the next)"
+    if ratio.low <= 1.0 <= ratio.high:
+        return f" (the interval includes 1: this comparison does not tell {one} and {other} apart)"
+    return ""

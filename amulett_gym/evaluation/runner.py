@@ -1,0 +1,289 @@
+"""Paired runs: every contender meets the same scenarios, seeds and sensor noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import ENV_IDS
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.transition import METRICS
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import CONSTANT, Contender, contender_names, parse_contender
+from amulett_gym.laws.policies import load_policy
+from amulett_gym.tasks.suites import SPLITS, suite_names
+
+YARDSTICK = "eq6"
+"""The contender that all others are compared with; it always runs."""
+
+PUSH_SUITE = "hold-push"
+"""Where the response to pushes is measured if the compared suite has none: a slack arm must not win unnoticed."""
+
+SCHEDULE_EPISODES = 100
+"""Episodes whose schedule is kept for the figures."""
+
+_MOVING = np.radians(5.0)
+"""Joint rate from which the arm counts as moving [rad/s]; the measured rate's noise stays well below."""
+
+Values = NDArray[np.float64]
+Policy = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What is the same for all contenders.
+
+    Attributes
+    ----------
+    profile : Profile
+    suite, split, env_id : str
+    episodes : int
+        Number of scenarios.
+    seed : int
+        Scenario i is the first episode of the environment that was reset with ``seed + i``.
+    duration : float
+        Length of an episode [s].
+    agent_period : float
+        Time between two actions of a contender that has no period of its own [s].
+    """
+
+    profile: Profile
+    suite: str = "steps"
+    split: str = "held-out"
+    env_id: str = ENV_IDS[0]
+    episodes: int = 100
+    seed: int = 0
+    duration: float = 10.0
+    agent_period: float = 0.02
+
+    def __post_init__(self) -> None:
+        for kind, name, choices in (
+            ("environment", self.env_id, ENV_IDS),
+            ("suite", self.suite, suite_names()),
+            ("split", self.split, SPLITS),
+        ):
+            if name not in choices:
+                raise unknown(kind, name, choices)
+        for key, smallest in (("episodes", 1), ("seed", 0)):
+            if getattr(self, key) < smallest:
+                raise AmulettError(f"{key} is {getattr(self, key)}; it has to be at least {smallest}")
+
+    def keywords(self, contender: Contender) -> dict[str, Any]:
+        """Return the environment's keywords for a contender, ``max_episode_steps`` among them.
+
+        Raises
+        ------
+        AmulettError
+            If the episode is no whole number of the contender's agent steps.
+        """
+        keywords = {
+            "agent_period": self.agent_period,
+            **self._trained(contender),
+            **contender.env_keywords,
+            "profile": self.profile,
+            "suite": self.suite,
+            "split": self.split,
+        }
+        period = keywords["agent_period"]
+        steps = max(round(self.duration / period), 1) if period > 0 else 1
+        if abs(steps * period - self.duration) > 1e-9 * self.duration:
+            raise AmulettError(
+                f"an episode of {self.duration} s is no whole number of the {period} s steps of '{contender.name}'"
+            )
+        return {**keywords, "max_episode_steps": steps}
+
+    def _trained(self, contender: Contender) -> dict[str, Any]:
+        """Return the agent period and the action range that a bundle's policy was trained with."""
+        name = contender.policy_name
+        if name is None or name in contender_names() or name.startswith(CONSTANT):
+            return {}
+        policy = read_bundle(name).policy
+        unit = self.profile.variable_stiffness.nominal_tension if self.env_id == ENV_IDS[0] else 1.0
+        return {"agent_period": policy.agent_period, "action_range": [bound / unit for bound in policy.tension_range]}
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Which tension a policy chose at which position error, one entry an agent step.
+
+    Attributes
+    ----------
+    error : ndarray
+        Absolute measured position error when the tension was chosen [deg].
+    tension : ndarray
+        Tension setpoint [N].
+    phase : ndarray of int
+        1: the joint moved towards its setpoint, -1: away from it, 0: it stood.
+    """
+
+    error: Values
+    tension: Values
+    phase: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Results:
+    """What the contenders did, scenario by scenario.
+
+    Attributes
+    ----------
+    protocol : Protocol
+    values : dict of str to dict of str to ndarray, shape (episodes,)
+        Contender -> metric (see `evaluation.metrics.UNITS`) -> value in each scenario; NaN where not reached.
+    failures : dict of str to list of str
+        Contender -> why its device failed in each scenario, an empty string where it did not.
+    schedules : dict of str to Schedule
+        Of the contenders that act from outside the loop.
+    listed : bool
+        Whether the yardstick was asked for by name.
+    push_suite : str
+        Suite in which `push_deflection` was measured.
+    command : str or None
+        The command that makes these results again.
+    """
+
+    protocol: Protocol
+    values: dict[str, dict[str, Values]]
+    failures: dict[str, list[str]]
+    schedules: dict[str, Schedule] = field(default_factory=dict)
+    listed: bool = True
+    push_suite: str = PUSH_SUITE
+    command: str | None = None
+
+
+def evaluate(
+    policies: Sequence[str],
+    suite: str = "steps",
+    profile: str | Path | Mapping[str, Any] | Profile = "testbed",
+    episodes: int = 100,
+    seed: int = 0,
+    env_id: str = ENV_IDS[0],
+    split: str = "held-out",
+    duration: float = 10.0,
+    agent_period: float = 0.02,
+    progress: bool = False,
+) -> Results:
+    """Run contenders, and the yardstick eq. 6, on the same scenarios.
+
+    A contender whose device fails is charged, in `cost`, `COST_CAP` for each agent step that was left, as the reward
+    does; its other metrics stay what they were at the failure.
+
+    Parameters
+    ----------
+    policies : sequence of str
+        Names of contenders (`laws.contenders.contender_names`) or folders of policy bundles.
+    suite, split, env_id : str
+    profile : str, Path, mapping or Profile
+    episodes, seed : int
+        Scenario i belongs to seed ``seed + i``: comparisons whose seeds are closer than `episodes` share scenarios.
+    duration, agent_period : float
+        Length of an episode, and time between two actions of a contender that has none of its own [s].
+    progress : bool
+        Whether to show a progress bar on stderr.
+
+    Returns
+    -------
+    Results
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown or a value is out of its range; nothing runs then.
+    """
+    protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period)
+    names = list(dict.fromkeys([*policies] if YARDSTICK in policies else [YARDSTICK, *policies]))
+    contenders = [parse_contender(name) for name in names]
+    envs = [_make(protocol, contender) for contender in contenders]
+    actors = [load_contender(contender, env) for contender, env in zip(contenders, envs, strict=True)]
+    push_protocol = None if _has_pushes(envs[0], seed) else replace(protocol, suite=PUSH_SUITE)
+    push_envs = [None if push_protocol is None else _make(push_protocol, contender) for contender in contenders]
+
+    from tqdm import tqdm
+
+    total = sum(env.max_episode_steps for env in [*envs, *push_envs] if env is not None)
+    results = Results(
+        protocol, {}, {}, listed=YARDSTICK in policies, push_suite=suite if push_protocol is None else PUSH_SUITE
+    )
+    with tqdm(total=total, unit="step", disable=not progress) as bar:
+        for contender, env, actor, push_env in zip(contenders, envs, actors, push_envs, strict=True):
+            bar.set_description(contender.name[-30:])
+            run = _run(protocol, env, actor, bar.update)
+            if push_protocol is not None and push_env is not None:
+                pushed = _run(push_protocol, push_env, load_contender(contender, push_env), bar.update)
+                run.values["push_deflection"] = pushed.values["push_deflection"]
+            results.values[contender.name] = run.values
+            results.failures[contender.name] = run.failures
+            if contender.policy_name is not None:
+                results.schedules[contender.name] = run.schedule
+            env.close()
+    return results
+
+
+@dataclass(frozen=True)
+class _Run:
+    values: dict[str, Values]
+    failures: list[str]
+    schedule: Schedule
+
+
+def _make(protocol: Protocol, contender: Contender) -> Any:
+    return gym.make_vec(protocol.env_id, num_envs=protocol.episodes, **protocol.keywords(contender))
+
+
+def load_contender(contender: Contender, env: Any) -> Policy:
+    """Return what acts for a contender in its environment: a batch of observations -> a batch of actions."""
+    if contender.policy_name is None:
+        return lambda observations: np.zeros((len(observations), 1), dtype=np.float32)
+    return load_policy(contender.policy_name, env)
+
+
+def _has_pushes(env: Any, seed: int) -> bool:
+    env.reset(seed=seed)
+    return any(scenario.pushes for scenario in env.scenarios)
+
+
+def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], Any]) -> _Run:
+    """Play one episode with each device; a device's values are those of the step in which its episode ended."""
+    count = protocol.episodes
+    metrics = {name: np.empty(count) for name in METRICS}
+    returns, charges = np.zeros(count), np.zeros(count)
+    failures = [""] * count
+    running = np.ones(count, dtype=bool)
+    seen: list[tuple[Values, Values, NDArray[np.int64]]] = []
+    observations, _ = env.reset(seed=protocol.seed)
+    for _ in range(env.max_episode_steps):
+        error, phase = _look(env)
+        observations, rewards, terminated, truncated, info = env.step(policy(observations))
+        advance(1)
+        returns[running] += rewards[running]
+        kept = np.flatnonzero(running[:SCHEDULE_EPISODES])
+        seen.append((error[kept], info["tension_setpoint"][kept], phase[kept]))
+        ended = running & (terminated | truncated)
+        for name, column in metrics.items():
+            column[ended] = info["metrics"][name][ended]
+        for device in np.flatnonzero(ended & terminated):
+            failures[device] = str(info["failure"][device])
+            charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
+        running &= ~ended
+    values = derive(metrics, charges, DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))
+    values["return"] = returns
+    error, tension, phase = (np.concatenate(column) for column in zip(*seen, strict=True))
+    return _Run({name: values[name] for name in UNITS}, failures, Schedule(error, tension, phase))
+
+
+def _look(env: Any) -> tuple[Values, NDArray[np.int64]]:
+    """Return each device's absolute position error [deg] and phase, as its microcontroller sees them now."""
+    simulation = env.episodes.simulation
+    error = simulation.read("setpoint") - simulation.read("measured_angle")
+    velocity = simulation.read("measured_velocity")
+    phase = np.where(np.abs(velocity) < _MOVING, 0, np.sign(velocity * error)).astype(np.int64)
+    return np.degrees(np.abs(error)), phase
