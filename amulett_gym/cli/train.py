@@ -38,9 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train; exit code 130 if Ctrl-C ended it (the policies are kept all the same)."""
-    missing = [name for name in _NEEDED if find_spec(name) is None]
-    if missing:
-        raise AmulettError(f'training needs {", ".join(missing)}; install with: pip install "amulett-gym[agents]"')
+    check_installed()
     import json
     from dataclasses import asdict
 
@@ -66,3 +64,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"last   cost {result.last_cost:.4f}")
         print(f"       {result.last}")
     return 130 if result.interrupted else 0
+
+
+def check_installed() -> None:
+    """Raise an error that says what to install if what learns is not there."""
+    missing = [name for name in _NEEDED if find_spec(name) is None]
+    if missing:
+        raise AmulettError(f'training needs {", ".join(missing)}; install with: pip install "amulett-gym[agents]"')

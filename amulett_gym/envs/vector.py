@@ -161,8 +161,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._ended[mask] = False
         observations = self.episodes.observe()
         observations[mask] = self.episodes.start(devices, scenarios)
-        for device in devices[: len(self._renderers)]:
-            self._renderers[device].clear()
+        self._clear_renderers(devices)
         return observations, self._info(self.episodes.report())
 
     def step(
@@ -195,6 +194,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             observations[again] = self.episodes.start(again)
             report[:, again] = self.episodes.report()[:, again]
             self._steps[again] = 0
+            self._clear_renderers(again)
         terminated = report[FIRST_READING] != RUNNING
         truncated = ~terminated & (self._steps >= self.max_episode_steps)
         self._ended = terminated | truncated
@@ -236,6 +236,10 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderers": []}
+
+    def _clear_renderers(self, devices: NDArray[np.int64]) -> None:
+        for device in devices if self._renderers else ():
+            self._renderers[device].clear()
 
     def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")

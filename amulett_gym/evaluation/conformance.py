@@ -173,8 +173,9 @@ def _vector(subject: Subject) -> None:
     _assert(np.array_equal(observations, expected), "reset differs")
     ended = [False] * count
     for actions in np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 1)).astype(np.float32):
-        observations, rewards, terminated, truncated, infos = vector.step(actions)
+        observations, rewards, terminated, truncated, _ = vector.step(actions)
         for i, env in enumerate(singles):
+            outcome: tuple[Any, ...]
             if ended[i]:
                 outcome = (env.reset()[0], 0.0, False, False)
                 ended[i] = False
