@@ -81,7 +81,7 @@ class PpoSettings(Group):
     batch_size: int = Field(default=1024, ge=2)
     n_epochs: int = Field(default=6, ge=1)
     learning_rate: Positive = 1e-3
-    anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
+    anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
     gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step")
     gae_lambda: float = Field(default=0.9, ge=0, le=1)
     clip_range: Positive = 0.3
@@ -93,7 +93,7 @@ class PpoSettings(Group):
     )
     initial_std: Positive = Field(default=0.2, description="of the exploration, in the action's unit")
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
-    sde_sample_freq: int = Field(default=8, ge=-1)
+    sde_sample_freq: int = Field(default=8, ge=-1, description="steps between two draws of it; -1: once a rollout")
 
 
 class NetworkSettings(Group):
@@ -129,7 +129,7 @@ class TrainConfig(Group):
     network: NetworkSettings = NetworkSettings()
     validation: ValidationSettings = ValidationSettings()
     num_envs: int = Field(default=256, ge=1, description="devices that are simulated side by side")
-    total_steps: int = Field(default=4_000_000, ge=1, description="agent steps of all devices together")
+    total_steps: int = Field(default=2_000_000, ge=1, description="agent steps of all devices together")
     max_seconds: float | None = Field(default=None, gt=0, description="stop after this time, too; null: no limit")
     seed: int = Field(default=0, ge=0, lt=2**31)
     threads: int = Field(default=1, ge=1, le=256, description="of torch")

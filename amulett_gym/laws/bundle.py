@@ -230,7 +230,7 @@ def _write_files(
     for k, (weight, bias) in enumerate(layers):
         tensors[f"layer_{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
         tensors[f"layer_{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
-    safetensors.numpy.save_file(tensors, folder / WEIGHTS)
+    (folder / WEIGHTS).write_bytes(safetensors.numpy.save(tensors))
     write_json(folder / POLICY, policy.model_dump())
     write_json(folder / ENV, env.model_dump())
     write_json(folder / PROVENANCE, dict(provenance))

@@ -112,6 +112,8 @@ def bundle_folder(name: str) -> Path:
     AmulettError
         If `name` is neither a known name nor such a folder.
     """
+    if not name:
+        raise unknown("policy", name, _DESCRIPTIONS)
     folder = Path(name)
     for candidate in (folder, folder / "best"):
         if (candidate / MANIFEST).is_file():
@@ -120,6 +122,6 @@ def bundle_folder(name: str) -> Path:
         raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
     if folder.exists():
         raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json")
-    if os.sep in name or name.startswith("."):
+    if os.sep in name:
         raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist")
     raise unknown("policy", name, _DESCRIPTIONS)
