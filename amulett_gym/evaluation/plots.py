@@ -72,7 +72,11 @@ def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     @wraps(draw)
     def styled(*args: P.args, **keywords: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE):
-            return draw(*args, **keywords)
+            figure = draw(*args, **keywords)
+            # Laid out once: the layout engine moves things a little each time that it runs.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            return figure
 
     return styled
 

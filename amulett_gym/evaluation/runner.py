@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -76,6 +77,9 @@ class Protocol:
         for key, smallest in (("episodes", 1), ("seed", 0)):
             if getattr(self, key) < smallest:
                 raise AmulettError(f"{key} is {getattr(self, key)}; it has to be at least {smallest}")
+        for key in ("duration", "agent_period"):
+            if not 0.0 < getattr(self, key) < math.inf:
+                raise AmulettError(f"{key} is {getattr(self, key)} s; it has to be a positive number of seconds")
 
     def keywords(self, contender: Contender) -> dict[str, Any]:
         """Return the environment's keywords for a contender, ``max_episode_steps`` among them.
@@ -87,28 +91,27 @@ class Protocol:
         """
         keywords = {
             "agent_period": self.agent_period,
-            **self._trained(contender),
+            **self._range(contender),
             **contender.env_keywords,
             "profile": self.profile,
             "suite": self.suite,
             "split": self.split,
         }
         period = keywords["agent_period"]
-        steps = max(round(self.duration / period), 1) if period > 0 else 1
+        steps = max(round(self.duration / period), 1)
         if abs(steps * period - self.duration) > 1e-9 * self.duration:
             raise AmulettError(
                 f"an episode of {self.duration} s is no whole number of the {period} s steps of '{contender.name}'"
             )
         return {**keywords, "max_episode_steps": steps}
 
-    def _trained(self, contender: Contender) -> dict[str, Any]:
-        """Return the agent period and the action range that a bundle's policy was trained with."""
+    def _range(self, contender: Contender) -> dict[str, Any]:
+        """Return the action range that a bundle's policy was trained with, which may be wider than the default."""
         name = contender.policy_name
         if name is None or name in contender_names() or name.startswith(CONSTANT):
             return {}
-        policy = read_bundle(name).policy
         unit = self.profile.variable_stiffness.nominal_tension if self.env_id == ENV_IDS[0] else 1.0
-        return {"agent_period": policy.agent_period, "action_range": [bound / unit for bound in policy.tension_range]}
+        return {"action_range": [bound / unit for bound in read_bundle(name).policy.tension_range]}
 
 
 @dataclass(frozen=True)
