@@ -75,6 +75,11 @@ def replay_motion(
     dict of str to ndarray, shape (ticks + 1,)
         ``angle``, ``drive_biceps``, ``drive_triceps`` [rad], ``velocity`` [rad/s], ``force_biceps``,
         ``force_triceps`` [N], ``push_torque`` and ``contact_torque`` [N m].
+
+    Raises
+    ------
+    ArithmeticError
+        If scipy cannot integrate to the tolerances.
     """
     period, lag = profile.loop.control_period, profile.drives.lag
     to_drive = profile.plant.drive_pulley_radius
@@ -130,6 +135,8 @@ def replay_motion(
             atol=ABSOLUTE_TOLERANCE,
             max_step=min(period / 2, 1e-3),
         )
+        if not solution.success:
+            raise ArithmeticError(f"tick {tick}: {solution.message}")
         state = solution.y[:, -1]
         rows.append((*state, *forces(state), push, contact(state[0], state[1])))
     columns = (*names, "force_biceps", "force_triceps", "push_torque", "contact_torque")
@@ -146,7 +153,7 @@ def replay_control(
     profile : Profile
     trajectory : Trajectory
         Gives setpoint, measured angle and deflections, estimated forces and tension setpoint of every tick, and the
-        first row's commands and agonist.
+        first row's commands, agonist and memory of the tension controller.
     control : {"decentralized", "position-only"}
 
     Returns
@@ -165,6 +172,7 @@ def replay_control(
     position = _Pid(gains, period, 1.0, float(trajectory["position_signal"][0]))
     tension = _Pid(loop.tension, period, math.radians(1.0), float(trajectory["tension_signal"][0]))
     share = 1.0 if loop.wiring == "sum" else 0.0
+    tension.integral = float(trajectory["tension_integral"][0])
     position.integral = command[leader]
     offset = {leader: 0.0, other[leader]: command[other[leader]] - share * position.integral}
     if control == "position-only":

@@ -48,9 +48,9 @@ CSV_COLUMNS = {
 class Trajectory:
     """What one device did: every quantity of its state at every control tick, the initial one included.
 
-    Row k holds the state at ``k control_period``. The truth, what was sensed and the setpoint belong to that moment; the
-    next tick acts on them. Agonist, tension setpoint, controller outputs, commands and push are those of the tick that
-    ended there.
+    Row k holds the state at ``k control_period``. The truth, what was sensed and the setpoint belong to that moment:
+    the next tick acts on them. Agonist, tension setpoint, controller outputs, commands and push are those of the tick
+    that ended there.
 
     Attributes
     ----------

@@ -1,0 +1,74 @@
+"""What the tests of the simulation share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.config import Profile, load_profile, merge
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import STATE_NAMES
+from amulett_gym.simulation.trajectory import Trajectory, record
+from amulett_gym.tasks.scenario import load_scenario, pack
+
+PROFILES = ("simulation", "testbed")
+
+EXACT_SENSORS = {
+    "encoder_bits": 0,
+    "encoder_noise_deg": 0.0,
+    "potentiometer_bits": 0,
+    "potentiometer_noise": 0.0,
+}
+
+NO_GAINS = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "derivative_filter": 0.01}
+HELD_DRIVES = {"position": NO_GAINS, "tension": NO_GAINS, "position_only": NO_GAINS}
+"""A loop that leaves both drives where they are."""
+
+BUSY: dict[str, Any] = {
+    "initial_angle_deg": 10.0,
+    "initial_tension": 8.0,
+    "moves": [{"time": 0.2, "angle_deg": 45.0}, {"time": 1.2, "angle_deg": 20.0, "duration": 0.3}],
+    "pushes": [{"time": 0.9, "duration": 0.1, "torque": 0.1}],
+    "obstacle": {"angle_deg": 32.0, "stiffness": 2.0, "damping": 0.02},
+    "noise_seed": 7,
+}
+"""A scenario with a step, a reach, a push and an obstacle in the way."""
+
+
+def device(base: str = "simulation", **groups: Mapping[str, Any]) -> Profile:
+    """Return a shipped profile with some keys changed."""
+    return load_profile(merge({"name": f"{base}-test", "base": base}, groups))
+
+
+def start(profile: Profile, *scenarios: Mapping[str, Any], **keywords: Any) -> Simulation:
+    """Return a simulation with one device for each scenario, at rest."""
+    rows = np.concatenate([pack(load_scenario(scenario), profile) for scenario in scenarios or ({},)])
+    simulation = Simulation(profile, len(rows), **keywords)
+    simulation.reset(rows)
+    return simulation
+
+
+def run(profile: Profile, scenario: Mapping[str, Any], seconds: float, **keywords: Any) -> Trajectory:
+    """Return what a device does in a scenario."""
+    simulation = start(profile, scenario, **keywords)
+    return record(simulation, round(seconds / simulation.control_period))
+
+
+def mirrored(scenario: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a scenario with flexion and extension exchanged."""
+    turned = dict(scenario)
+    turned["initial_angle_deg"] = -scenario.get("initial_angle_deg", 0.0)
+    turned["moves"] = [{**move, "angle_deg": -move["angle_deg"]} for move in scenario.get("moves", [])]
+    turned["pushes"] = [{**push, "torque": -push["torque"]} for push in scenario.get("pushes", [])]
+    if "obstacle" in scenario:
+        wall = scenario["obstacle"]
+        turned["obstacle"] = {**wall, "angle_deg": -wall["angle_deg"], "blocks": "extension"}
+    return turned
+
+
+def state_of(simulation: Simulation, index: int) -> dict[str, NDArray[Any]]:
+    """Return everything one device remembers."""
+    return {name: simulation.read(name)[index] for name in STATE_NAMES}
