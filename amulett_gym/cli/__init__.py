@@ -14,7 +14,10 @@ COMMANDS = ("quickstart", "train", "evaluate", "simulate", "play", "check", "lis
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors suggest the nearest valid word."""
+    """An argument parser whose errors suggest the nearest valid word; no option may be shortened."""
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(allow_abbrev=False, **keywords)
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and the message with a suggestion, and exit with 2."""
