@@ -98,10 +98,9 @@ def test_check_fails_with_exit_code_1(capsys, monkeypatch):
     from amulett_gym.evaluation import conformance
 
     def broken(subject: conformance.Subject) -> None:
-        """A promise that is broken."""
         raise AssertionError("on purpose")
 
-    monkeypatch.setattr(conformance, "CHECKS", (broken,))
+    monkeypatch.setattr(conformance, "CHECKS", {"a promise": broken})
     assert main(["check", "Amulett/Tension-v0", "--profile", "testbed", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["checks"][0]["remark"] == "AssertionError: on purpose"
 

@@ -46,10 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
                 state = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
                 remark = outcome.problem or outcome.skipped
                 results.append(
-                    {"env_id": name, "profile": profile, "check": outcome.check, "result": state, "remark": remark}
+                    {"env_id": name, "profile": profile, "check": outcome.promise, "result": state, "remark": remark}
                 )
                 if not arguments.json:
-                    print(f"  {state:7} {outcome.check}{': ' + remark if remark else ''}", flush=True)
+                    print(f"  {state:7} {outcome.promise}{': ' + remark if remark else ''}", flush=True)
     if arguments.json:
         print(json.dumps({"failed": failed, "checks": results}, indent=2))
     else:

@@ -1,6 +1,6 @@
-"""Conformance checks: does an environment do what Gymnasium, SB3 and this package promise?
+"""Conformance: what an environment promises by Gymnasium, SB3 and this package, and a check of each promise.
 
-Each check is a function that takes a `Subject` and raises an exception if the promise is broken.
+A check is a function that takes a `Subject` and raises an exception if the promise is broken.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Subject:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One check's result: `problem` is empty if it passed; `skipped` says why it could not run."""
+    """A check's result: `problem` is empty if it passed; `skipped` says why it could not run."""
 
-    check: str
+    promise: str
     problem: str = ""
     skipped: str = ""
 
@@ -60,38 +60,34 @@ def run_checks(subject: Subject) -> Iterator[Outcome]:
     Outcome
         One for each check, in order, as soon as it is known.
     """
-    for check in CHECKS:
-        name = (check.__doc__ or "").split("\n")[0].rstrip(".")
+    for promise, check in CHECKS.items():
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check(subject)
         except ModuleNotFoundError as error:
-            yield Outcome(name, skipped=f"{error.name} is not installed")
+            yield Outcome(promise, skipped=f"{error.name} is not installed")
         except NotApplicable as error:
-            yield Outcome(name, skipped=str(error))
+            yield Outcome(promise, skipped=str(error))
         except Exception as error:
-            yield Outcome(name, problem=f"{type(error).__name__}: {error}")
+            yield Outcome(promise, problem=f"{type(error).__name__}: {error}")
         else:
-            yield Outcome(name)
+            yield Outcome(promise)
 
 
 def _gymnasium(subject: Subject) -> None:
-    """Gymnasium's check_env, rendering included, without a warning."""
     env = subject.make(render_mode="rgb_array")
     check_env(env.unwrapped, skip_render_check=False)
     env.close()
 
 
 def _sb3(subject: Subject) -> None:
-    """Stable-Baselines3's check_env, without a warning."""
     from stable_baselines3.common.env_checker import check_env as check_sb3
 
     check_sb3(subject.make())
 
 
 def _spec(subject: Subject) -> None:
-    """EnvSpec survives JSON, keywords included."""
     spec = subject.make().spec
     assert spec is not None
     again = gym.envs.registration.EnvSpec.from_json(spec.to_json())
@@ -100,7 +96,6 @@ def _spec(subject: Subject) -> None:
 
 
 def _bounds(subject: Subject) -> None:
-    """Finite bounds, actions in [-1, 1], observations float32 within their space."""
     env = subject.make()
     for space in (env.observation_space, env.action_space):
         assert isinstance(space, gym.spaces.Box)
@@ -111,14 +106,12 @@ def _bounds(subject: Subject) -> None:
 
 
 def _reward_terms(subject: Subject) -> None:
-    """Reward terms in info sum to the reward."""
     for _, reward, _, _, info in _steps(subject.make(), 3):
         total = sum(info["reward_terms"].values())
         _assert(abs(total - reward) <= 1e-12 * max(1.0, abs(reward)), f"terms sum to {total}, the reward is {reward}")
 
 
 def _same_seed(subject: Subject) -> None:
-    """Same seed, same trajectory, in this process and another one."""
     _assert(_rollout(subject.make(), 4) == _rollout(subject.make(), 4), "two runs with one seed differ")
     script = (
         "import json, sys; from amulett_gym.evaluation import conformance as c; "
@@ -129,7 +122,6 @@ def _same_seed(subject: Subject) -> None:
 
 
 def _other_seed(subject: Subject) -> None:
-    """Another seed, and another reset, give another episode."""
     env = subject.make()
     unwrapped: Any = env.unwrapped
     sensors = unwrapped.profile.sensors
@@ -141,7 +133,6 @@ def _other_seed(subject: Subject) -> None:
 
 
 def _aliasing(subject: Subject) -> None:
-    """Returned arrays never alias the environment's state."""
     env = subject.make()
     first, _ = env.reset(seed=0)
     kept = first.copy()
@@ -150,7 +141,6 @@ def _aliasing(subject: Subject) -> None:
 
 
 def _copies(subject: Subject) -> None:
-    """Pickle and deepcopy in the middle of an episode go on alike."""
     env = subject.make()
     env.reset(seed=7)
     action = np.full(1, 0.3, dtype=np.float32)
@@ -164,7 +154,6 @@ def _copies(subject: Subject) -> None:
 
 
 def _vector(subject: Subject) -> None:
-    """The vector environment equals the single one, bit for bit, over an automatic reset."""
     count, limit = 3, 50
     vector = subject.make_vec(count, max_episode_steps=limit)
     singles = [subject.make(max_episode_steps=limit) for _ in range(count)]
@@ -187,7 +176,6 @@ def _vector(subject: Subject) -> None:
 
 
 def _reset_mask(subject: Subject) -> None:
-    """reset_mask starts the chosen devices anew and leaves the others alone."""
     vector = subject.make_vec(4)
     vector.reset(seed=0)
     before = vector.step(np.zeros((4, 1), dtype=np.float32))[0]
@@ -198,7 +186,6 @@ def _reset_mask(subject: Subject) -> None:
 
 
 def _bad_actions(subject: Subject) -> None:
-    """NaN and misshapen actions are refused."""
     env = subject.make().unwrapped
     env.reset(seed=0)
     for action in (np.array([np.nan], dtype=np.float32), np.zeros(2, dtype=np.float32), np.float32(0)):
@@ -210,7 +197,6 @@ def _bad_actions(subject: Subject) -> None:
 
 
 def _closes(subject: Subject) -> None:
-    """close() twice."""
     env = subject.make(render_mode="rgb_array")
     env.reset(seed=0)
     env.render()
@@ -218,21 +204,22 @@ def _closes(subject: Subject) -> None:
     env.close()
 
 
-CHECKS: tuple[Callable[[Subject], None], ...] = (
-    _gymnasium,
-    _sb3,
-    _spec,
-    _bounds,
-    _reward_terms,
-    _same_seed,
-    _other_seed,
-    _aliasing,
-    _copies,
-    _vector,
-    _reset_mask,
-    _bad_actions,
-    _closes,
-)
+CHECKS: dict[str, Callable[[Subject], None]] = {
+    "Gymnasium's check_env, rendering included, without a warning": _gymnasium,
+    "Stable-Baselines3's check_env, without a warning": _sb3,
+    "EnvSpec survives JSON, keywords included": _spec,
+    "Finite bounds, actions in [-1, 1], observations float32 within their space": _bounds,
+    "Reward terms in info sum to the reward": _reward_terms,
+    "Same seed, same trajectory, in this process and another one": _same_seed,
+    "Another seed, and another reset, give another episode": _other_seed,
+    "Returned arrays never alias the environment's state": _aliasing,
+    "Pickle and deepcopy in the middle of an episode go on alike": _copies,
+    "The vector environment equals the single one, bit for bit, over an automatic reset": _vector,
+    "reset_mask starts the chosen devices anew and leaves the others alone": _reset_mask,
+    "NaN and misshapen actions are refused": _bad_actions,
+    "close() twice": _closes,
+}
+"""Promise -> check."""
 
 
 def fingerprint(subject: Subject, seed: int) -> str:
