@@ -1,5 +1,6 @@
 """Training with Stable-Baselines3: the adapter, PPO, and what a run leaves behind."""
 
+import argparse
 import json
 import signal
 import subprocess
@@ -14,16 +15,17 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
-from amulett_agents.config import TrainConfig  # noqa: E402
-from amulett_agents.ppo import make_model  # noqa: E402
-from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
 from stable_baselines3 import A2C, PPO, SAC  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
 
 import amulett_gym  # noqa: E402
+from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
+from amulett_agents.config import TrainConfig  # noqa: E402
+from amulett_agents.ppo import make_model  # noqa: E402
+from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
+from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
@@ -387,6 +389,12 @@ def test_wrong_environment_settings_leave_nothing_behind(run, tmp_path):
     with pytest.raises(AmulettError, match="agent_period"):
         train(wrong, tmp_path / "run", progress=False)
     assert not (tmp_path / "run").exists()
+
+
+def test_without_torch_the_command_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setattr(command, "find_spec", lambda name: None if name == "torch" else object())
+    with pytest.raises(AmulettError, match=r'torch.*pip install "amulett-gym\[agents\]"'):
+        command.run(argparse.Namespace(config=None, overrides=[], out=str(tmp_path / "run"), seed=None))
 
 
 def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
