@@ -146,6 +146,15 @@ def test_sensors_without_noise_and_bits_read_the_truth_and_estimate_late(base):
         np.testing.assert_allclose(raw[force[1:] > 0.5], force[1:][force[1:] > 0.5], atol=1e-4)
 
 
+@pytest.mark.parametrize("base", PROFILES)
+def test_measured_velocity_is_the_filtered_difference_of_measured_angles(base):
+    motion = run(load_profile(base), BUSY, 1.0)
+    lag, period = load_profile(base).loop.velocity_filter, motion.control_period
+    velocity = motion["measured_velocity"]
+    unfiltered = velocity[:-1] + np.diff(velocity) * (lag + period) / period
+    np.testing.assert_allclose(unfiltered, np.diff(motion["measured_angle"]) / period, atol=1e-9)
+
+
 def test_sensors_of_the_testbed_are_noisy_and_in_bits():
     profile = load_profile("testbed")
     motion = run(profile, {"noise_seed": 42}, 4.0)
@@ -155,10 +164,14 @@ def test_sensors_of_the_testbed_are_noisy_and_in_bits():
     noise = normal(np.array([42], dtype=np.uint64), np.array([0], dtype=np.uint64), 4 * len(motion)).reshape(-1, 4)
     noisy = motion["angle"] + np.radians(0.02) * noise[:, 0]
     assert np.abs(motion["measured_angle"] - noisy).max() <= encoder / 2 * (1 + 1e-9)
-    slider = profile.sensors.potentiometer_travel / 2**10
-    bits = motion["measured_triceps"] / slider
-    np.testing.assert_allclose(bits, np.round(bits), atol=1e-9)
-    assert motion["measured_triceps"].std() > 0
+    slider, width = profile.sensors.potentiometer_travel / 2**10, profile.spring.half_width
+    for stream, drive, sign in ((1, "biceps", 1.0), (2, "triceps", -1.0)):
+        wound = motion[f"drive_{drive}"] * profile.plant.drive_pulley_radius
+        stretch = sign * (wound - motion["angle"] * profile.plant.joint_pulley_radius)
+        noisy = np.hypot(width, stretch) - width + profile.sensors.potentiometer_noise * noise[:, stream]
+        bits = motion[f"measured_{drive}"] / slider
+        np.testing.assert_allclose(bits, np.round(bits), atol=1e-9)
+        assert np.abs(motion[f"measured_{drive}"] - noisy).max() <= slider / 2 * (1 + 1e-3)
 
 
 @pytest.mark.parametrize("agonist", ["switching", "biceps", "triceps"])

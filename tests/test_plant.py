@@ -201,4 +201,5 @@ def test_quantised_reading_is_the_nearest_multiple_of_a_bit(value, bit):
 def test_slider_ends_at_its_travel():
     assert read_slider(0.03, 0.0, 0.0, 0.02) == 0.02
     assert read_slider(0.001, -0.002, 0.0, 0.02) == 0
+    assert read_slider(0.0104, 0.0002, 0.0, 0.02) == pytest.approx(0.0106)
     assert read_slider(0.0104, 0.0002, 0.001, 0.02) == pytest.approx(0.011)
