@@ -138,6 +138,20 @@ def test_failure_terminates_and_costs_no_less_than_the_rest_could():
     assert sum(info["reward_terms"].values()) == pytest.approx(reward)
 
 
+def test_failure_costs_the_same_in_the_vector_environment():
+    push = {"initial_angle_deg": 80.0, "pushes": [{"time": 0.1, "duration": 5.0, "torque": 20.0}]}
+    keywords = {"max_episode_steps": 60, "failure_horizon": 60}
+    single, vector = gym.make(SCALING, **keywords), gym.make_vec(SCALING, num_envs=1, **keywords)
+    for env in (single, vector):
+        env.reset(seed=0, options={"scenario": push})
+    terminated = False
+    while not terminated:
+        _, reward, terminated, _, _ = single.step(MID)
+        expected = vector.step(np.zeros((1, 1)))
+        assert reward == expected[1][0]
+        assert terminated == expected[2][0]
+
+
 def test_failure_leaves_neighbours_alone_and_starts_anew():
     push = {"initial_angle_deg": 80.0, "pushes": [{"time": 0.1, "duration": 5.0, "torque": 20.0}]}
     rest = {"initial_angle_deg": 10.0}
@@ -253,6 +267,7 @@ def test_scenarios_of_the_splits_differ():
         ({"agent_period": math.nan}, "agent_period is nan"),
         ({"agent_period": math.inf}, "agent_period is inf"),
         ({"observation_noise": -0.1}, "observation_noise is -0.1"),
+        ({"failure_horizon": 0}, "failure_horizon is 0"),
         ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
     ],
 )

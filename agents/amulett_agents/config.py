@@ -71,6 +71,7 @@ class EnvSettings(Group):
             "agent_period": self.agent_period,
             "reward_weights": self.reward_weights,
             "observation_noise": self.observation_noise,
+            "failure_horizon": self.max_episode_steps,
         }
 
 

@@ -54,6 +54,7 @@ class Episodes:
         tension_range: tuple[float, float],
         agent_period: float,
         observation_noise: float,
+        failure_horizon: int,
     ) -> None:
         self.profile = load_profile(profile)
         if suite not in suite_names():
@@ -62,6 +63,8 @@ class Episodes:
             raise unknown("split", split, SPLITS)
         if not 0 <= observation_noise < math.inf:
             raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
+        if failure_horizon < 1:
+            raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")
         self.suite, self.split = suite, split
         self.tension_range = tension_range
         self.simulation = Simulation(self.profile, num_devices, control, tension_law)
@@ -70,7 +73,7 @@ class Episodes:
         self._settings["low"], self._settings["high"] = tension_range
         self._settings["cost_cap"] = COST_CAP
         self._settings["observation_noise"] = observation_noise
-        self.set_horizon(DEFAULT_STEPS)
+        self._settings["horizon"] = failure_horizon
         weights, paid = check_weights(reward_weights), divisors(self.profile, suite)
         squared_degrees = {"position": np.degrees(1.0) ** 2, "effort": np.degrees(1.0) ** 2}
         for term, weight in weights.items():
@@ -84,10 +87,6 @@ class Episodes:
     def agent_period(self) -> float:
         """Time between two actions [s]."""
         return int(self._settings["ticks"][0]) * self.simulation.control_period
-
-    def set_horizon(self, steps: int) -> None:
-        """Set the number of agent steps in an episode, by which a failure is charged."""
-        self._settings["horizon"] = steps
 
     def set_keys(self, devices: NDArray[np.int64] | np.int64, keys: Keys | np.uint64) -> None:
         """Seed devices: their next episode is the first one of the new key."""

@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
-from amulett_gym.envs.episodes import TENSION_RANGE, Episodes, check_range
+from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.transition import (
     FIRST_METRIC,
@@ -78,6 +78,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         action_range: tuple[float, float] | None = None,
         agent_period: float = 0.02,
         observation_noise: float = 0.0,
+        failure_horizon: int = DEFAULT_STEPS,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
@@ -94,6 +95,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._tension_range(profile, action_range),
             agent_period,
             observation_noise,
+            failure_horizon,
         )
         self.observation_space = Box(-1.0, 1.0, (len(OBSERVATIONS),), np.float32)
         self.action_space = Box(-1.0, 1.0, (1,), np.float32)
@@ -148,8 +150,6 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             if option not in RESET_OPTIONS:
                 raise unknown("reset option", str(option), RESET_OPTIONS)
         scenario = (options or {}).get("scenario")
-        if self.spec is not None and self.spec.max_episode_steps is not None:
-            self.episodes.set_horizon(self.spec.max_episode_steps)
         if seed is not None or not self._seeded:
             self.episodes.set_keys(_DEVICE, draw_key(self.np_random))
             self._seeded = True
@@ -297,7 +297,7 @@ class ScalingEnv(TensionEnv):
     - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks;
     - `tension` (0.05): tension ISE of the antagonist, by the true force;
     - `contact` (0): square of the contact torque;
-    - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left.
+    - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
 
     A step costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]` holds the weighted
     terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
@@ -349,6 +349,7 @@ class ScalingEnv(TensionEnv):
     | `action_range`      | None              | what action -1 and +1 stand for                                      |
     | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
+    | `failure_horizon`   | 500               | agent steps by which a failure is charged; as `max_episode_steps`    |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
 
     Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.

@@ -63,6 +63,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         action_range: tuple[float, float] | None = None,
         agent_period: float = 0.02,
         observation_noise: float = 0.0,
+        failure_horizon: int = DEFAULT_STEPS,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
@@ -80,6 +81,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             action_range,
             agent_period,
             observation_noise,
+            failure_horizon,
             render_mode,
         )
         self.num_envs = num_envs
@@ -97,8 +99,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             single.tension_range,
             agent_period,
             observation_noise,
+            failure_horizon,
         )
-        self.episodes.set_horizon(max_episode_steps)
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)

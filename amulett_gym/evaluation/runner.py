@@ -103,7 +103,7 @@ class Protocol:
             raise AmulettError(
                 f"an episode of {self.duration} s is no whole number of the {period} s steps of '{contender.name}'"
             )
-        return {**keywords, "max_episode_steps": steps}
+        return {**keywords, "max_episode_steps": steps, "failure_horizon": steps}
 
     def _range(self, contender: Contender) -> dict[str, Any]:
         """Return the action range that a bundle's policy was trained with, which may be wider than the default."""
