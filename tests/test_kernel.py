@@ -178,10 +178,7 @@ def test_sensors_of_the_testbed_are_noisy_and_in_bits():
 @pytest.mark.parametrize("angle", [-40.0, 0.0, 40.0])
 @pytest.mark.parametrize("control", ["decentralized", "position-only"])
 @pytest.mark.parametrize("base", PROFILES)
-def test_arm_starts_in_static_equilibrium_and_stays_there(base, control, angle, agonist, request):
-    if agonist == ("biceps" if angle < 0 else "triceps") and angle != 0:
-        reason = "a fixed agonist against the weight: the load was given to the antagonist"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+def test_arm_starts_in_static_equilibrium_and_stays_there(base, control, angle, agonist):
     profile = device(base, plant={"orientation": "vertical"}, loop={"agonist": agonist}, sensors=EXACT_SENSORS)
     motion = run(profile, {"initial_angle_deg": angle, "initial_tension": 8.0}, 0.5, control=control)
     weight = 9.81 * sum(item.mass * item.arm for item in profile.plant.masses)
@@ -194,10 +191,7 @@ def test_arm_starts_in_static_equilibrium_and_stays_there(base, control, angle, 
         assert motion["tension_setpoint"][0] == 8.0
 
 
-LETS_GO = pytest.mark.xfail(strict=True, reason="below the floor the loop lets go of the tension the arm starts with")
-
-
-@pytest.mark.parametrize("below_floor", [pytest.param("clamp", marks=LETS_GO), "hold", "ignore"])
+@pytest.mark.parametrize("below_floor", ["clamp", "hold", "ignore"])
 def test_arm_starts_in_equilibrium_below_the_floor_too(below_floor):
     profile = device("testbed", sensors={**EXACT_SENSORS, "below_floor": below_floor})
     motion = run(profile, {"initial_tension": 4.0}, 0.5)

@@ -112,7 +112,6 @@ def test_rise_is_the_first_entry_and_settling_the_last(motion):
     assert motion["overshoot"][-1] == pytest.approx(overshoot, rel=1e-12)
 
 
-@pytest.mark.xfail(strict=True, reason="the setpoint's last bit makes it a step")
 def test_a_move_to_where_the_setpoint_is_opens_no_step():
     moves = [{"time": 0.1, "angle_deg": 50.0}, {"time": 0.2, "angle_deg": 50.0}]
     motion = run(load_profile("simulation"), {"initial_angle_deg": 20.0, "moves": moves}, 0.3)

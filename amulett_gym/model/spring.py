@@ -62,7 +62,7 @@ class SpringTables:
     @property
     def max_force(self) -> float:
         """Force at which the assembly saturates [N]."""
-        return float(self.force[-1].sum())
+        return float(look_up(self.force, 1.0))
 
     def force_at(self, deflection: float) -> float:
         """Return f(Delta l) [N] at a string deflection [m]."""

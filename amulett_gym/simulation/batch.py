@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.model.spring import look_up
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import (
     LANES,
@@ -70,7 +71,7 @@ class Simulation:
     @property
     def max_force(self) -> float:
         """Force at which the springs saturate [N]."""
-        return float(self.parameters["force_table"][0, -1].sum())
+        return float(look_up(self.parameters["force_table"][0], 1.0))
 
     def reset(self, scenarios: NDArray[np.void], devices: NDArray[np.int64] | None = None) -> None:
         """Start devices anew, at rest in their initial posture.
@@ -85,7 +86,7 @@ class Simulation:
         Raises
         ------
         AmulettError
-            If an initial posture needs a string force that the springs cannot give.
+            If an initial posture needs a string force that the springs cannot give, or a drive turned beyond its limit.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios)
@@ -96,6 +97,7 @@ class Simulation:
             self.states[name][block, lane] = 0
         self.states["law"][block, lane] = self._law
         kernel.settle(self.parameters, self.scenarios, self.states, devices)
+        self._check_commands(devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again."""
@@ -123,11 +125,23 @@ class Simulation:
         self.states[...] = state["states"]
 
     def _check_posture(self, scenarios: NDArray[np.void]) -> None:
-        needed = scenarios["static_torque"] * np.sin(scenarios["initial_angle"])
-        needed = np.abs(needed) / self.parameters["joint_radius"][0] + scenarios["initial_tension"]
+        p = self.parameters[0]
+        load = np.abs(scenarios["static_torque"] * np.sin(scenarios["initial_angle"])) / p["joint_radius"]
+        needed = load + (scenarios["initial_tension"] if p["tension_loop"] else 0.0)
         if (needed > self.max_force).any():
             worst = int(np.argmax(needed))
             raise AmulettError(
                 f"scenario {worst} starts with a string force of {needed[worst]:.2f} N (its tension plus what holds "
                 f"the weight); the springs give at most {self.max_force:.2f} N"
+            )
+
+    def _check_commands(self, devices: NDArray[np.int64]) -> None:
+        limit = float(self.parameters["command_limit"][0])
+        block, lane = self._block[devices], self._lane[devices]
+        turn = np.maximum(*(np.abs(self.states[f"command_{drive}"][block, lane]) for drive in ("biceps", "triceps")))
+        if (turn > limit).any():
+            worst = int(np.argmax(turn))
+            raise AmulettError(
+                f"scenario {worst} starts with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
+                f"command_limit_deg is {np.degrees(limit):.1f}"
             )

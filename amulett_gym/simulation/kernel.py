@@ -79,7 +79,7 @@ def control(p, s, i):
     switched = agonist != s.agonist[i]
     if switched:
         s.agonist[i] = agonist
-        s.switch_count[i] += 1.0
+        s.switch_count[i] += s.counting[i]
     last_position_output = s.position_output[i]
     control_position(p, s, i, error)
     biceps_share = triceps_share = 1.0
@@ -270,8 +270,8 @@ def move(p, c, s, i):
     counted = s.counting[i] * p.control_period
     s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)
     s.contact_ise[i] += counted * s.contact_torque[i] * s.contact_torque[i]
-    s.contact_peak[i] = max(s.contact_peak[i], abs(s.contact_torque[i]))
-    if push != 0.0:
+    s.contact_peak[i] = max(s.contact_peak[i], s.counting[i] * abs(s.contact_torque[i]))
+    if push != 0.0 and s.counting[i] > 0.0:
         s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
     # At the end of the tick only: an ideal drive lets the force jump at its beginning.
     tension_error = s.tension_setpoint[i] - (s.force_triceps[i] if s.agonist[i] == BICEPS else s.force_biceps[i])
@@ -365,7 +365,8 @@ def read_setpoint(p, c, s, i):
     time = s.tick[i] * p.control_period
     while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
         s.move[i] += 1
-        begin_step(s, i, time, c.move_angle[s.move[i], i])
+        start = c.move_angle[s.move[i] - 1, i] if s.move[i] > 0 else c.initial_angle[i]
+        begin_step(s, i, time, start, c.move_angle[s.move[i], i])
     k = s.move[i]
     if k < 0:
         return
@@ -383,9 +384,9 @@ def minimum_jerk(progress: float) -> float:
 
 
 @compiled
-def begin_step(s, i, time, target):
+def begin_step(s, i, time, start, target):
     """Close the setpoint step in progress and open the next; a move to where the setpoint is opens none."""
-    change = target - s.setpoint[i]
+    change = target - start
     if not math.isnan(s.inside_since[i]):
         s.settling_sum[i] += s.inside_since[i] - s.step_start[i]
         s.settling_count[i] += 1.0
@@ -446,9 +447,16 @@ def settle_strings(p, c, s, i):
     wound = angle * p.joint_radius / p.drive_radius  # drive angle at which both strings are just slack
     needed = (c.static_torque[i] * math.sin(angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
     tension = c.initial_tension[i]
+    s.agonist[i] = p.fixed_agonist
+    if p.fixed_agonist == 0.0:
+        s.agonist[i] = TRICEPS if needed < 0.0 else BICEPS
+    biceps_is_agonist = s.agonist[i] == BICEPS
     if p.tension_loop:
-        biceps = inverse_look_up(p.force_table, tension + max(needed, 0.0)) / p.inverse_max_deflection
-        triceps = inverse_look_up(p.force_table, tension + max(-needed, 0.0)) / p.inverse_max_deflection
+        # The antagonist has the tension. The agonist carries the load on top of it, or lets go as much.
+        pull_biceps = tension + needed if biceps_is_agonist else tension
+        pull_triceps = tension if biceps_is_agonist else tension - needed
+        biceps = inverse_look_up(p.force_table, pull_biceps) / p.inverse_max_deflection
+        triceps = inverse_look_up(p.force_table, pull_triceps) / p.inverse_max_deflection
         turn_biceps, turn_triceps = wound + biceps / p.drive_radius, wound - triceps / p.drive_radius
     else:
         common = position_only_equilibrium(p, needed)
@@ -458,11 +466,7 @@ def settle_strings(p, c, s, i):
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
     feel_strings(p, s, i)
-    s.agonist[i] = p.fixed_agonist
-    if p.fixed_agonist == 0.0:
-        s.agonist[i] = TRICEPS if needed < 0.0 else BICEPS
     if p.tension_loop:
-        biceps_is_agonist = s.agonist[i] == BICEPS
         output = turn_biceps if biceps_is_agonist else turn_triceps
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
         s.offset_triceps[i] = turn_triceps - output * (p.antagonist_share if biceps_is_agonist else 1.0)
@@ -470,11 +474,14 @@ def settle_strings(p, c, s, i):
         output = wound + common
         s.offset_biceps[i] = p.position_only_offset
         s.offset_triceps[i] = -p.position_only_offset
-        tension = min(s.force_biceps[i], s.force_triceps[i])
+        tension = s.force_triceps[i] if biceps_is_agonist else s.force_biceps[i]
     s.position_output[i] = s.position_integral[i] = output
     s.tension_setpoint[i] = s.tension_command[i] = tension
-    s.estimate_biceps[i] = s.force_biceps[i]
-    s.estimate_triceps[i] = s.force_triceps[i]
+    s.estimate_biceps[i] = trust(p, s.force_biceps[i], s.force_biceps[i])
+    s.estimate_triceps[i] = trust(p, s.force_triceps[i], s.force_triceps[i])
+    # A tension below the floor is estimated higher than it is: the controller starts with the output zero all the same.
+    estimate = s.estimate_triceps[i] if biceps_is_agonist else s.estimate_biceps[i]
+    s.tension_integral[i] = p.tension_kp * (estimate - tension)
     s.contact_torque[i] = obstacle_torque(c, i, angle, 0.0)
     s.inside_since[i] = math.nan
     s.move[i] = -1
