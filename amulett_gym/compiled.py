@@ -27,5 +27,8 @@ if not numba.config.CACHE_DIR and not _cache_is_writable():
 
 
 def compiled(function: F) -> F:
-    """Compile `function` with numba on first use (strict floating point, division by zero gives inf or NaN)."""
-    return numba.njit(cache=True, error_model="numpy")(function)
+    """Compile `function` with numba on first use (strict floating point, division by zero gives inf or NaN).
+
+    Small functions called from a tick are inlined: as calls they cost a tenth of the kernel's time.
+    """
+    return numba.njit(cache=True, error_model="numpy", forceinline=True)(function)

@@ -317,19 +317,19 @@ def read_sensors(p, c, s, i):
     """Measure the joint angle and both springs, and estimate the string forces."""
     key = c.noise_key[i]
     counter = np.uint64(s.tick[i]) * SENSOR_STREAMS
-    angle_noise = p.encoder_noise * noise(key, counter + ENCODER)
+    angle_noise = sensor_noise(p.encoder_noise, key, counter + ENCODER)
     s.measured_angle[i] = quantise(s.angle[i] + angle_noise, p.encoder_resolution)
     biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
     triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
     s.measured_biceps[i] = read_slider(
         look_up(p.spring_table, biceps * p.inverse_max_deflection),
-        p.slider_noise * noise(key, counter + SLIDER_BICEPS),
+        sensor_noise(p.slider_noise, key, counter + SLIDER_BICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
     s.measured_triceps[i] = read_slider(
         look_up(p.spring_table, triceps * p.inverse_max_deflection),
-        p.slider_noise * noise(key, counter + SLIDER_TRICEPS),
+        sensor_noise(p.slider_noise, key, counter + SLIDER_TRICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
@@ -339,6 +339,12 @@ def read_sensors(p, c, s, i):
     raw = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
     s.untrusted_triceps[i] = raw < p.force_floor
     s.estimate_triceps[i] = low_pass(p, s.estimate_triceps[i], trust(p, raw, s.estimate_triceps[i]))
+
+
+@compiled
+def sensor_noise(deviation, key, counter):
+    """Return noise of a standard deviation; an exact sensor does not pay for drawing it."""
+    return deviation * noise(key, counter) if deviation > 0.0 else 0.0
 
 
 @compiled
