@@ -126,12 +126,12 @@ class Episodes:
         Parameters
         ----------
         actions : ndarray, shape (N,)
-            In [-1, 1]; values beyond are clipped.
+            In [-1, 1]; values beyond are clipped. float64, or the kernel is compiled once more.
 
         Returns
         -------
         observations : ndarray of float32, shape (N, 13)
-        report : ndarray, shape (35, N)
+        report : ndarray, shape (N, 35)
             Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
@@ -140,15 +140,15 @@ class Episodes:
             If an action is NaN.
         """
         observations = np.empty((self._all.size, len(transition.OBSERVATIONS)), dtype=np.float32)
-        report = np.empty((transition.REPORT_SIZE, self._all.size))
+        report = np.empty((self._all.size, transition.REPORT_SIZE))
         not_a_number = transition.step(*self._arrays(), actions, observations, report)
         if not_a_number >= 0:
             raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
         return observations, report
 
     def report(self) -> Report:
-        """Return the report of the present state, shape (35, N), with no reward."""
-        report = np.empty((transition.REPORT_SIZE, self._all.size))
+        """Return the report of the present state, shape (N, 35), with no reward."""
+        report = np.empty((self._all.size, transition.REPORT_SIZE))
         transition.tell_devices(self.simulation.parameters, self.simulation.states, report)
         return report
 

@@ -189,7 +189,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self._seeded:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(action)
+        actions = np.asarray(action, dtype=np.float64)
         if actions.shape != (1,):
             raise AmulettError(f"the action has shape {actions.shape}; it has to be (1,)")
         observations, report = self.episodes.step(actions)
@@ -234,7 +234,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     @staticmethod
     def _info(report: NDArray[np.float64]) -> dict[str, Any]:
-        values = report[:, 0].tolist()
+        values = report[0].tolist()
         info: dict[str, Any] = dict(zip(READINGS, values[FIRST_READING:FIRST_METRIC], strict=True))
         info["failure"] = FAILURES[int(info["failure"])]
         info["reward_terms"] = dict(zip(TERMS, values[FIRST_TERM:FIRST_READING], strict=True))

@@ -109,7 +109,7 @@ _DEG = 180.0 / math.pi
 
 @compiled
 def step(p, e, c_blocks, s_blocks, actions, observations, report):
-    """Take one agent step with all devices; fill observations (one row a device) and report (one column a device).
+    """Take one agent step with all devices; fill observations and report, one row a device.
 
     Returns -1, or the first device whose action is NaN: then nothing was done.
     """
@@ -126,17 +126,17 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
     for device in range(num_devices):
         block, i = device // LANES, device % LANES
         observe(p[0], settings, c_blocks[block], s_blocks[block], i, observations[device])
-        pay(settings, s_blocks[block], i, report[:, device])
-        tell(p[0], s_blocks[block], i, report[:, device])
+        pay(settings, s_blocks[block], i, report[device])
+        tell(p[0], s_blocks[block], i, report[device])
     return -1
 
 
 @compiled
 def tell_devices(p, s_blocks, report):
-    """Fill the report of all devices, one column each, but for the reward: nothing was paid since the last step."""
-    for device in range(report.shape[1]):
-        report[:FIRST_READING, device] = 0.0
-        tell(p[0], s_blocks[device // LANES], device % LANES, report[:, device])
+    """Fill the report of all devices, one row each, but for the reward: nothing was paid since the last step."""
+    for device in range(report.shape[0]):
+        report[device, :FIRST_READING] = 0.0
+        tell(p[0], s_blocks[device // LANES], device % LANES, report[device])
 
 
 @compiled

@@ -185,7 +185,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """
         if not self._seeded.all():
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(actions)
+        actions = np.asarray(actions, dtype=np.float64)
         if actions.shape != (self.num_envs, 1):
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
         again = self._devices[self._ended]
@@ -194,13 +194,13 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if again.size:
             self.episodes.next_episode(again)
             observations[again] = self.episodes.start(again)
-            report[:, again] = self.episodes.report()[:, again]
+            report[again] = self.episodes.report()[again]
             self._steps[again] = 0
             self._clear_renderers(again)
-        terminated = report[FIRST_READING] != RUNNING
+        terminated = report[:, FIRST_READING] != RUNNING
         truncated = ~terminated & (self._steps >= self.max_episode_steps)
         self._ended = terminated | truncated
-        return observations, report[0], terminated, truncated, self._info(report)
+        return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3)."""
@@ -273,10 +273,10 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     @staticmethod
     def _info(report: NDArray[np.float64]) -> dict[str, Any]:
-        info: dict[str, Any] = dict(zip(READINGS, report[FIRST_READING:FIRST_METRIC], strict=True))
+        info: dict[str, Any] = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
         info["failure"] = _FAILURES[info["failure"].astype(np.int64)]
-        info["reward_terms"] = dict(zip(TERMS, report[FIRST_TERM:FIRST_READING], strict=True))
-        info["metrics"] = dict(zip(METRICS, report[FIRST_METRIC:], strict=True))
+        info["reward_terms"] = dict(zip(TERMS, report.T[FIRST_TERM:FIRST_READING], strict=True))
+        info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True))
         return info
 
 
