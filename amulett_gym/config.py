@@ -23,6 +23,7 @@ from amulett_gym.files import read_text
 SOURCES = ("paper", "datasheet", "identified", "assumed")
 
 Positive = Annotated[float, Field(gt=0)]
+Gain = Annotated[float, Field(ge=0, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 
@@ -65,6 +66,12 @@ class Plant(Sourced):
     joint_pulley_radius: float = Field(gt=0, le=0.2, description="R_2 [m]")
     angle_limit_deg: float = Field(gt=0, le=180, description="the device fails beyond +- this joint angle [deg]")
     velocity_limit_deg: float = Field(gt=0, le=100_000, description="the device fails beyond +- this rate [deg/s]")
+
+    @model_validator(mode="after")
+    def _check_inertia(self) -> Plant:
+        if not any(item.mass * item.arm > 0 for item in self.masses):
+            raise ValueError("masses give no inertia; at least one needs a mass and an arm above 0")
+        return self
 
 
 class Spring(Sourced):
@@ -130,9 +137,9 @@ class Sensors(Sourced):
 class Pid(Group):
     """Gains of one PID controller. Position: deg/deg. Tension: deg/N."""
 
-    kp: NonNegative = Field(description="proportional gain")
-    ki: NonNegative = Field(description="integral gain [1/s]")
-    kd: NonNegative = Field(description="derivative gain [s]")
+    kp: Gain = Field(description="proportional gain")
+    ki: Gain = Field(description="integral gain [1/s]")
+    kd: Gain = Field(description="derivative gain [s]")
     derivative_filter: NonNegative = Field(description="time constant of the derivative's filter [s]; 0: none")
     derivative_on: Literal["error", "measurement"] = "error"
 
@@ -235,6 +242,8 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
         return _validate(profile, "profile")
     if str(profile) in profile_names():
         return _validate(_shipped(str(profile)), f"profile '{profile}'")
+    if not isinstance(profile, str | Path):
+        raise AmulettError(f"profile is {profile!r}; it has to be a name, a YAML file or a mapping")
     path = Path(profile)
     if path.suffix not in (".yaml", ".yml"):
         raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
@@ -255,7 +264,9 @@ def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
     """
     try:
         content = yaml.safe_load(read_text(path, what))
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        if isinstance(error, AmulettError):
+            raise
         raise AmulettError(f"{what} '{path}' is not valid YAML: {error}") from error
     if not isinstance(content, dict):
         raise AmulettError(f"{what} '{path}' has to hold a mapping of keys to values, not {type(content).__name__}")

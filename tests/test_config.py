@@ -50,6 +50,8 @@ def test_measured_curve_is_found_beside_the_profile(tmp_path: Path):
         ({"plant": {"orientation": "diagonal"}}, r"'plant.orientation' is 'diagonal'.*'horizontal' or 'vertical'"),
         ({"plant": {"masses": [{"mass": -1.0, "arm": 0.1}]}}, r"'plant.masses.0.mass' is -1.0.*greater than or equal"),
         ({"plant": {"masses": [{"mas": 1.0, "arm": 0.1}]}}, r"unknown key 'plant.masses.0.mas'; did you mean 'mass'"),
+        ({"plant": {"masses": [{"mass": 0.0, "arm": 0.1}]}}, r"masses give no inertia"),
+        ({"loop": {"position": {"kp": 1e200}}}, r"'loop.position.kp' is 1e\+200.*1000000"),
         ({"plant": {"masses": []}}, r"'plant.masses'.*at least 1 item"),
         ({"loop": {"control_period": float("nan")}}, r"'loop.control_period' is nan.*finite"),
         ({"loop": {"control_period": "fast"}}, r"'loop.control_period' is 'fast'.*number"),

@@ -206,7 +206,7 @@ def test_vertical_arm_holds_its_payload():
 def test_impossible_posture_is_refused():
     profile = {"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}}
     env = gym.make(SCALING, profile=profile)
-    with pytest.raises(AmulettError, match="springs give at most"):
+    with pytest.raises(AmulettError, match="springs give 0 to 14.03 N"):
         env.reset(options={"scenario": {"initial_angle_deg": 90.0, "payload": {"mass": 1.0, "arm": 0.2}}})
 
 
@@ -258,7 +258,7 @@ def test_scenarios_of_the_splits_differ():
         ({"control": "centralized"}, "did you mean 'decentralized'"),
         ({"tension_law": "eq7"}, "did you mean 'eq6'"),
         ({"reward_weights": {"efort": 1.0}}, "did you mean 'effort'"),
-        ({"reward_weights": {"effort": -1.0}}, "'effort' is -1.0; it has to be a finite number of at least 0"),
+        ({"reward_weights": {"effort": -1.0}}, "'effort' is -1.0; it has to be a number from 0 to"),
         ({"reward_weights": {"effort": math.nan}}, "'effort' is nan"),
         ({"action_range": (2.0, 1.0)}, "0 < low < high"),
         ({"action_range": 3.0}, "a pair"),
@@ -268,6 +268,11 @@ def test_scenarios_of_the_splits_differ():
         ({"agent_period": math.inf}, "agent_period is inf"),
         ({"observation_noise": -0.1}, "observation_noise is -0.1"),
         ({"failure_horizon": 0}, "failure_horizon is 0"),
+        ({"failure_horizon": 1.5}, "whole number"),
+        ({"agent_period": "fast"}, "agent_period is 'fast'"),
+        ({"observation_noise": None}, "observation_noise is None"),
+        ({"reward_weights": [1.0]}, "has to be a mapping"),
+        ({"profile": 3}, "profile is 3"),
         ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
     ],
 )
@@ -295,6 +300,24 @@ def test_wrong_reset_options_are_refused():
             vector.reset(options=options)
     with pytest.raises(AmulettError, match="3 seeds were given for 2"):
         vector.reset(seed=[1, 2, 3])
+
+
+def test_a_refused_first_scenario_starts_no_episode():
+    env = gym.make(SCALING).unwrapped
+    with pytest.raises(AmulettError, match="limit"):
+        env.reset(options={"scenario": {"initial_angle_deg": 170.0}})
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(MID)
+
+
+def test_numpy_seeds_are_seeds():
+    vector = gym.make_vec(SCALING, num_envs=2)
+    assert np.array_equal(vector.reset(seed=np.array([4, 9]))[0], vector.reset(seed=[4, 9])[0])
+
+
+def test_law_inside_the_loop_is_no_policy():
+    with pytest.raises(AmulettError, match="acts inside the loop.*tension_law='eq6'"):
+        amulett_gym.load_policy("eq6", gym.make(SCALING))
 
 
 def test_steps_before_reset_and_wrong_shapes_are_refused():

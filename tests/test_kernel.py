@@ -213,8 +213,24 @@ def test_string_deflections_at_rest_are_those_of_the_spring_assembly():
 
 
 def test_posture_that_the_springs_cannot_hold_is_refused():
-    with pytest.raises(AmulettError, match=r"scenario 0 starts with a string force of 15\.28 N .* at most 14\.03 N"):
+    with pytest.raises(AmulettError, match=r"scenario 0 starts with a string force of 15\.28 N .* give 0 to 14\.03 N"):
         start(device(plant={"orientation": "vertical"}), {"initial_angle_deg": 60.0, "initial_tension": 10.0})
+
+
+def test_other_impossible_starts_are_refused_before_anything_is_written():
+    inside = {"initial_angle_deg": 20.0, "obstacle": {"angle_deg": 10.0, "stiffness": 50.0}}
+    upright = device("testbed", plant={"orientation": "vertical"}, loop={"agonist": "biceps"})
+    against = {"initial_angle_deg": -80.0, "initial_tension": 4.5}
+    for profile, scenario, message in (
+        (device("testbed"), inside, "contact at 20.0 deg"),
+        (upright, against, r"a string force of -1\.5\d N"),
+        (device(drives={"command_limit_deg": 100.0}), {"initial_angle_deg": 60.0}, "command_limit_deg is 100.0"),
+    ):
+        simulation = start(profile, {})
+        before = simulation.states.tobytes()
+        with pytest.raises(AmulettError, match=message):
+            simulation.reset(pack(load_scenario(scenario), profile))
+        assert simulation.states.tobytes() == before
 
 
 TURNING = {

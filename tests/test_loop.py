@@ -206,17 +206,19 @@ def test_trust_is_what_the_floor_says():
         assert kernel.trust(parameters, 9.9, 7.7) == 9.9
 
 
-def test_tension_integral_rests_where_the_spring_is_at_its_end():
+@pytest.mark.parametrize("base", PROFILES)
+def test_tension_integral_rests_where_the_spring_is_at_its_end(base):
     # 30 N is more than the springs can give: beyond the table the force, and the reading, are held.
-    simulation = start(device(loop={"agonist": "biceps"}))
+    simulation = start(device(base, loop={"agonist": "biceps"}))
+    some_time = round(0.4 / simulation.control_period)
     simulation.command_tension(30.0)
-    simulation.advance(300)
+    simulation.advance(some_time)
     assert simulation.read("force_triceps")[0] == simulation.max_force
     wound_up = simulation.read("tension_integral")[0]
-    simulation.advance(300)
+    simulation.advance(some_time)
     assert simulation.read("tension_integral")[0] == wound_up
     simulation.command_tension(10.0)
-    simulation.advance(4000)
+    simulation.advance(10 * some_time)
     assert simulation.read("force_triceps")[0] == pytest.approx(10.0, abs=0.1)
 
 

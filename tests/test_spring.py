@@ -141,9 +141,17 @@ BAD_CURVES = {
     "a header only": ("deflection_m,force_N\n", "is empty"),
     "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", r"no column \['force_N'\]"),
     "too short": ("deflection_m,force_N\n0,0\n1,1\n", "'deflection_m': at least 3"),
-    "a force that falls": ("deflection_m,force_N\n0,0\n1,5\n2,4\n", "'force_N' has to start at 0 and rise"),
-    "a deflection twice": ("deflection_m,force_N\n0,0\n1,5\n1,6\n", "'deflection_m' has to start at 0 and rise"),
-    "a preload": ("deflection_m,force_N\n0,1\n1,5\n2,6\n", "'force_N' has to start at 0"),
+    "a force that falls": (
+        "deflection_m,force_N\n0,0\n1,5\n2,4\n",
+        "'force_N' has to rise from row to row; 4.0 follows 5.0",
+    ),
+    "a deflection twice": (
+        "deflection_m,force_N\n0,0\n1,5\n1,6\n",
+        "'deflection_m' has to rise from row to row; 1.0 follows 1.0",
+    ),
+    "a preload": ("deflection_m,force_N\n0,1\n1,5\n2,6\n", "'deflection_m' has to rise"),
+    "below zero": ("deflection_m,force_N\n-1,0\n1,5\n2,6\n", "'deflection_m' starts at -1.0"),
+    "an endless field": ("deflection_m,force_N\n0," + "1" * 200_000 + "\n", "is not valid CSV"),
     "not a number": ("deflection_m,force_N\n0,0\n1,nan\n2,4\n", "'force_N': at least 3 finite"),
     "infinity": ("deflection_m,force_N\n0,0\n1,1\n2,inf\n", "'force_N': at least 3 finite"),
     "text": ("deflection_m,force_N\n0,0\n1,much\n2,4\n", "'force_N': every cell has to be a number"),
@@ -153,6 +161,14 @@ BAD_CURVES = {
         "'spring_deflection_m': every cell",
     ),
 }
+
+
+def test_curves_of_spreadsheets_and_with_plateaus_are_read(tmp_path):
+    path = tmp_path / "curve.csv"
+    path.write_text("\ufeffdeflection_m;force_N\n0.001;1\n0.002;4\n0.003;4\n", encoding="utf-8")
+    deflection, force, spring_deflection = read_curve(path)
+    assert deflection.tolist() == spring_deflection.tolist() == [0.0, 0.001, 0.002, 0.003]
+    assert force.tolist() == [0.0, 1.0, 4.0, 4.0]
 
 
 @pytest.mark.parametrize("name", BAD_CURVES)

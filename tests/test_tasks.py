@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from amulett_gym.config import load_profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
+from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, unpack
 from amulett_gym.tasks.suites import SPLITS, WORKSPACE_DEG, episode_keys, sample, suite_names
 
@@ -92,7 +93,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks):
         initial_tension=9.0,
         moves=[{"time": time, "angle_deg": 30.0} for time in sorted(times)],
         pushes=[{"time": time, "duration": 0.1, "torque": -0.5} for time in times[:4]],
-        obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0},
+        obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0, "damping": 0.1},
         payload={"mass": mass, "arm": 0.2} if mass > 0 else None,
         noise_seed=3,
     )
@@ -127,6 +128,24 @@ def test_wrong_scenario_files_are_refused(tmp_path: Path):
         load_scenario(tmp_path / "broken.json")
     (tmp_path / "good.json").write_text(json.dumps({"initial_angle_deg": 10.0}))
     assert load_scenario(tmp_path / "good.json").initial_angle_deg == 10.0
+
+
+@pytest.mark.parametrize(("key", "value"), [("stiffness", 1000.0), ("damping", 20.0)])
+def test_obstacles_that_the_step_cannot_resolve_are_refused(key, value):
+    scenario = load_scenario({"obstacle": {"angle_deg": 30.0, "stiffness": 5.0, key: value}})
+    with pytest.raises(AmulettError, match=rf"'obstacle.{key}' is {value}.*at most"):
+        pack(scenario, TESTBED)
+
+
+@pytest.mark.parametrize("suite", suite_names())
+def test_every_suite_can_start_a_vertical_arm(suite):
+    upright = load_profile({"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}})
+    simulation = Simulation(upright, 200)
+    simulation.reset(sample(suite, keys(200), upright))
+    simulation.command_tension(simulation.read("tension_setpoint"))
+    start = simulation.read("angle")
+    simulation.advance(round(0.45 / simulation.control_period))
+    assert np.degrees(np.abs(simulation.read("angle") - start)).max() < 1.0
 
 
 def test_initial_angle_beyond_the_device_is_refused():

@@ -61,8 +61,11 @@ class Episodes:
             raise unknown("suite", suite, suite_names())
         if split not in SPLITS:
             raise unknown("split", split, SPLITS)
-        if not 0 <= observation_noise < math.inf:
+        if not 0 <= check_number("observation_noise", observation_noise) < math.inf:
             raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
+        check_number("agent_period", agent_period)
+        if not isinstance(failure_horizon, int):
+            raise AmulettError(f"failure_horizon is {failure_horizon!r}; it has to be a whole number of agent steps")
         if failure_horizon < 1:
             raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")
         self.suite, self.split = suite, split
@@ -184,6 +187,19 @@ class Episodes:
         drawn = np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
         return rows
+
+
+def check_number(name: str, value: Any) -> float:
+    """Return a number.
+
+    Raises
+    ------
+    AmulettError
+        If it is none.
+    """
+    if not isinstance(value, int | float | np.number) or isinstance(value, bool):
+        raise AmulettError(f"{name} is {value!r}; it has to be a number")
+    return float(value)
 
 
 def check_range(name: str, value: Any) -> tuple[float, float]:

@@ -7,7 +7,6 @@ training scenarios of 10 s. ``python -m amulett_gym.evaluation.divisors`` measur
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
@@ -17,6 +16,8 @@ from amulett_gym.errors import AmulettError, unknown
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
 """Weights of the reward's terms. None of today's suites has an obstacle, so contact is free unless asked for."""
+
+MOST_WEIGHT = 1e6
 
 COST_TERMS = tuple(DEFAULT_WEIGHTS)
 TERMS = (*COST_TERMS, "failure")
@@ -45,11 +46,13 @@ def check_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
     Raises
     ------
     AmulettError
-        If a name is unknown or a weight is not a finite number of at least 0.
+        If a name is unknown or a weight is no number from 0 to a million.
     """
+    if weights is not None and not isinstance(weights, Mapping):
+        raise AmulettError(f"reward_weights is {weights!r}; it has to be a mapping of term to weight")
     for name, weight in (weights or {}).items():
         if name not in DEFAULT_WEIGHTS:
             raise unknown("reward weight", name, DEFAULT_WEIGHTS)
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight < math.inf:
-            raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a finite number of at least 0")
+        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight <= MOST_WEIGHT:
+            raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a number from 0 to {MOST_WEIGHT:g}")
     return {**DEFAULT_WEIGHTS, **(weights or {})}

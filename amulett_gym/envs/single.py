@@ -42,6 +42,9 @@ class NotReached(float):
     def __eq__(self, other: object) -> bool:
         return isinstance(other, NotReached)
 
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
     def __hash__(self) -> int:
         return hash(NotReached)
 
@@ -100,7 +103,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space = Box(-1.0, 1.0, (len(OBSERVATIONS),), np.float32)
         self.action_space = Box(-1.0, 1.0, (1,), np.float32)
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(1 / agent_period)}
+        self.metadata = {**self.metadata, "render_fps": max(round(1 / agent_period), 1)}
         self._seeded = False
         self._renderer: Any = None
 
@@ -152,10 +155,10 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         scenario = (options or {}).get("scenario")
         if seed is not None or not self._seeded:
             self.episodes.set_keys(_DEVICE, draw_key(self.np_random))
-            self._seeded = True
         else:
             self.episodes.next_episode(_DEVICE)
         observation = self.episodes.start(_DEVICE, None if scenario is None else [scenario])[0]
+        self._seeded = True
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":

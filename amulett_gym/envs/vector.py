@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -163,6 +164,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._ended[mask] = False
         observations = self.episodes.observe()
         observations[mask] = self.episodes.start(devices, scenarios)
+        self._seeded |= mask
         self._clear_renderers(devices)
         return observations, self._info(self.episodes.report())
 
@@ -258,7 +260,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             super().reset(seed=None if seed is None else int(seed))
             seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
         else:
-            seeds = list(seed)
+            seeds = [None if one is None else operator.index(one) for one in seed]
             if len(seeds) != self.num_envs:
                 raise AmulettError(f"{len(seeds)} seeds were given for {self.num_envs} devices")
         for device in self._devices[mask]:
@@ -269,7 +271,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
                 self.episodes.set_keys(device, draw_key(self.np_random)[0])
             else:
                 self.episodes.next_episode(device)
-        self._seeded |= mask
 
     @staticmethod
     def _info(report: NDArray[np.float64]) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def record_episode(
             trajectory.control_period,
             {signal: values[:rows] for signal, values in trajectory.signals.items()},
         )
-    raw = dict(zip(METRICS, episodes.report()[FIRST_METRIC:], strict=True))
+    raw = dict(zip(METRICS, episodes.report().T[FIRST_METRIC:], strict=True))
     ended = float(trajectory["time"][-1])
     charge = failure_cost(ended, protocol.duration, protocol.agent_period) if failure else 0.0
     values = derive(raw, np.array([charge]), DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))

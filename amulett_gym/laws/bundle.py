@@ -19,8 +19,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 import shutil
+import stat
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -43,7 +43,6 @@ WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json"
 MAX_BYTES = 16_000_000
 """Largest file accepted in a bundle; the shipped recipes' networks have 20 kB."""
 
-_PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -254,12 +253,9 @@ def _put_in_place(new: Path, folder: Path, old: Path) -> None:
 
 def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     """Return the content of every file that the manifest lists, none of them changed, missing or unlisted."""
-    for name in manifest.sha256:
-        if not _PLAIN_NAME.fullmatch(name) or name == MANIFEST:
-            raise AmulettError(f"'{folder / MANIFEST}' lists {name!r}, which is no plain name of a file in the bundle")
-    for name in FILES:
-        if name not in manifest.sha256:
-            raise AmulettError(f"'{folder / MANIFEST}' does not list '{name}'")
+    for name in sorted(set(manifest.sha256) ^ set(FILES)):
+        lists = "lists" if name in manifest.sha256 else "does not list"
+        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name!r}; a bundle holds {', '.join(FILES)}")
     for path in sorted(folder.iterdir()):
         if path.name not in manifest.sha256 and path.name != MANIFEST:
             raise AmulettError(f"'{path}' is not listed in the bundle's manifest")
@@ -267,7 +263,7 @@ def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     for name, digest in manifest.sha256.items():
         contents[name] = _read(folder / name)
         if _digest(contents[name]) != digest:
-            raise AmulettError(f"'{folder / name}' was changed after it had been written: its SHA-256 is another one")
+            raise AmulettError(f"'{folder / name}' was changed or damaged: its SHA-256 is another one")
     return contents
 
 
@@ -326,7 +322,10 @@ def _json(content: bytes, path: Path) -> dict[str, Any]:
 
 def _read(path: Path) -> bytes:
     try:
-        size = path.stat().st_size
+        status = path.stat()
+        size = status.st_size
+        if not stat.S_ISREG(status.st_mode):
+            raise AmulettError(f"'{path}' is no ordinary file")
         if size > MAX_BYTES:
             raise AmulettError(f"'{path}' has {size} bytes; at most {MAX_BYTES} are allowed")
         return path.read_bytes()

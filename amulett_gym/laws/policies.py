@@ -15,7 +15,13 @@ from amulett_gym.control.variable_stiffness import scaling_factor, scaling_facto
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Bundle, read_bundle
-from amulett_gym.laws.contenders import CONSTANT, bundle_folder, constant_tension
+from amulett_gym.laws.contenders import (
+    CONSTANT,
+    bundle_folder,
+    constant_tension,
+    contender_names,
+    parse_contender,
+)
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
@@ -50,6 +56,12 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     if not hasattr(base, "tension_range"):
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
     name, tension_range = str(name_or_folder), base.tension_range
+    keywords = parse_contender(name).env_keywords if name in contender_names() else {}
+    if keywords:
+        (key, value), *_ = keywords.items()
+        raise AmulettError(
+            f"'{name}' acts inside the loop, not on observations: make the environment with {key}='{value}' instead"
+        )
     if name.startswith(CONSTANT):
         return _constant(constant_tension(name), tension_range)
     if name in ("eq6-held", "eq6-held-printed"):

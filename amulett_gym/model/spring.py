@@ -97,27 +97,43 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
     Parameters
     ----------
     path : str or Path
-        CSV file with a header and the columns ``deflection_m``, ``force_N`` and optionally ``spring_deflection_m``
-        (without it the potentiometer is taken to measure the string's deflection itself).
+        CSV file (comma or semicolon) with a header and the columns ``deflection_m``, ``force_N`` and optionally
+        ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection itself). A
+        curve that starts above zero is joined to the origin. Average repeated and noisy measurements first.
 
     Returns
     -------
     deflection, force, spring_deflection : ndarray
-        [m], [N], [m]; each starts at 0 and rises strictly.
+        [m], [N], [m]; each starts at 0. Deflections rise strictly; the force never falls.
 
     Raises
     ------
     AmulettError
-        If the file is unreadable or empty, a column is missing, a cell is no finite number, or a column does not
-        start at zero and rise strictly.
+        If the file is unreadable or empty, a column is missing, a cell is no finite number, a value is negative, a
+        deflection does not rise or a force falls.
     """
-    rows = list(csv.DictReader(io.StringIO(read_text(path, "measured spring curve"))))
+    text = read_text(path, "measured spring curve").removeprefix("\ufeff")
+    delimiter = ";" if ";" in text.partition("\n")[0] else ","
+    try:
+        rows = list(csv.DictReader(io.StringIO(text), delimiter=delimiter))
+    except csv.Error as error:
+        raise AmulettError(f"measured spring curve '{path}' is not valid CSV: {error}") from error
     if not rows:
         raise AmulettError(f"measured spring curve '{path}' is empty; it needs a header and at least 3 rows")
     missing = [column for column in CURVE_COLUMNS[:2] if column not in rows[0]]
     if missing:
         raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {list(rows[0])}")
     columns = [_column(rows, name, path) for name in CURVE_COLUMNS if name in rows[0]]
+    if max(column[0] for column in columns) > 0:
+        columns = [np.insert(column, 0, 0.0) for column in columns]
+    for name, column in zip(CURVE_COLUMNS, columns, strict=False):
+        step = np.diff(column)
+        if (step < 0).any() or (name != "force_N" and (step == 0).any()):
+            row = int(np.argmax(step < 0 if name == "force_N" else step <= 0)) + 1
+            raise AmulettError(
+                f"measured spring curve '{path}', column '{name}' has to rise from row to row; {column[row]} follows "
+                f"{column[row - 1]}"
+            )
     return columns[0], columns[1], columns[-1] if len(columns) == 3 else columns[0]
 
 
@@ -196,6 +212,6 @@ def _column(rows: list[dict[str, str]], name: str, path: str | Path) -> NDArray[
         raise AmulettError(f"measured spring curve '{path}', column '{name}': every cell has to be a number") from error
     if values.size < 3 or not np.isfinite(values).all():
         raise AmulettError(f"measured spring curve '{path}', column '{name}': at least 3 finite numbers are needed")
-    if values[0] != 0.0 or (np.diff(values) <= 0).any():
-        raise AmulettError(f"measured spring curve '{path}', column '{name}' has to start at 0 and rise strictly")
+    if values[0] < 0.0:
+        raise AmulettError(f"measured spring curve '{path}', column '{name}' starts at {values[0]}; it has to be >= 0")
     return values

@@ -97,10 +97,17 @@ class Simulation:
             self.states[name][block, lane] = 0
         self.states["law"][block, lane] = self._law
         kernel.settle(self.parameters, self.scenarios, self.states, devices)
-        self._check_commands(devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
-        """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again."""
+        """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again.
+
+        Raises
+        ------
+        AmulettError
+            If a tension is not finite.
+        """
+        if not np.isfinite(tension).all():
+            raise AmulettError(f"the tension command is {tension!r}; it has to be finite")
         self.states["tension_command"][self._block, self._lane] = tension
 
     def advance(self, ticks: int) -> None:
@@ -125,23 +132,34 @@ class Simulation:
         self.states[...] = state["states"]
 
     def _check_posture(self, scenarios: NDArray[np.void]) -> None:
+        """Refuse a start that the strings cannot hold or the drives cannot reach, before anything is written."""
         p = self.parameters[0]
-        load = np.abs(scenarios["static_torque"] * np.sin(scenarios["initial_angle"])) / p["joint_radius"]
-        needed = load + (scenarios["initial_tension"] if p["tension_loop"] else 0.0)
-        if (needed > self.max_force).any():
-            worst = int(np.argmax(needed))
+        angle, tension = scenarios["initial_angle"], scenarios["initial_tension"]
+        side = scenarios["obstacle_side"]
+        depth = np.maximum(side * (angle - scenarios["obstacle_angle"]), 0.0)
+        contact = side * scenarios["obstacle_stiffness"] * depth
+        needed = (scenarios["static_torque"] * np.sin(angle) + contact) / p["joint_radius"]
+        biceps_is_agonist = needed >= 0 if p["fixed_agonist"] == 0 else np.full(needed.shape, p["fixed_agonist"] > 0)
+        if p["tension_loop"]:
+            agonist = tension + np.where(biceps_is_agonist, needed, -needed)
+        else:
+            agonist, tension = np.abs(needed), np.zeros_like(tension)
+        most, least = np.maximum(agonist, tension), np.minimum(agonist, tension)
+        if (most > self.max_force).any() or (least < 0).any():
+            worst = int(np.argmax(np.maximum(most - self.max_force, -least)))
+            force = most[worst] if most[worst] > self.max_force else least[worst]
             raise AmulettError(
-                f"scenario {worst} starts with a string force of {needed[worst]:.2f} N (its tension plus what holds "
-                f"the weight); the springs give at most {self.max_force:.2f} N"
+                f"scenario {worst} starts with a string force of {force:.2f} N (its tension, and what holds weight and "
+                f"contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {self.max_force:.2f} N"
             )
-
-    def _check_commands(self, devices: NDArray[np.int64]) -> None:
-        limit = float(self.parameters["command_limit"][0])
-        block, lane = self._block[devices], self._lane[devices]
-        turn = np.maximum(*(np.abs(self.states[f"command_{drive}"][block, lane]) for drive in ("biceps", "triceps")))
-        if (turn > limit).any():
+        stretch = p["position_only_offset"] * p["drive_radius"]
+        if p["tension_loop"]:
+            forces = np.append(p["force_table"][:, 0], self.max_force)
+            stretch = np.interp(most, forces, np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size))
+        turn = (np.abs(angle) * p["joint_radius"] + stretch) / p["drive_radius"]
+        if (turn > p["command_limit"]).any():
             worst = int(np.argmax(turn))
             raise AmulettError(
-                f"scenario {worst} starts with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
-                f"command_limit_deg is {np.degrees(limit):.1f}"
+                f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
+                f"command_limit_deg is {np.degrees(p['command_limit']):.1f}"
             )

@@ -158,7 +158,7 @@ def control_tension(p, s, i, restart):
             error,
             p.tension_ki,
             p.control_period,
-            command < p.command_limit and measured < p.max_spring_deflection,
+            command < p.command_limit and measured < p.slider_end,
             command > -p.command_limit and not untrusted,
         )
     s.tension_signal[i] = signal
@@ -372,7 +372,8 @@ def read_setpoint(p, c, s, i):
     while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
         s.move[i] += 1
         start = c.move_angle[s.move[i] - 1, i] if s.move[i] > 0 else c.initial_angle[i]
-        begin_step(s, i, time, start, c.move_angle[s.move[i], i])
+        change = c.move_angle[s.move[i], i] - start
+        begin_step(s, i, time, c.move_angle[s.move[i], i], change if time >= c.measure_from[i] - TIME_SLACK else 0.0)
     k = s.move[i]
     if k < 0:
         return
@@ -390,9 +391,8 @@ def minimum_jerk(progress: float) -> float:
 
 
 @compiled
-def begin_step(s, i, time, start, target):
-    """Close the setpoint step in progress and open the next; a move to where the setpoint is opens none."""
-    change = target - start
+def begin_step(s, i, time, target, change):
+    """Close the setpoint step in progress and open the next, unless nothing changes or counts."""
     if not math.isnan(s.inside_since[i]):
         s.settling_sum[i] += s.inside_since[i] - s.step_start[i]
         s.settling_count[i] += 1.0

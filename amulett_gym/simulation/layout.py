@@ -64,6 +64,7 @@ PARAMETERS = np.dtype(
         ("slider_resolution", "f8"),
         ("slider_travel", "f8"),
         ("slider_noise", "f8"),
+        ("slider_end", "f8"),
         ("force_filter", "f8"),
         ("force_floor", "f8"),
         ("below_floor", "i8"),
@@ -258,6 +259,7 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
         else 0.0,
         "slider_travel": sensors.potentiometer_travel,
         "slider_noise": sensors.potentiometer_noise,
+        "slider_end": slider_end(profile, tables.max_spring_deflection),
         "force_filter": sensors.force_filter,
         "force_floor": sensors.force_floor,
         "below_floor": _BELOW_FLOOR[sensors.below_floor],
@@ -282,6 +284,17 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
     for name in PARAMETERS.names or ():
         record[name] = values[name]
     return record
+
+
+def slider_end(profile: Profile, max_spring_deflection: float) -> float:
+    """Return the reading [m] from which on a potentiometer may be at its end: that of the table or of its travel.
+
+    Noise, which is bounded (`simulation.random.noise`), and rounding may let it read that much less.
+    """
+    sensors = profile.sensors
+    resolution = sensors.potentiometer_travel / 2**sensors.potentiometer_bits if sensors.potentiometer_bits else 0.0
+    doubt = max(resolution + 3.5 * sensors.potentiometer_noise, 1e-6 * max_spring_deflection)
+    return min(max_spring_deflection, sensors.potentiometer_travel) - doubt
 
 
 def arm_torques(profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from scipy.interpolate import PchipInterpolator
 
 from amulett_gym.config import Pid, Profile
 from amulett_gym.model.spring import build_tables
-from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.layout import Control, slider_end
 from amulett_gym.simulation.trajectory import Trajectory
 
 RELATIVE_TOLERANCE = 1e-10
@@ -163,7 +163,7 @@ def replay_control(
     """
     loop, period = profile.loop, profile.loop.control_period
     limit = math.inf if profile.drives.command_limit_deg is None else math.radians(profile.drives.command_limit_deg)
-    sensor_end = build_tables(profile.spring).max_spring_deflection
+    sensor_end = slider_end(profile, build_tables(profile.spring).max_spring_deflection)
     other = {"biceps": "triceps", "triceps": "biceps"}
     pulls = {"biceps": 1.0, "triceps": -1.0}  # sense in which a drive tightens its string
     leader = "biceps" if trajectory["agonist"][0] > 0 else "triceps"

@@ -62,6 +62,7 @@ def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
     rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), 4 * max(MAX_MOVES, MAX_PUSHES) + 4)
     _SUITES[suite](rows, draws, profile)
+    _make_room_for_weight(rows, profile)
     rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
     return rows
 
@@ -139,6 +140,13 @@ def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration
         rows["move_angle"][:, k] = np.radians(angle)
         rows["move_duration"][:, k] = length
         time = np.round(time + length + _between(pause, *dwell, 3), 3)
+
+
+def _make_room_for_weight(rows: Rows, profile: Profile) -> None:
+    """Start with less tension where the agonist needs its force to hold the arm up (0.5 N below saturation)."""
+    load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / profile.plant.joint_pulley_radius
+    room = build_tables(profile.spring).max_force - load - 0.5
+    rows["initial_tension"] = np.where(room > 0, np.minimum(rows["initial_tension"], room), rows["initial_tension"])
 
 
 def _between(draw: Draws, low: float, high: float, digits: int) -> Draws:
