@@ -44,13 +44,17 @@ def test_simulate_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     assert main(shlex.split(command)[1:]) == 0
-    assert (tmp_path / "mine.csv").stat().st_size > 0
-    assert (tmp_path / "mine.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "runs" / "mine.csv").stat().st_size > 0
+    assert (tmp_path / "runs" / "mine.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_ci_runs_the_readmes_test_command():
     (command,) = [block.strip() for block in blocks("bash") if "pytest" in block]
     assert command in (ROOT / ".ci" / "run").read_text().splitlines()
+
+
+def test_nothing_is_left_to_fill_in():
+    assert not re.search(r"^(BENCH|TODO|TBD)", README, flags=re.MULTILINE)
 
 
 def test_links_lead_somewhere():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections import Counter
+from itertools import product
 
 HELP = "check that an environment keeps its promises"
 EXAMPLES = """  amulett check
@@ -15,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("env_id", nargs="?", metavar="ENV_ID", help="environment to check (default: all of them)")
     parser.add_argument("--profile", help="device profile (default: every shipped one)")
-    parser.add_argument("--suite", help="suite of scenarios (default: steps)", default="steps")
+    parser.add_argument("--suite", help="suite of scenarios (default: every one)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -30,28 +32,37 @@ def run(arguments: argparse.Namespace) -> int:
     env_id = arguments.env_id and arguments.env_id.split(":")[-1]
     if env_id and env_id not in ENV_IDS:
         raise unknown("environment", env_id, ENV_IDS)
-    if arguments.suite not in suite_names():
+    if arguments.suite and arguments.suite not in suite_names():
         raise unknown("suite", arguments.suite, suite_names())
     if arguments.profile:
         load_profile(arguments.profile)
-    results = []
-    failed = 0
-    for name in [env_id] if env_id else ENV_IDS:
-        for profile in [arguments.profile] if arguments.profile else profile_names():
-            subject = Subject(name, {"profile": profile, "suite": arguments.suite})
+    subjects = product(
+        [env_id] if env_id else ENV_IDS,
+        [arguments.profile] if arguments.profile else profile_names(),
+        [arguments.suite] if arguments.suite else suite_names(),
+    )
+    checks = []
+    for name, profile, suite in subjects:
+        if not arguments.json:
+            print(f"{name}, profile {profile}, suite {suite}")
+        for outcome in run_checks(Subject(name, {"profile": profile, "suite": suite})):
+            result = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
+            remark = outcome.problem or outcome.skipped
+            checks.append(
+                {
+                    "env_id": name,
+                    "profile": profile,
+                    "suite": suite,
+                    "check": outcome.promise,
+                    "result": result,
+                    "remark": remark,
+                }
+            )
             if not arguments.json:
-                print(f"{name}, profile {profile}, suite {arguments.suite}")
-            for outcome in run_checks(subject):
-                failed += bool(outcome.problem)
-                state = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
-                remark = outcome.problem or outcome.skipped
-                results.append(
-                    {"env_id": name, "profile": profile, "check": outcome.promise, "result": state, "remark": remark}
-                )
-                if not arguments.json:
-                    print(f"  {state:7} {outcome.promise}{': ' + remark if remark else ''}", flush=True)
+                print(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}", flush=True)
+    count = Counter(check["result"] for check in checks)
     if arguments.json:
-        print(json.dumps({"failed": failed, "checks": results}, indent=2))
+        print(json.dumps({"failed": count["failed"], "checks": checks}, indent=2))
     else:
-        print(f"{len(results) - failed} of {len(results)} checks without a failure")
-    return 1 if failed else 0
+        print(f"{count['ok']} ok, {count['failed']} failed, {count['skipped']} skipped")
+    return 1 if count["failed"] else 0

@@ -81,10 +81,13 @@ class Episodes:
         squared_degrees = {"position": np.degrees(1.0) ** 2, "effort": np.degrees(1.0) ** 2}
         for term, weight in weights.items():
             self._settings[term] = weight / paid[term] * squared_degrees.get(term, 1.0)
+        simulation = self.simulation
+        self._arrays = simulation.parameters, self._settings, simulation.scenarios, simulation.states
         self._all = np.arange(num_devices)
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
-        self._scenarios = sample(suite, self._keys, self.profile)
+        self._max_force = simulation.max_force
+        self._scenarios = sample(suite, self._keys, self.profile, self._max_force)
 
     @property
     def agent_period(self) -> float:
@@ -109,7 +112,8 @@ class Episodes:
         -------
         ndarray of float32, shape (len(devices), 13)
         """
-        rows = sample(self.suite, episode_keys(self._keys[devices], self._episodes[devices], self.split), self.profile)
+        keys = episode_keys(self._keys[devices], self._episodes[devices], self.split)
+        rows = sample(self.suite, keys, self.profile, self._max_force)
         if scenarios is not None:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)
@@ -120,7 +124,7 @@ class Episodes:
         """Return what the given devices (all if None) sense now, shape (len(devices), 13)."""
         devices = self._all if devices is None else devices
         observations = np.empty((devices.size, len(transition.OBSERVATIONS)), dtype=np.float32)
-        transition.observe_devices(*self._arrays(), devices, observations)
+        transition.observe_devices(*self._arrays, devices, observations)
         return observations
 
     def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
@@ -144,7 +148,7 @@ class Episodes:
         """
         observations = np.empty((self._all.size, len(transition.OBSERVATIONS)), dtype=np.float32)
         report = np.empty((self._all.size, transition.REPORT_SIZE))
-        not_a_number = transition.step(*self._arrays(), actions, observations, report)
+        not_a_number = transition.step(*self._arrays, actions, observations, report)
         if not_a_number >= 0:
             raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
         return observations, report
@@ -174,10 +178,6 @@ class Episodes:
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
         self._scenarios[...] = state["scenarios"]
-
-    def _arrays(self) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]:
-        simulation = self.simulation
-        return simulation.parameters, self._settings, simulation.scenarios, simulation.states
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys

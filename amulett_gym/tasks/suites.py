@@ -35,7 +35,7 @@ Rows = NDArray[np.void]
 Draws = NDArray[np.float64]
 
 
-def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
+def sample(suite: str, keys: NDArray[np.uint64], profile: Profile, max_force: float | None = None) -> Rows:
     """Draw one scenario for each key.
 
     Parameters
@@ -46,6 +46,8 @@ def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
         The episodes' keys; the same key gives the same scenario in any batch.
     profile : Profile
         Scales pushes and gives the nominal tension and inertia.
+    max_force : float, optional
+        Force at which the profile's springs saturate [N], for who knows it already: finding it takes most of the time.
 
     Returns
     -------
@@ -58,11 +60,15 @@ def sample(suite: str, keys: NDArray[np.uint64], profile: Profile) -> Rows:
     """
     if suite not in _SUITES:
         raise unknown("suite", suite, _SUITES)
+    if max_force is None:
+        max_force = build_tables(profile.spring).max_force
     rows = empty_rows(keys.size, profile)
     rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), 4 * max(MAX_MOVES, MAX_PUSHES) + 4)
-    _SUITES[suite](rows, draws, profile)
-    _make_room_for_weight(rows, profile)
+    radius = profile.plant.joint_pulley_radius
+    spare = (max_force - profile.variable_stiffness.nominal_tension) * radius
+    _SUITES[suite](rows, draws, max(spare, 0.0))
+    _make_room_for_weight(rows, max_force, radius)
     rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
     return rows
 
@@ -90,37 +96,33 @@ def describe_suite(suite: str) -> str:
     return (_SUITES[suite].__doc__ or "").split("\n")[0]
 
 
-def _paper_step(rows: Rows, draws: Draws, profile: Profile) -> None:
+def _paper_step(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """One setpoint step from 0 to 45 deg at 0.5 s, from rest (the paper's protocol)."""
     rows["move_count"] = 1
     rows["move_time"][:, 0] = START
     rows["move_angle"][:, 0] = np.radians(45.0)
 
 
-def _steps(rows: Rows, draws: Draws, profile: Profile) -> None:
+def _steps(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Random setpoint steps of 10 to 60 deg in flexion and extension, every 1 to 2.5 s."""
     _random_moves(rows, draws, dwell=(1.0, 2.5), duration=(0.0, 0.0))
 
 
-def _reach(rows: Rows, draws: Draws, profile: Profile) -> None:
+def _reach(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Minimum-jerk reaches of 10 to 60 deg in 0.5 to 1.5 s, with 0.3 to 1 s between them."""
     _random_moves(rows, draws, dwell=(0.3, 1.0), duration=(0.5, 1.5))
 
 
-def _hold_push(rows: Rows, draws: Draws, profile: Profile) -> None:
+def _hold_push(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Hold a posture of 15 to 75 deg against four torque pulses of 0.1 to 0.5 s in either direction."""
     rows["initial_angle"] = np.radians(_between(draws[:, 0], 15.0, 75.0, 2))
     rows["push_count"] = MAX_PUSHES
-    spare = (build_tables(profile.spring).max_force - profile.variable_stiffness.nominal_tension) * (
-        profile.plant.joint_pulley_radius
-    )
-    spare = max(spare, 0.0)
     for k in range(MAX_PUSHES):
         when, how_long, how_strong, direction = draws[:, 4 * k + 4 : 4 * k + 8].T
         rows["push_time"][:, k] = _between(when, 2.4 * k + START, 2.4 * k + START + 1.0, 3)
         rows["push_duration"][:, k] = _between(how_long, 0.1, 0.5, 3)
         sign = np.where(direction < 0.5, -1.0, 1.0)
-        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
+        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare_torque, 0.7 * spare_torque, 4)
 
 
 def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration: tuple[float, float]) -> None:
@@ -142,10 +144,10 @@ def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration
         time = np.round(time + length + _between(pause, *dwell, 3), 3)
 
 
-def _make_room_for_weight(rows: Rows, profile: Profile) -> None:
+def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
     """Start with less tension where the agonist needs its force to hold the arm up (0.5 N below saturation)."""
-    load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / profile.plant.joint_pulley_radius
-    room = build_tables(profile.spring).max_force - load - 0.5
+    load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / joint_radius
+    room = max_force - load - 0.5
     rows["initial_tension"] = np.where(room > 0, np.minimum(rows["initial_tension"], room), rows["initial_tension"])
 
 
@@ -154,7 +156,7 @@ def _between(draw: Draws, low: float, high: float, digits: int) -> Draws:
     return np.round(low + draw * (high - low), digits)
 
 
-_SUITES: dict[str, Callable[[Rows, Draws, Profile], None]] = {
+_SUITES: dict[str, Callable[[Rows, Draws, float], None]] = {
     "paper-step": _paper_step,
     "steps": _steps,
     "reach": _reach,
