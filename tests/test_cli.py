@@ -91,7 +91,7 @@ def test_list_names_everything(capsys):
 
 def test_check_passes_and_says_so(capsys):
     assert main(["check", "Amulett/Tension-v0", "--profile", "testbed"]) == 0
-    assert "failed" not in capsys.readouterr().out
+    assert "\n  failed" not in capsys.readouterr().out
 
 
 def test_check_fails_with_exit_code_1(capsys, monkeypatch):

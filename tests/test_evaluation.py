@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from amulett_gym.evaluation import runner
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS, failure_cost
 from amulett_gym.evaluation.report import write_report
-from amulett_gym.evaluation.results import number, pretty, summarise, table, verdict, write_scenarios
+from amulett_gym.evaluation.results import in_words, number, pretty, span, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 
@@ -87,8 +88,46 @@ def test_eq6_always_runs_and_is_exactly_its_own_yardstick(results):
     assert summary["policies"]["eq6"]["cost"]["ratio_to_eq6"]["mean"] == 1.0
 
 
-def test_a_policy_that_is_listed_twice_runs_once():
-    assert list(evaluate(["eq6", "eq6"], episodes=1, duration=0.1).values) == ["eq6"]
+def test_a_policy_that_is_listed_twice_runs_once(bundle):
+    run = bundle.removesuffix("/best")
+    results = evaluate(["eq6", "eq6", "constant:10", "constant:10.0", run, bundle], episodes=1, duration=0.12)
+    assert list(results.values) == ["eq6", "constant:10", run]
+    assert results.remarks[:2] == [
+        "constant:10.0 is the same as constant:10, and ran once",
+        f"{bundle} is the same as {run}, and ran once",
+    ]
+
+
+def test_a_policy_from_elsewhere_is_told_apart(bundle):
+    assert evaluate([bundle], episodes=1, duration=0.12).remarks == []
+    strange = {"base": "testbed", "name": "mine", "loop": {"offset_deg": 25.0}}
+    results = evaluate([bundle], suite="reach", profile=strange, episodes=1, duration=0.12, env_id="Amulett/Tension-v0")
+    assert results.remarks == [
+        "mine was trained on the testbed, not the mine; for steps, not reach; "
+        "in Amulett/Scaling-v0, not Amulett/Tension-v0",
+        "costs on the mine are divided by what eq6 pays on the testbed, so eq6's own need not be about 1",
+    ]
+    assert all(remark in in_words(summarise(results)) for remark in results.remarks)
+
+
+def test_a_failure_where_pushes_were_measured_is_told(fragile):
+    results = replace(fragile, push_failures={"eq6": 0, "constant:10": 3})
+    assert "constant:10 failed in 3 of 12 on hold-push" in verdict(results)
+    assert "constant:10: 3 of 12 on hold-push" in write_page(results)
+    frail = {**FRAGILE, "plant": {"velocity_limit_deg": 20.0}}
+    assert evaluate(["eq6"], profile=frail, episodes=4).push_failures["eq6"] > 0
+
+
+def test_a_ratio_gets_the_digits_that_tell_it_from_1():
+    def ratio(mean, low, high):
+        return span({"mean": mean, "low": low, "high": high})
+
+    assert ratio(1.0, 1.0, 1.0) == "1.00 [1.00, 1.00]"
+    assert ratio(0.9, 0.8, 1.0) == "0.900 [0.800, 1.00]"
+    assert ratio(1.0002, 1.0001, 1.0003) == "1.0002 [1.0001, 1.0003]"
+    assert ratio(1.0 + 1e-9, 1.0, 1.0 + 2e-9) == "practically 1"
+    assert ratio(0.9, None, None) == "0.900"
+    assert ratio(None, None, None) == "-"
 
 
 def test_the_cost_is_the_weighted_sum_of_raw_metrics_over_the_frozen_divisors(results):
@@ -306,10 +345,23 @@ def test_nothing_is_written_when_something_is_wrong(tmp_path, monkeypatch, resul
     (tmp_path / "file").write_text("mine")
     with pytest.raises(AmulettError, match="is a file"):
         command("--policies", "eq6", "--out", str(tmp_path / "file"))
+    with pytest.raises(AmulettError, match="file' is a file"):
+        command("--policies", "eq6", "--out", str(tmp_path / "file" / "sub"))
+    with pytest.raises(AmulettError, match="is not empty and holds no comparison"):
+        command("--policies", "eq6", "--out", str(tmp_path))
     monkeypatch.setattr("amulett_gym.evaluation.report.render", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_report(results, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_comparison_replaces_an_earlier_one_and_nothing_else(results, tmp_path, capsys):
+    assert command("--policies", "eq6-held", "--episodes", "1", "--out", str(tmp_path)) == 0
+    assert "in the place of" not in capsys.readouterr().out
+    (tmp_path / "notes.txt").write_text("mine")
+    assert command("--policies", "eq6", "--episodes", "1", "--out", str(tmp_path)) == 0
+    assert "in the place of the comparison that was there" in capsys.readouterr().out
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"schedule.png"} | {"notes.txt"}
 
 
 def test_the_report_needs_nothing_else_and_stays_small(results, tmp_path):

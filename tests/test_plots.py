@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import matplotlib as mpl
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -127,6 +128,40 @@ def test_labels_are_short_and_unambiguous():
         "old/b": "old/b",
         ".": ".",
     }
+
+
+def test_learned_policies_have_colours_that_no_law_has():
+    laws = [
+        "eq6",
+        "eq6-printed",
+        "eq6-held",
+        "eq6-held-printed",
+        "position-only",
+        *(f"constant:{n}" for n in range(5, 9)),
+    ]
+    colours = plots.colours(["runs/a", *laws, "runs/b"])
+    assert len({colours[name] for name in laws}) == len(laws)
+    assert not {colours["runs/a"], colours["runs/b"]} & {colours[name] for name in laws}
+    assert colours["runs/a"] == plots.colours(["runs/a"])["runs/a"]
+
+
+def test_a_string_has_the_renderers_colour():
+    from amulett_gym.envs import picture
+
+    for ours, theirs in (
+        (plots.BICEPS, picture._BICEPS),
+        (plots.TRICEPS, picture._TRICEPS),
+        (plots.SETPOINT, picture._SETPOINT),
+        (plots.JOINT, picture._INK),
+    ):
+        assert mpl.colors.to_rgb(ours) == pytest.approx([value / 255 for value in theirs])
+
+
+def test_a_median_needs_points():
+    error = np.concatenate([np.full(5000, 0.2), np.full(40, 8.0)])
+    centres, medians = plots._medians(error, np.full(error.size, 6.0))
+    assert centres[~np.isnan(centres)].tolist() == [0.2]
+    assert medians[~np.isnan(medians)].tolist() == [6.0]
 
 
 def test_eq6_is_black_and_neighbours_differ():

@@ -1,8 +1,31 @@
-"""What learns: PPO, the SB3 adapter and the writing of policy bundles."""
+"""What learns: PPO, the SB3 adapter and the writing of policy bundles.
 
-from amulett_agents.adapter import SB3VecEnv, make_sb3_env
-from amulett_agents.config import TrainConfig, load_train_config
-from amulett_agents.ppo import save_policy
-from amulett_agents.training import TrainResult, train
+Torch and Stable-Baselines3 are imported when a name that needs them is: a recipe can be checked without them.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from amulett_agents.adapter import SB3VecEnv, make_sb3_env
+    from amulett_agents.config import TrainConfig, load_train_config
+    from amulett_agents.ppo import save_policy
+    from amulett_agents.training import TrainResult, train
 
 __all__ = ["SB3VecEnv", "TrainConfig", "TrainResult", "load_train_config", "make_sb3_env", "save_policy", "train"]
+
+_MODULES = {
+    "SB3VecEnv": "adapter",
+    "TrainConfig": "config",
+    "TrainResult": "training",
+    "load_train_config": "config",
+    "make_sb3_env": "adapter",
+    "save_policy": "ppo",
+    "train": "training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

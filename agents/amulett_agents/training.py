@@ -25,15 +25,17 @@ from amulett_agents.config import TrainConfig
 from amulett_agents.ppo import extract_network, git_revision, make_model, make_validation_env, save_policy, versions
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import atomic_path, write_json, write_text
+from amulett_gym.files import atomic_path, output_folder, write_json, write_text
 from amulett_gym.laws.bundle import forward
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""
 
+RUN_MARKS = ("config.yaml", "command.json")
+"""Files by which a training run's folder is recognised."""
+
 _OUTPUTS = (
-    "config.yaml",
-    "command.json",
+    *RUN_MARKS,
     "evaluations.csv",
     "last_sb3.zip",
     "best",
@@ -55,7 +57,7 @@ class TrainResult:
     best_steps, steps : int
         Agent steps behind the best and the last policy.
     seconds : float
-        Duration, validation included.
+        Duration, validation included, compilation not.
     interrupted : bool
         Whether Ctrl-C ended the run.
     """
@@ -106,23 +108,28 @@ def train(
         If the environment refuses its settings, or `out` holds something already.
     """
     out = Path(out)
-    _check_free(out, overwrite)
     threads = torch.get_num_threads()
-    torch.set_num_threads(config.threads)
-    try:
-        model = make_model(config)
-        validation = make_validation_env(config)
-        _prepare(out, config, command)
-        model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-        run = _Run(config, out, validation, command, progress)
+    with output_folder(out, "training run", [RUN_MARKS]) as earlier:
+        if earlier and not overwrite:
+            raise AmulettError(
+                f"'{out}' holds a training run already; choose another folder, or overwrite it (--overwrite)"
+            )
+        torch.set_num_threads(config.threads)
         try:
-            model.learn(config.total_steps, callback=run)
-        except KeyboardInterrupt:
-            run.interrupted = True
-        run.finish(model)
-        return run.result()
-    finally:
-        torch.set_num_threads(threads)
+            model = make_model(config)
+            validation = make_validation_env(config)
+            _warm_up(config)
+            _prepare(out, config, command)
+            model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+            run = _Run(config, out, validation, command, progress)
+            try:
+                model.learn(config.total_steps, callback=run)
+            except KeyboardInterrupt:
+                run.interrupted = True
+            run.finish(model)
+            return run.result()
+        finally:
+            torch.set_num_threads(threads)
 
 
 class _Run(BaseCallback):
@@ -261,19 +268,14 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) ->
     return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}
 
 
-def _check_free(out: Path, overwrite: bool) -> None:
-    if not out.exists():
-        return
-    if not out.is_dir():
-        raise AmulettError(f"'{out}' is a file; a training run needs a folder")
-    if not any(out.iterdir()):
-        return
-    if not all((out / name).is_file() for name in _OUTPUTS[:2]):
-        raise AmulettError(f"'{out}' is not empty and holds no training run; choose another folder")
-    if not overwrite:
-        raise AmulettError(
-            f"'{out}' holds a training run already; choose another folder, or overwrite it (--overwrite)"
-        )
+def _warm_up(config: TrainConfig) -> None:
+    """Let the kernel compile before the clock starts: a time budget is for learning."""
+    keywords = {"num_envs": 2, "max_episode_steps": 1, **config.env.keywords()}
+    env = gym.make_vec(config.env.id, split="validation", **keywords)
+    env.reset(seed=0)
+    for _ in range(2):  # the second step starts the next episode
+        env.step(np.zeros((2, 1), dtype=np.float32))
+    env.close()
 
 
 def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:

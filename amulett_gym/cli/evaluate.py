@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-from pathlib import Path
+import sys
+from contextlib import nullcontext
 
-from amulett_gym.errors import AmulettError
+from amulett_gym.files import output_folder
 
 HELP = "compare laws and policies with eq. 6 on the same scenarios"
 EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:10 position-only --out comparison
@@ -37,41 +38,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the comparison, print its table, and write its files."""
-    if arguments.out is not None and Path(arguments.out).exists() and not Path(arguments.out).is_dir():
-        raise AmulettError(f"--out '{arguments.out}' is a file; it has to be a folder")
-
     from dataclasses import replace
 
-    from amulett_gym.evaluation.results import summarise, table
+    from amulett_gym.evaluation.results import COMPARISON_MARKS, in_words, summarise
     from amulett_gym.evaluation.runner import evaluate
 
-    results = evaluate(
-        arguments.policies,
-        suite=arguments.suite,
-        profile=arguments.profile,
-        episodes=arguments.episodes,
-        seed=arguments.seed,
-        env_id=arguments.env_id.split(":")[-1],
-        split=arguments.split,
-        progress=not arguments.json,
-    )
-    results = replace(results, command=_command(arguments))
-    if arguments.out is None:
-        summary = summarise(results)
-    else:
-        from amulett_gym.evaluation.report import write_report
+    out = arguments.out
+    with nullcontext(False) if out is None else output_folder(out, "comparison", [COMPARISON_MARKS]) as earlier:
+        results = evaluate(
+            arguments.policies,
+            suite=arguments.suite,
+            profile=arguments.profile,
+            episodes=arguments.episodes,
+            seed=arguments.seed,
+            env_id=arguments.env_id.split(":")[-1],
+            split=arguments.split,
+            progress=sys.stderr.isatty() and not arguments.json,
+        )
+        results = replace(results, command=_command(arguments))
+        if out is None:
+            summary = summarise(results)
+        else:
+            from amulett_gym.evaluation.report import write_report
 
-        summary = write_report(results, arguments.out)
+            summary = write_report(results, out)
     if arguments.json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return 0
-    print(table(summary))
-    print()
-    print(summary["verdict"])
-    if not results.listed:
-        print("eq6 was not asked for; it always runs, as the yardstick.")
-    if arguments.out is not None:
-        print(f"Written to {arguments.out}: report.html, results.json, scenarios.csv and figures.")
+    print(in_words(summary))
+    if out is not None:
+        replaced = ", in the place of the comparison that was there" if earlier else ""
+        print(f"Written to {out}: report.html, results.json, scenarios.csv and figures{replaced}.")
     return 0
 
 

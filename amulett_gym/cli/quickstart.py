@@ -4,22 +4,37 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+import shlex
 import sys
 from pathlib import Path
+from typing import Any
 
 from amulett_gym.cli.train import check_installed
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import output_folder
 
 HELP = "train a stiffness policy and compare it with every hand-tuned law, in about 3 minutes"
 EXAMPLES = """  amulett quickstart
   amulett quickstart --seconds 30 --seed 1 --out runs/short
 """
 
-LAWS = ("eq6", "eq6-printed", "eq6-held", "constant:5", "constant:8", "constant:10", "constant:12", "position-only")
+LAWS = (
+    "eq6",
+    "eq6-printed",
+    "eq6-held",
+    "eq6-held-printed",
+    "constant:5",
+    "constant:8",
+    "constant:10",
+    "constant:12",
+    "position-only",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--seconds", type=float, default=100.0, help="time to train [s] (default: 100)")
+    parser.add_argument("--seconds", type=float, default=100.0, help="most time to train [s] (default: 100)")
     parser.add_argument("--episodes", type=int, default=100, help="fresh scenarios to compare on (default: 100)")
     parser.add_argument("--seed", type=int, default=0, help="of the training (default: 0)")
     parser.add_argument("--out", default="runs/quickstart", metavar="DIR", help="folder (default: runs/quickstart)")
@@ -29,35 +44,69 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train on `steps`, compare on scenarios that were never trained on, and write the report."""
     check_installed()
+    if not 0 < arguments.seconds < math.inf:
+        raise AmulettError(f"--seconds is {arguments.seconds}; it has to be a positive number of seconds")
+    if arguments.seed < 0:
+        raise AmulettError(f"--seed is {arguments.seed}; it has to be at least 0")
+
+    from amulett_agents import load_train_config
+    from amulett_gym.config import load_profile
+    from amulett_gym.evaluation.results import COMPARISON_MARKS
+    from amulett_gym.evaluation.runner import Protocol
+
+    config = load_train_config(overrides=[f"max_seconds={arguments.seconds}", f"seed={arguments.seed}"])
+    protocol = Protocol(load_profile(config.env.profile), config.env.suite, episodes=arguments.episodes)
+    out = Path(arguments.out)
+    marks = [COMPARISON_MARKS, [f"ppo/{name}" for name in ("config.yaml", "command.json")]]
+    with output_folder(out, "quickstart", marks) as earlier:
+        if earlier:
+            _say(arguments, f"Replacing the earlier run and its report in {out}.")
+        return _train_and_compare(arguments, config, protocol, out)
+
+
+def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any, out: Path) -> int:
     from dataclasses import replace
 
-    from amulett_agents import load_train_config, train
-    from amulett_gym.evaluation.report import write_report
-    from amulett_gym.evaluation.results import table
+    from amulett_agents import train
+    from amulett_gym.evaluation.report import remove_comparison, write_report
+    from amulett_gym.evaluation.results import in_words
     from amulett_gym.evaluation.runner import evaluate
 
-    out = Path(arguments.out)
-    config = load_train_config(overrides=[f"max_seconds={arguments.seconds}", f"seed={arguments.seed}"])
-    _say(arguments, f"Training PPO on '{config.env.suite}' ({config.env.profile}) for {arguments.seconds:g} s ...")
-    command = ["amulett", *sys.argv[1:]]
-    trained = train(config, out / "ppo", progress=sys.stderr.isatty(), command=command, overwrite=True)
-    if trained.interrupted:
-        raise KeyboardInterrupt
-    _say(arguments, f"{trained.steps:,} steps. Comparing on {arguments.episodes} scenarios never trained on ...")
-    results = evaluate(
-        [*LAWS, str(out / "ppo")],
-        suite=config.env.suite,
-        profile=config.env.profile,
-        episodes=arguments.episodes,
-        progress=sys.stderr.isatty() and not arguments.json,
+    policy = out / "ppo"
+    remove_comparison(out)  # of another policy
+    _say(
+        arguments,
+        f"Training PPO on '{protocol.suite}' ({protocol.profile.name}): at most {config.total_steps:,} steps, "
+        f"at most {arguments.seconds:g} s ...",
     )
-    summary = write_report(replace(results, command=" ".join(command)), out)
+    command = ["amulett", *sys.argv[1:]]
+    progress = sys.stderr.isatty() and not arguments.json
+    trained = train(config, policy, progress=progress, command=command, overwrite=True)
+    try:
+        if trained.interrupted:
+            raise KeyboardInterrupt
+        _say(arguments, f"{trained.steps:,} steps. Comparing on {protocol.episodes} scenarios never trained on ...")
+        results = evaluate(
+            [*LAWS, str(policy)],
+            suite=protocol.suite,
+            profile=protocol.profile,
+            episodes=protocol.episodes,
+            progress=progress,
+        )
+    except KeyboardInterrupt:
+        print(
+            f"amulett: interrupted after {trained.steps:,} steps; the best policy until then is kept in "
+            f"{trained.best}. Compare it with: amulett evaluate --policies {shlex.quote(str(policy))} constant:10",
+            file=sys.stderr,
+        )
+        return 130
+    summary = write_report(replace(results, command=shlex.join(command)), out)
     if arguments.json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return 0
-    print(table(summary))
-    print(f"\n{summary['verdict']}\n")
-    print(f"Open {out / 'report.html'}. The policy is in {trained.best}.")
+    print(in_words(summary))
+    print(f"\nOpen {out / 'report.html'}. The policy is in {trained.best}.")
+    print(f"Watch it: amulett play {shlex.quote(str(policy))}")
     return 0
 
 

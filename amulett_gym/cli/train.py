@@ -42,10 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
-    from amulett_agents import load_train_config, train
+    from amulett_agents import load_train_config
 
     overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
-    config = load_train_config(arguments.config, overrides)
+    config = load_train_config(arguments.config, overrides)  # a wrong recipe is refused before torch is imported
+    from amulett_agents import train
+
     result = train(
         config,
         arguments.out,

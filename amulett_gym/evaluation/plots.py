@@ -26,19 +26,32 @@ from amulett_gym.config import VariableStiffness
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COSTS
-from amulett_gym.evaluation.results import number, pretty
-from amulett_gym.evaluation.runner import YARDSTICK, Schedule
+from amulett_gym.evaluation.results import number, pretty, span
+from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.files import atomic_path
 from amulett_gym.simulation.trajectory import Trajectory
 
 BLACK, GREY = "#000000", "#7a7a7a"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+INDIGO, OLIVE, BROWN = "#5B4BA8", "#9AA51E", "#8A5A33"
+
+JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
+"""The renderer's colours (`envs.picture`), so that a string has the same one everywhere."""
+
+WIDTH = 10.0
+"""Of every figure of a comparison [in], so that their texts have one size on the page."""
 
 _FIXED_COLOURS = {"eq6": BLACK, "eq6-printed": GREY}
-_CYCLE = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY)
+_LAW_COLOURS = (BLUE, GREEN, PURPLE, SKY, INDIGO, OLIVE, BROWN, ORANGE)
+_LEARNED_COLOURS = ("#D62718", "#8C1020", "#F0708A")
+"""Of learned policies; no law ever has one of these."""
 _MARKERS = "osD^vPXh<>p"
 _TERM_COLOURS = dict(zip(COSTS, (BLUE, ORANGE, GREEN, PURPLE, RED), strict=True))
-_PHASES = {1: ("towards the setpoint", RED), 0: ("standing", BLUE), -1: ("away from the setpoint", GREEN)}
+_PHASES = {
+    1: ("joint moves towards the setpoint", INDIGO),
+    0: ("joint stands", "#4FA3A5"),
+    -1: ("joint moves away from the setpoint", "#C29A00"),
+}
 _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -116,16 +129,15 @@ def figure_svg(figure: Figure, prefix: str) -> str:
     return re.sub(r'((?:url\(|href=")#)', rf"\g<1>{prefix}-", svg)
 
 
-def labels(names: Sequence[str]) -> dict[str, str]:
-    """Return a short label for each contender: of a bundle's folder only the end that tells it from the others."""
-    short = {name: _short(name) for name in names}
-    return {name: label if list(short.values()).count(label) == 1 else name for name, label in short.items()}
-
-
 def colours(names: Sequence[str]) -> dict[str, str]:
-    """Return a colour for each contender: eq. 6 is black."""
-    others = [name for name in names if name not in _FIXED_COLOURS]
-    return {**_FIXED_COLOURS, **{name: _CYCLE[k % len(_CYCLE)] for k, name in enumerate(others)}}
+    """Return a colour for each contender: eq. 6 is black, learned policies are red."""
+    learned = [name for name in names if is_bundle(name)]
+    laws = [name for name in names if name not in learned and name not in _FIXED_COLOURS]
+    return {
+        **_FIXED_COLOURS,
+        **{name: _LAW_COLOURS[k % len(_LAW_COLOURS)] for k, name in enumerate(laws)},
+        **{name: _LEARNED_COLOURS[k % len(_LEARNED_COLOURS)] for k, name in enumerate(learned)},
+    }
 
 
 @_styled
@@ -148,11 +160,13 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     angle, tension, command = axes[:3]
 
-    angle.plot(time, np.degrees(trajectory["setpoint"]), color=BLACK, linestyle="--", linewidth=1.0, label="setpoint")
-    angle.plot(time, np.degrees(trajectory["angle"]), color=RED, label="joint angle")
+    angle.plot(
+        time, np.degrees(trajectory["setpoint"]), color=SETPOINT, linestyle="--", linewidth=1.0, label="setpoint"
+    )
+    angle.plot(time, np.degrees(trajectory["angle"]), color=JOINT, label="joint angle")
     angle.set_ylabel("joint angle [deg]")
 
-    for string, colour in (("biceps", RED), ("triceps", BLUE)):
+    for string, colour in (("biceps", BICEPS), ("triceps", TRICEPS)):
         estimate = trajectory[f"estimate_{string}"]
         tension.plot(time, estimate, color=colour, alpha=0.35, linewidth=0.9, label=f"{string}, estimated")
         tension.plot(time, trajectory[f"force_{string}"], color=colour, label=f"{string}, true")
@@ -161,7 +175,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     tension.plot(
         time,
         trajectory["tension_setpoint"],
-        color=BLACK,
+        color=SETPOINT,
         linestyle="--",
         linewidth=1.0,
         drawstyle="steps-pre",
@@ -179,6 +193,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
         if panel is angle and shaded:
             handles, names = [*handles, shaded], [*names, "triceps is agonist"]
         panel.legend(handles, names, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.align_ylabels(axes)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
     if title:
@@ -200,7 +215,7 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
     label, colour = labels(names), colours(names)
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)
-    figure = Figure(figsize=(1.0 + 3.0 * columns, 0.8 + 3.0 * rows), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 0.8 + 3.0 * rows), layout="constrained")
     grid = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2] * rows)
     reference = trajectories.get(YARDSTICK)
     top_angle = max(float(np.degrees(trajectories[name]["angle"]).max()) for name in names)
@@ -211,12 +226,12 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
         trajectory = trajectories[name]
         time = trajectory["time"]
         angle.set_title(label[name], color=colour[name], fontweight="bold")
-        angle.plot(time, np.degrees(trajectory["setpoint"]), color=GREY, linestyle="--", linewidth=0.9)
+        angle.plot(time, np.degrees(trajectory["setpoint"]), color=SETPOINT, linestyle="--", linewidth=0.9)
         if reference is not None and name != YARDSTICK:
             angle.plot(reference["time"], np.degrees(reference["angle"]), color="#b5b5b5", linewidth=1.1)
         angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
         tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
-        tension.plot(time, trajectory["tension_setpoint"], color=GREY, linestyle="--", linewidth=0.9)
+        tension.plot(time, trajectory["tension_setpoint"], color=SETPOINT, linestyle="--", linewidth=0.9)
         angle.set_ylim(top=top_angle + 5.0)
         angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
         tension.set_ylim(0.0, 1.05 * top_tension)
@@ -234,7 +249,7 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
     handles = [
         Line2D([], [], color=BLACK, label="contender"),
         Line2D([], [], color="#b5b5b5", label=f"{YARDSTICK}, for comparison"),
-        Line2D([], [], color=GREY, linestyle="--", linewidth=0.9, label="setpoint"),
+        Line2D([], [], color=SETPOINT, linestyle="--", linewidth=0.9, label="setpoint"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     if title:
@@ -246,7 +261,8 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
 def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -> Figure:
     """Draw the tension that policies choose against the position error, over both readings of eq. 6.
 
-    Points are coloured by what the joint was doing; the thick lines are each phase's median.
+    Points are coloured by what the joint was doing; the thick lines are each phase's median. Faint lines show how far
+    the actions of a learned policy reach.
 
     Parameters
     ----------
@@ -259,7 +275,7 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
     label = labels(names)
     columns = min(max(len(names), 1), 3)
     rows = max(math.ceil(len(names) / columns), 1)
-    figure = Figure(figsize=(1.4 + 3.2 * columns, 1.1 + 2.9 * rows), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.1 + 2.9 * rows), layout="constrained")
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     reach = max([float(np.percentile(schedules[name].error, 99.8)) for name in names], default=0.0)
     reach = min(max(reach, 1.3 * law.error_offset_deg), 90.0)
@@ -269,6 +285,9 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
             continue
         if k < len(names):
             panel.set_title(label[names[k]], fontweight="bold")
+            if is_bundle(names[k]):
+                for bound in schedules[names[k]].tension_range:
+                    panel.axhline(bound, color=_LEARNED_COLOURS[0], linewidth=0.8, alpha=0.5, zorder=1)
             _draw_schedule(panel, schedules[names[k]])
         _draw_eq6(panel, law, reach)
         if k % columns == 0:
@@ -277,19 +296,19 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
             panel.set_xlabel("|position error| [deg]")
             panel.tick_params(labelbottom=True)
     grid[0, 0].set_xlim(0.0, reach)
-    highest = max([law.nominal_tension, *[float(schedules[name].tension.max()) for name in names]])
+    tops = [schedules[name].tension_range[1] for name in names if is_bundle(name)]
+    highest = max([law.nominal_tension, *tops, *[float(schedules[name].tension.max()) for name in names]])
     grid[0, 0].set_ylim(0.0, 1.06 * highest)
     handles = [
         Line2D([], [], color=BLACK, label="eq. 6, text"),
         Line2D([], [], color=BLACK, linestyle=":", label="eq. 6, as printed"),
-        *[
-            Line2D([], [], color=colour, marker="o", markersize=4, linewidth=2.2, label=f"joint moves {text}")
-            if phase
-            else Line2D([], [], color=colour, marker="o", markersize=4, linewidth=2.2, label="joint stands")
-            for phase, (text, colour) in _PHASES.items()
-        ],
+        Line2D([], [], color=GREY, linestyle="", marker="o", markersize=2.5, label="an agent step"),
+        *[Line2D([], [], color=colour, linewidth=2.2, label=f"{text}, median") for text, colour in _PHASES.values()],
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5 if columns == 3 else 2 if columns == 1 else 3)
+    if tops:
+        text = "ends of the policy's action range"
+        handles.append(Line2D([], [], color=_LEARNED_COLOURS[0], linewidth=0.8, alpha=0.5, label=text))
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -305,7 +324,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
     policies = summary["policies"]
     names = list(policies)
     label = labels(names)
-    figure = Figure(figsize=(7.2, 1.5 + 0.42 * len(names)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.5 + 0.36 * len(names)), layout="constrained")
     panel = figure.subplots()
     # A failure costs as much as hundreds of episodes; it must not squeeze the others into a line.
     sound = [policies[name]["cost"] for name in names if not policies[name]["failed"]["mean"]]
@@ -323,11 +342,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
         inside = cost["mean"] <= end
         if inside:
             panel.errorbar(cost["mean"], row, xerr=_reach(cost), color=BLACK, capsize=3, linewidth=1.1)
-        ratio = cost["ratio_to_eq6"]
-        texts = (
-            pretty(number(cost["mean"])) + ("" if inside else " ▶"),
-            f"{number(ratio['mean'])} [{number(ratio['low'])}, {number(ratio['high'])}]",
-        )
+        texts = (pretty(number(cost["mean"])) + ("" if inside else " ▶"), span(cost["ratio_to_eq6"]))
         for text, column in zip(texts, _COLUMNS, strict=True):
             panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
     for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
@@ -354,7 +369,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """
     policies = summary["policies"]
     label, colour = labels(list(policies)), colours(list(policies))
-    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     panel = figure.subplots()
     panel.axhline(1.0, color=GREY, linewidth=0.8)
     panel.axvline(1.0, color=GREY, linewidth=0.8)
@@ -391,7 +406,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-_COLUMNS, _BESIDE = (1.02, 1.13), ("axes fraction", "data")
+_COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
 _ARROW = {"arrowstyle": "->", "color": GREY}
 
 
@@ -403,20 +418,15 @@ def _reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
     return [[max(middle - low, 0.0)], [max(high - middle, 0.0)]]
 
 
-def _short(name: str) -> str:
-    parts = [part for part in Path(name).parts if part not in ("best", "last", "/", ".", "..")]
-    return parts[-1] if parts else name
-
-
 def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:
     """Shade the spans in which the triceps is the agonist; return the legend's handle if there is one."""
     triceps = agonist < 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], triceps, [False]]).astype(int)))
     for start, end in edges.reshape(-1, 2):
         # An agonist belongs to the tick that ends at its row.
-        span = time[max(start - 1, 0)], time[end - 1]
+        first, last = time[max(start - 1, 0)], time[end - 1]
         for panel in axes:
-            panel.axvspan(*span, color="#eef3f8", linewidth=0, zorder=0)
+            panel.axvspan(first, last, color="#eef3f8", linewidth=0, zorder=0)
     return Patch(color="#dfe8f1", label="triceps is agonist") if triceps.any() else None
 
 
@@ -454,11 +464,16 @@ def _draw_schedule(panel: Any, schedule: Schedule) -> None:
 
 
 def _medians(error: NDArray[Any], tension: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return median error [deg] and median tension [N] of every bin of the error that holds enough points for one."""
+    """Return median error [deg] and median tension [N] of every bin of the error; NaN where it has too few points.
+
+    Enough is a hundredth of all points, and 30: the median of fewer shows single episodes.
+    """
     edges = np.concatenate([[0.0, 0.5, 1.0, 2.0, 3.5, 5.0], np.arange(7.5, 90.1, 2.5)])
     bins = np.digitize(error, edges)
-    kept = [bins == k for k in range(1, len(edges)) if np.count_nonzero(bins == k) >= 20]
-    return (
-        np.array([float(np.median(error[inside])) for inside in kept]),
-        np.array([float(np.median(tension[inside])) for inside in kept]),
-    )
+    enough = max(30.0, 0.01 * error.size)
+    centres, medians = np.full((2, len(edges) - 1), np.nan)
+    for k in range(len(edges) - 1):
+        inside = bins == k + 1
+        if np.count_nonzero(inside) >= enough:
+            centres[k], medians[k] = np.median(error[inside]), np.median(tension[inside])
+    return centres, medians

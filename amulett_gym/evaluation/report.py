@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from importlib import resources
 from pathlib import Path
@@ -10,18 +11,31 @@ from typing import Any
 import jinja2
 from matplotlib.figure import Figure
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS
-from amulett_gym.evaluation.results import Summary, number, pretty, risen, summarise, write_scenarios
-from amulett_gym.evaluation.runner import Results
+from amulett_gym.evaluation.results import (
+    COMPARISON_MARKS,
+    Summary,
+    number,
+    pretty,
+    risen,
+    span,
+    summarise,
+    write_scenarios,
+)
+from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
 from amulett_gym.files import write_json, write_text
+from amulett_gym.simulation.batch import Simulation
 
 FEW = 20
 """Below this number of scenarios a bootstrap interval is likely to be too narrow."""
 
-RESPONSES = 9
-"""Contenders whose responses are drawn side by side."""
+FIGURES = ("cost", "schedule", "trade_off", "responses")
+
+RESPONSES = 12
+"""Most contenders whose responses are drawn side by side; learned policies come before laws."""
 
 _MAIN = {
     "cost": "cost",
@@ -36,7 +50,6 @@ _DETAILS = {
     "resting_stiffness": "resting stiffness",
     "push_deflection": "push deflection",
     "agonist_switches": "agonist switches",
-    "return": "return",
     "failed": "failed",
 }
 _LOWER_IS_BETTER = ("cost", "position_ise", "isav", "tension_ise")
@@ -45,7 +58,8 @@ _LOWER_IS_BETTER = ("cost", "position_ise", "isav", "tension_ise")
 def write_report(results: Results, folder: str | Path) -> Summary:
     """Write ``results.json``, ``scenarios.csv``, ``report.html`` and the figures into a folder.
 
-    Everything is made before the first file is written, and each file is written whole or not at all.
+    Everything is made before the first file is written, and each file is written whole or not at all. Those of an
+    earlier comparison in the folder are replaced, other files stay.
 
     Returns
     -------
@@ -61,12 +75,22 @@ def write_report(results: Results, folder: str | Path) -> Summary:
     summary = summarise(results)
     figures = draw(results, summary)
     page = render(results, summary, figures)
+    remove_comparison(folder)
+    write_json(folder / "results.json", summary)
+    write_scenarios(results, folder / "scenarios.csv")
     for name, figure in figures.items():
         plots.save_figure(figure, folder / f"{name}.png")
-    write_scenarios(results, folder / "scenarios.csv")
     write_text(folder / "report.html", page)
-    write_json(folder / "results.json", summary)
     return summary
+
+
+def remove_comparison(folder: Path) -> None:
+    """Remove the files of an earlier comparison: none may stay that the next one does not replace."""
+    try:
+        for name in (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES)):
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise AmulettError(f"cannot write to the folder '{folder}': {error.strerror or error}") from error
 
 
 def draw(results: Results, summary: Summary) -> dict[str, Figure]:
@@ -75,7 +99,8 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
     The responses are those to the first scenario, recorded again at control rate.
     """
     protocol = results.protocol
-    names = list(results.values)[:RESPONSES]
+    first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
+    names = [name for name in results.values if name in first]
     trajectories = {name: record_episode(name, protocol).trajectory for name in names}
     figures = {"cost": plots.cost_figure(summary)}
     if results.schedules:
@@ -98,7 +123,7 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
     """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     template = (resources.files("amulett_gym") / "evaluation" / "report.html.j2").read_text(encoding="utf-8")
-    label = plots.labels(list(summary["policies"]))
+    label, device = summary["labels"], Simulation(results.protocol.profile, 1)
     return environment.from_string(template).render(
         summary=summary,
         labels=label,
@@ -112,6 +137,8 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
         command=summary["command"] or _call(results),
         figures={name: plots.figure_svg(figure, name) for name, figure in figures.items()},
         pretty=pretty,
+        band=round(math.degrees(device.parameters["margin"][0]), 3),
+        max_force=device.max_force,
     )
 
 
@@ -127,7 +154,7 @@ def _columns(summary: Summary, titles: dict[str, str]) -> list[dict[str, Any]]:
             cells[name] = {
                 "mean": pretty(number(entry["mean"])),
                 "interval": _interval(entry),
-                "ratio": "" if ratio["mean"] is None else f"{pretty(number(ratio['mean']))} {_interval(ratio)}".strip(),
+                "ratio": "" if ratio["mean"] is None else pretty(span(ratio)),
                 "best": metric in _LOWER_IS_BETTER and entry["mean"] == min(means),
                 "missing": entry.get("not_reached", 0),
             }
@@ -142,12 +169,19 @@ def _interval(entry: dict[str, Any]) -> str:
 
 
 def _failures(results: Results) -> list[str]:
-    return [
-        f"{name}: {count} of {results.protocol.episodes}, {reason}"
+    label, episodes = labels(list(results.values)), results.protocol.episodes
+    failures = [
+        f"{label[name]}: {count} of {episodes}, {reason}"
         for name, reasons in results.failures.items()
         for reason, count in sorted(Counter(reasons).items())
         if reason
     ]
+    pushed = [
+        f"{label[name]}: {count} of {episodes} on {results.push_suite}, where the push deflection was measured"
+        for name, count in results.push_failures.items()
+        if count
+    ]
+    return failures + pushed
 
 
 def _call(results: Results) -> str:

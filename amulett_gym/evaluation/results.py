@@ -15,11 +15,17 @@ from amulett_gym import __version__
 from amulett_gym.envs.reward import COST_CAP, DEFAULT_WEIGHTS, divisors
 from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.evaluation.metrics import UNITS
-from amulett_gym.evaluation.runner import YARDSTICK, Results
+from amulett_gym.evaluation.runner import YARDSTICK, Results, divisors_owner, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
 from amulett_gym.files import write_text
 
 Summary = dict[str, Any]
+
+COMPARISON_MARKS = ("results.json", "scenarios.csv")
+"""Files by which a comparison's folder is recognised."""
+
+EQUAL = "practically 1"
+_MOST_DIGITS = 6
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -58,10 +64,14 @@ def summarise(results: Results) -> Summary:
         "duration": protocol.duration,
         "agent_period": protocol.agent_period,
         "push_suite": results.push_suite,
+        "push_failures": dict(results.push_failures),
+        "labels": labels(list(results.values)),
+        "remarks": list(results.remarks),
         "yardstick": {"name": YARDSTICK, "listed": results.listed},
         "cost": {
             "weights": dict(DEFAULT_WEIGHTS),
             "divisors": divisors(protocol.profile, protocol.suite),
+            "divisors_of": divisors_owner(protocol.profile),
             "failure": f"{COST_CAP:g} for each agent step left",
         },
         "bootstrap": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED},
@@ -76,13 +86,19 @@ def summarise(results: Results) -> Summary:
 def verdict(results: Results) -> str:
     """Say in a sentence or two which contender costs least, how sure that is, and who failed."""
     protocol = results.protocol
-    costs = {name: values["cost"] for name, values in results.values.items()}
+    label = labels(list(results.values))
+    costs = {label[name]: values["cost"] for name, values in results.values.items()}
     scenarios = f"{protocol.episodes} {protocol.split} scenarios of {protocol.suite} on the {protocol.profile.name}"
     scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
     failed = [
-        f"{name} failed in {count} of {protocol.episodes}"
+        f"{label[name]} failed in {count} of {protocol.episodes}"
         for name, reasons in results.failures.items()
         if (count := sum(reason != "" for reason in reasons))
+    ]
+    failed += [
+        f"{label[name]} failed in {count} of {protocol.episodes} on {results.push_suite}"
+        for name, count in results.push_failures.items()
+        if count
     ]
     ending = f" Failures: {', '.join(failed)}." if failed else ""
     ranking = sorted(costs, key=lambda name: float(costs[name].mean()))
@@ -93,11 +109,25 @@ def verdict(results: Results) -> str:
     against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
     text = f"{best} costs least in {scenarios}"
     if best != YARDSTICK:
-        text += f": {_span(against)} of what {YARDSTICK} costs{_doubt(against, best, YARDSTICK)}"
+        share = _span(against)
+        text += f": {'practically' if share == EQUAL else f'{share} of'} what {YARDSTICK} costs"
+        text += _doubt(against, best, YARDSTICK)
     if best == YARDSTICK or ranking[1] != YARDSTICK:
         lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
-        text += f". {ranking[1]} comes next, at {_span(lead)} times the cost of {best}{_doubt(lead, ranking[1], best)}"
+        times = _span(lead)
+        times = "practically" if times == EQUAL else f"{times} times"
+        text += f". {ranking[1]} comes next, at {times} the cost of {best}"
+        text += _doubt(lead, ranking[1], best)
     return f"{text}.{ending}"
+
+
+def in_words(summary: Summary) -> str:
+    """Return the comparison for the terminal: table, verdict, and what a reader has to know."""
+    remarks = list(summary["remarks"])
+    if not summary["yardstick"]["listed"]:
+        remarks.append(f"{YARDSTICK} was not asked for; it always runs, as the yardstick")
+    notes = "".join(f"Note: {remark}.\n" for remark in remarks)
+    return f"{table(summary)}\n\n{summary['verdict']}\n{notes}".rstrip()
 
 
 def table(summary: Summary) -> str:
@@ -116,13 +146,12 @@ def table(summary: Summary) -> str:
     ]
     rows = [header]
     for name, metrics in summary["policies"].items():
-        ratio = metrics["cost"]["ratio_to_eq6"]
         means = {metric: number(entry["mean"]) for metric, entry in metrics.items()}
         rows.append(
             [
-                name,
+                summary["labels"][name],
                 means["cost"],
-                f"{number(ratio['mean'])} [{number(ratio['low'])}, {number(ratio['high'])}]",
+                span(metrics["cost"]["ratio_to_eq6"]),
                 number(metrics["position_ise"]["mean"], 4),
                 means["isav"],
                 means["tension_ise"],
@@ -138,6 +167,27 @@ def table(summary: Summary) -> str:
         cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
         lines.append("  ".join([row[0].ljust(widths[0]), *cells[1:]]))
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def span(ratio: Mapping[str, float | None]) -> str:
+    """Return a ratio with its interval, with as many digits as it takes to tell it from 1.
+
+    Parameters
+    ----------
+    ratio : mapping
+        ``"mean"``, ``"low"``, ``"high"``; None or NaN where there is none.
+
+    Returns
+    -------
+    str
+        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not tell it from 1.
+    """
+    values = [ratio[key] for key in ("mean", "low", "high")]
+    for digits in range(3, _MOST_DIGITS + 1):
+        mean, low, high = (number(value, digits) for value in values)
+        if values == [1.0] * 3 or any(float(text) != 1.0 for text in (mean, low, high) if text != "-"):
+            return mean if low == high == "-" else f"{mean} [{low}, {high}]"
+    return EQUAL if values[0] is not None and math.isfinite(values[0]) else "-"
 
 
 def risen(metrics: Mapping[str, Any]) -> str:
@@ -183,9 +233,7 @@ def _numbers(estimate: Estimate) -> dict[str, float | None]:
 
 
 def _span(ratio: Estimate) -> str:
-    if math.isnan(ratio.low):
-        return number(ratio.mean)
-    return f"{number(ratio.mean)} [{number(ratio.low)}, {number(ratio.high)}]"
+    return span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
 
 
 def _doubt(ratio: Estimate, one: str, other: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import Profile, load_profile
+from amulett_gym.config import Profile, load_profile, profile_names
 from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.laws.bundle import read_bundle
-from amulett_gym.laws.contenders import CONSTANT, Contender, contender_names, parse_contender
+from amulett_gym.laws.contenders import CONSTANT, Contender, constant_tension, contender_names, parse_contender
 from amulett_gym.laws.policies import load_policy
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
@@ -108,7 +109,7 @@ class Protocol:
     def _range(self, contender: Contender) -> dict[str, Any]:
         """Return the action range that a bundle's policy was trained with, which may be wider than the default."""
         name = contender.policy_name
-        if name is None or name in contender_names() or name.startswith(CONSTANT):
+        if name is None or not is_bundle(name):
             return {}
         unit = self.profile.variable_stiffness.nominal_tension if self.env_id == ENV_IDS[0] else 1.0
         return {"action_range": [bound / unit for bound in read_bundle(name).policy.tension_range]}
@@ -126,11 +127,14 @@ class Schedule:
         Tension setpoint [N].
     phase : ndarray of int
         1: the joint moved towards its setpoint, -1: away from it, 0: it stood.
+    tension_range : tuple of float
+        Tension setpoints that the policy can choose from [N].
     """
 
     error: Values
     tension: Values
     phase: NDArray[np.int64]
+    tension_range: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -150,6 +154,10 @@ class Results:
         Whether the yardstick was asked for by name.
     push_suite : str
         Suite in which `push_deflection` was measured.
+    push_failures : dict of str to int
+        Contender -> in how many scenarios its device failed there, if `push_suite` is another suite.
+    remarks : list of str
+        What a reader has to know about this comparison: policies from elsewhere, divisors of another profile.
     command : str or None
         The command that makes these results again.
     """
@@ -160,6 +168,8 @@ class Results:
     schedules: dict[str, Schedule] = field(default_factory=dict)
     listed: bool = True
     push_suite: str = PUSH_SUITE
+    push_failures: dict[str, int] = field(default_factory=dict)
+    remarks: list[str] = field(default_factory=list)
     command: str | None = None
 
 
@@ -183,7 +193,8 @@ def evaluate(
     Parameters
     ----------
     policies : sequence of str
-        Names of contenders (`laws.contenders.contender_names`) or folders of policy bundles.
+        Names of contenders (`laws.contenders.contender_names`) or folders of policy bundles. One that is named twice,
+        in whatever words, runs once.
     suite, split, env_id : str
     profile : str, Path, mapping or Profile
     episodes, seed : int
@@ -204,31 +215,123 @@ def evaluate(
     """
     protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period)
     names = list(dict.fromkeys([*policies] if YARDSTICK in policies else [YARDSTICK, *policies]))
-    contenders = [parse_contender(name) for name in names]
-    envs = [_make(protocol, contender) for contender in contenders]
-    actors = [load_contender(contender, env) for contender, env in zip(contenders, envs, strict=True)]
-    push_protocol = None if _has_pushes(envs[0], seed) else replace(protocol, suite=PUSH_SUITE)
-    push_envs = [None if push_protocol is None else _make(push_protocol, contender) for contender in contenders]
+    contenders, remarks = _unique([parse_contender(name) for name in names])
+    remarks += _remarks(protocol, contenders)
 
     from tqdm import tqdm
 
-    total = sum(env.max_episode_steps for env in [*envs, *push_envs] if env is not None)
-    results = Results(
-        protocol, {}, {}, listed=YARDSTICK in policies, push_suite=suite if push_protocol is None else PUSH_SUITE
-    )
-    with tqdm(total=total, unit="step", disable=not progress) as bar:
-        for contender, env, actor, push_env in zip(contenders, envs, actors, push_envs, strict=True):
+    with ExitStack() as stack:
+
+        def make(protocol: Protocol, contender: Contender) -> tuple[Any, Policy]:
+            env = _make(protocol, contender)
+            stack.callback(env.close)
+            return env, load_contender(contender, env)
+
+        players = [make(protocol, contender) for contender in contenders]
+        push_protocol = None if _has_pushes(players[0][0], seed) else replace(protocol, suite=PUSH_SUITE)
+        pushed_players = [] if push_protocol is None else [make(push_protocol, contender) for contender in contenders]
+        results = Results(
+            protocol,
+            {},
+            {},
+            listed=YARDSTICK in policies,
+            push_suite=suite if push_protocol is None else PUSH_SUITE,
+            remarks=remarks,
+        )
+        total = sum(env.max_episode_steps for env, _ in [*players, *pushed_players])
+        bar = stack.enter_context(tqdm(total=total, unit="step", disable=not progress, leave=False))
+        for k, contender in enumerate(contenders):
             bar.set_description(contender.name[-30:])
-            run = _run(protocol, env, actor, bar.update)
-            if push_protocol is not None and push_env is not None:
-                pushed = _run(push_protocol, push_env, load_contender(contender, push_env), bar.update)
+            run = _run(protocol, *players[k], bar.update)
+            if push_protocol is not None:
+                pushed = _run(push_protocol, *pushed_players[k], bar.update)
                 run.values["push_deflection"] = pushed.values["push_deflection"]
+                results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
             results.failures[contender.name] = run.failures
             if contender.policy_name is not None:
                 results.schedules[contender.name] = run.schedule
-            env.close()
     return results
+
+
+def labels(names: Sequence[str]) -> dict[str, str]:
+    """Return a short label for each contender: of a bundle's folder only the end that tells it from the others."""
+    short = {name: _short(name) for name in names}
+    return {name: label if list(short.values()).count(label) == 1 else name for name, label in short.items()}
+
+
+def is_bundle(name: str) -> bool:
+    """Tell whether a contender's name is that of a learned policy's folder."""
+    return name not in contender_names() and not name.startswith(CONSTANT)
+
+
+def training_differs(contender: Contender, protocol: Protocol) -> str:
+    """Say where a learned policy was trained if that is not where it acts now, else an empty string."""
+    if contender.policy_name is None or not is_bundle(contender.policy_name):
+        return ""
+    trained = read_bundle(contender.policy_name).env
+    places = []
+    try:
+        profile = load_profile(trained.keywords.get("profile", "testbed"))
+    except AmulettError:
+        places.append("on a device that this version cannot read")
+    else:
+        if profile != protocol.profile:
+            other = "another version of the " if profile.name == protocol.profile.name else "the "
+            places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
+    for preposition, there, here in (
+        ("for", trained.keywords.get("suite", "steps"), protocol.suite),
+        ("in", trained.id, protocol.env_id),
+    ):
+        if there != here:
+            places.append(f"{preposition} {there}, not {here}")
+    return f"was trained {'; '.join(places)}" if places else ""
+
+
+def divisors_differ(profile: Profile) -> str:
+    """Say whose divisors charge a profile that has none of its own, else an empty string."""
+    if profile.name in profile_names() and profile == load_profile(profile.name):
+        return ""
+    return (
+        f"costs on the {profile.name} are divided by what {YARDSTICK} pays on the {divisors_owner(profile)}, "
+        f"so {YARDSTICK}'s own need not be about 1"
+    )
+
+
+def divisors_owner(profile: Profile) -> str:
+    """Return the name of the shipped profile whose divisors charge a profile."""
+    return profile.root if profile.root in profile_names() else "testbed"
+
+
+def _short(name: str) -> str:
+    parts = [part for part in Path(name).parts if part not in ("best", "last", "/", ".", "..")]
+    return parts[-1] if parts else name
+
+
+def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]]:
+    """Return every contender once, and a remark for each that was named again in other words."""
+    kept: dict[Any, Contender] = {}
+    remarks = []
+    for contender in contenders:
+        policy: Any = contender.policy_name
+        if policy is not None and policy.startswith(CONSTANT):
+            policy = constant_tension(policy)
+        elif policy is not None and is_bundle(policy):
+            policy = Path(policy).resolve()
+        first = kept.setdefault((policy, repr(contender.env_keywords)), contender)
+        if first is not contender:
+            remarks.append(f"{contender.name} is the same as {first.name}, and ran once")
+    return list(kept.values()), remarks
+
+
+def _remarks(protocol: Protocol, contenders: Sequence[Contender]) -> list[str]:
+    label = labels([contender.name for contender in contenders])
+    found = [
+        f"{label[contender.name]} {difference}"
+        for contender in contenders
+        if (difference := training_differs(contender, protocol))
+    ]
+    return [*found, *filter(None, [divisors_differ(protocol.profile)])]
 
 
 @dataclass(frozen=True)
@@ -280,7 +383,7 @@ def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
     values = derive(metrics, charges, DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))
     values["return"] = returns
     error, tension, phase = (np.concatenate(column) for column in zip(*seen, strict=True))
-    return _Run({name: values[name] for name in UNITS}, failures, Schedule(error, tension, phase))
+    return _Run({name: values[name] for name in UNITS}, failures, Schedule(error, tension, phase, env.tension_range))
 
 
 def _look(env: Any) -> tuple[Values, NDArray[np.int64]]:
