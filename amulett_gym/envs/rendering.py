@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +25,7 @@ STRIP_SECONDS = 5.0
 """How much of the past the strip below the arm shows [s]."""
 
 _MOST_FPS = 60
-_UNSEEN_DRIVERS = ("offscreen", "dummy")
+_DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,8 @@ class Renderer:
     Parameters
     ----------
     mode : {"rgb_array", "human"}
-        An array needs no display; a window does, and keeps real time.
+        An array needs no display. A window keeps real time; without a display it is drawn where nobody sees it, as
+        Gymnasium's own environments do, so that their checks run anywhere.
     fps : float
         Frames a second, for the window.
     title : str
@@ -134,7 +138,7 @@ class Renderer:
     Raises
     ------
     AmulettError
-        If the mode is unknown, pygame is not installed, or there is no display for a window.
+        If the mode is unknown, pygame is not installed, or the window cannot be opened.
     """
 
     def __init__(self, mode: str, fps: float, title: str = "AMULETT elbow") -> None:
@@ -204,11 +208,8 @@ class Renderer:
 
         display = self._pygame.display
         try:
-            display.init()
-            # Without a display SDL quietly draws where nobody can see it; only who asked for that gets it.
-            if display.get_driver() in _UNSEEN_DRIVERS and not os.environ.get("SDL_VIDEODRIVER"):
-                display.quit()
-                raise self._pygame.error("there is no display")
+            with nullcontext() if has_display() else _unseen():
+                display.init()
             window = display.set_mode(SIZE)
         except self._pygame.error as error:
             raise AmulettError(
@@ -229,6 +230,21 @@ class Renderer:
             if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
                 self.close()
                 return
+
+
+def has_display() -> bool:
+    """Tell whether a window would be seen, or a driver for an unseen one was asked for."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in _DISPLAY_VARIABLES)
+
+
+@contextmanager
+def _unseen() -> Iterator[None]:
+    """Choose SDL's driver for windows that nobody sees; left to itself, SDL first complains on stderr."""
+    os.environ["SDL_VIDEODRIVER"] = "dummy"
+    try:
+        yield
+    finally:
+        del os.environ["SDL_VIDEODRIVER"]
 
 
 def _import_pygame() -> Any:
