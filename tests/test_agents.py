@@ -113,16 +113,38 @@ def test_the_adapter_is_bit_for_bit_sb3s_own_vector_of_single_environments(env_i
     assert_infos_agree(ours.reset_infos[0], theirs.reset_infos[0])
 
 
-def test_the_adapter_sums_the_rewards_terms_over_the_episode():
-    env = VecMonitor(make_sb3_env(num_envs=4, max_episode_steps=30))
-    env.seed(0)
-    env.reset()
+def test_the_adapter_sums_rewards_and_their_terms_over_the_episode():
+    plain = make_sb3_env(num_envs=4, max_episode_steps=30)
+    monitored = VecMonitor(make_sb3_env(num_envs=4, max_episode_steps=30))
+    for env in (plain, monitored):
+        env.seed(0)
+        env.reset()
     for _ in range(60):
-        *_, infos = env.step(np.zeros((4, 1), dtype=np.float32))
-        for info in filter(None, infos):
-            assert sum(info["episode_terms"].values()) == pytest.approx(info["episode"]["r"], abs=1e-5)
-            assert info["episode"]["l"] == 30
+        *_, infos = plain.step(np.zeros((4, 1), dtype=np.float32))
+        *_, theirs = monitored.step(np.zeros((4, 1), dtype=np.float32))
+        for info, their in zip(filter(None, infos), filter(None, theirs), strict=True):
+            assert sum(info["episode_terms"].values()) == pytest.approx(info["episode"]["r"])
+            assert info["episode"]["r"] == pytest.approx(their["episode"]["r"], rel=1e-5)
+            assert info["episode"]["l"] == their["episode"]["l"] == 30
             assert info["episode"]["r"] < 0
+
+
+def test_sb3_logs_each_episode_of_the_adapter_once():
+    for wrap in (lambda env: env, VecMonitor):
+        env = wrap(make_sb3_env(num_envs=4, max_episode_steps=30))
+        model = PPO("MlpPolicy", env, n_steps=60, batch_size=60, n_epochs=1, device="cpu").learn(240)
+        assert len(model.ep_info_buffer) == 8
+        assert {info["l"] for info in model.ep_info_buffer} == {30}
+
+
+def test_a_recipe_is_refused_without_importing_torch(tmp_path):
+    script = (
+        "import sys; from amulett_gym.cli import main;"
+        "code = main(['train', '--set', 'seed=one', '--out', 'run']); print(code, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "2 False"
+    assert not list(tmp_path.iterdir())
 
 
 def test_observations_and_infos_of_the_adapter_never_alias():
@@ -361,6 +383,14 @@ def test_a_time_limit_ends_a_run(tmp_path):
     assert not result.interrupted
     assert 0 < result.steps < 100_000_000
     read_bundle(result.last)
+
+
+def test_the_time_limit_begins_when_the_kernel_is_compiled(tmp_path, monkeypatch):
+    clock = iter(range(10_000_000))
+    config = load_train_config(None, [*SMALL, "total_steps=64", "max_seconds=1000000"])
+    monkeypatch.setattr("amulett_agents.training._warm_up", lambda _: [next(clock) for _ in range(5_000_000)])
+    monkeypatch.setattr("amulett_agents.training.time.monotonic", lambda: float(next(clock)))
+    assert train(config, tmp_path / "run", progress=False).steps == 512
 
 
 def test_a_run_overwrites_nothing_unasked(run, tmp_path):

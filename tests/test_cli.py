@@ -37,6 +37,7 @@ def test_help_imports_nothing_heavy():
         (["list", "--jsn"], "did you mean '--json'"),
         (["evaluate", "--policies", "eq6", "--episode=3"], "did you mean '--episodes'"),
         (["play"], "required"),
+        (["evaluate", "--polices", "eq6"], "unrecognized: --polices; did you mean '--policies'?"),
     ],
 )
 def test_wrong_words_get_a_suggestion(words, message, capsys):
@@ -44,6 +45,12 @@ def test_wrong_words_get_a_suggestion(words, message, capsys):
         main(words)
     assert exit.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_another_option_is_no_suggestion(capsys):
+    with pytest.raises(SystemExit):
+        main(["play", "--law", "eq6"])
+    assert capsys.readouterr().err.endswith("unrecognized arguments: --law\n")
 
 
 @pytest.mark.parametrize(
@@ -55,6 +62,10 @@ def test_wrong_words_get_a_suggestion(words, message, capsys):
         (["evaluate", "--policies", "eq66"], "did you mean 'eq6'"),
         (["simulate", "--law", "eq6", "--suite", "paperstep"], "did you mean 'paper-step'"),
         (["train", "--config", "none.yaml", "--out", "x"], "cannot read"),
+        (["bench", "--seed", "-1"], "--seed is -1"),
+        (["quickstart", "--episodes", "0"], "episodes is 0"),
+        (["quickstart", "--seconds", "nan"], "--seconds is nan"),
+        (["quickstart", "--seed", "-1"], "--seed is -1"),
         (["train", "--set", "ppo.gama=0.9", "--out", "x"], "did you mean 'gamma'"),
     ],
 )

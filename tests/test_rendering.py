@@ -54,10 +54,12 @@ def red_pixels(image):
     return int((np.abs(image.astype(int) - RED).max(axis=-1) < 8).sum())
 
 
-def run_without_display(script):
+def run_without_display(script, cwd=None):
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")
     variables = {name: value for name, value in os.environ.items() if name not in hidden}
-    return subprocess.run([sys.executable, "-c", script], env=variables, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", script], env=variables, cwd=cwd, capture_output=True, text=True, check=False
+    )
 
 
 def play_command(*words):
@@ -213,18 +215,32 @@ def test_an_array_needs_no_display():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have a display without saying so")
-def test_a_window_without_a_display_is_refused():
+def test_a_window_without_a_display_is_drawn_unseen():
     script = (
-        "import argparse\n"
-        "from amulett_gym.cli import play\n"
-        "parser = argparse.ArgumentParser()\n"
-        "play.add_arguments(parser)\n"
-        "play.run(parser.parse_args(['eq6']))\n"
+        "import gymnasium as gym, amulett_gym, pygame\n"
+        "env = gym.make('Amulett/Scaling-v0', render_mode='human')\n"
+        "env.reset(seed=0)\n"
+        "assert pygame.display.get_driver() == 'dummy'\n"
     )
     result = run_without_display(script)
-    assert result.returncode == 1
-    assert "AmulettError: cannot open a window" in result.stderr
-    assert "--video" in result.stderr
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have a display without saying so")
+def test_play_writes_a_gif_without_a_display(tmp_path):
+    words = ["play", "constant:8", "--suite", "hold-push", "--steps", "4", "--json"]
+    result = run_without_display(f"from amulett_gym.cli import main; main({words})", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr.splitlines() == [
+        "There is no display for a window; writing constant-8-hold-push.gif instead (--video FILE chooses the name)."
+    ]
+    assert [path.name for path in tmp_path.iterdir()] == ["constant-8-hold-push.gif"]
+    printed = json.loads(result.stdout)
+    assert printed["video"] == {"file": "constant-8-hold-push.gif", "frames": 3, "seconds": pytest.approx(0.12)}
+    (episode,) = printed["episodes"]
+    assert episode["steps"] == 4
+    assert episode["failure"] == ""
+    assert episode["metrics"]["rise_time"] is None
 
 
 def test_a_window_that_is_closed_stays_closed_and_harms_nobody():

@@ -90,11 +90,12 @@ def test_an_own_scenario_is_played_and_can_be_played_again(tmp_path, capsys):
         (("--duration", "0.0201"), "whole number"),
         (("--plot", "figure.jpg"), ".png or .svg"),
         (("--scenario", "missing.json"), "missing.json"),
+        (("--out", "x.txt"), "has to end in .csv"),
     ],
 )
 def test_wrong_input_is_named_and_nothing_is_written(words, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(AmulettError) as error:
-        simulate(*words, "--out", "x.csv")
+        simulate("--out", "x.csv", *words)
     assert message in str(error.value)
     assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from typing import Any
 
@@ -20,7 +21,8 @@ Indices = None | int | Iterable[int]
 def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywords: Any) -> SB3VecEnv:
     """Make the native vector environment for Stable-Baselines3.
 
-    Put SB3's ``VecMonitor`` outside of it to log returns and lengths of episodes.
+    It logs returns and lengths of episodes (``rollout/ep_rew_mean``) by itself. SB3's ``VecMonitor`` is only needed to
+    write them to a file, and does not count them twice: it replaces what is there.
 
     Parameters
     ----------
@@ -55,8 +57,9 @@ class SB3VecEnv(VecEnv):
     once, by a mask, and what they saw last is kept in their info.
 
     ``infos`` are empty but for devices whose episode has just ended. Those have everything that the single
-    environment's info has, and ``terminal_observation``, ``TimeLimit.truncated`` and ``episode_terms``, the reward's
-    terms summed over the episode.
+    environment's info has, and ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms
+    summed over the episode, and ``episode``, the same as SB3's monitors add: return ``r``, length ``l``, and seconds
+    ``t`` since the adapter was made.
 
     Parameters
     ----------
@@ -67,6 +70,8 @@ class SB3VecEnv(VecEnv):
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros((venv.num_envs, 1), dtype=np.float32)
         self._terms: dict[str, NDArray[np.float64]] = {}
+        self._returns, self._lengths = np.zeros(venv.num_envs), np.zeros(venv.num_envs, dtype=np.int64)
+        self._started = time.monotonic()
         super().__init__(venv.num_envs, venv.single_observation_space, venv.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
@@ -74,6 +79,7 @@ class SB3VecEnv(VecEnv):
         seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
         observations, info = self.venv.reset(seed=seeds, options=self._common_options())  # type: ignore[arg-type]
         self._terms = {name: np.zeros(self.num_envs) for name in info["reward_terms"]}
+        self._returns[:], self._lengths[:] = 0.0, 0
         self.reset_infos = [pick(info, device) for device in range(self.num_envs)]
         self._reset_seeds()
         self._reset_options()
@@ -90,18 +96,24 @@ class SB3VecEnv(VecEnv):
         observations, rewards, terminated, truncated, info = self.venv.step(self._actions)
         for name, term in info["reward_terms"].items():
             self._terms[name] += term
+        self._returns += rewards
+        self._lengths += 1
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         finished = np.flatnonzero(dones).tolist()
         if finished:
+            seconds = round(time.monotonic() - self._started, 6)
             for device in finished:
+                episode = {"r": float(self._returns[device]), "l": int(self._lengths[device]), "t": seconds}
                 infos[device] = pick(info, device) | {
                     "terminal_observation": observations[device].copy(),
                     "TimeLimit.truncated": bool(truncated[device] and not terminated[device]),
+                    "episode": episode,
                     "episode_terms": {name: float(term[device]) for name, term in self._terms.items()},
                 }
             for term in self._terms.values():
                 term[dones] = 0.0
+            self._returns[dones], self._lengths[dones] = 0.0, 0
             observations, info = self.venv.reset(options={"reset_mask": dones})
             for device in finished:
                 self.reset_infos[device] = pick(info, device)

@@ -16,7 +16,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 import amulett_gym
 from amulett_agents.adapter import make_sb3_env
@@ -32,7 +32,7 @@ _PACKAGES = ("amulett-gym", "gymnasium", "numpy", "numba", "torch", "stable-base
 
 
 class ScaledRewards(VecEnvWrapper):
-    """Rewards times a fixed factor: what PPO learns from; returns are still logged as they are by a monitor inside."""
+    """Rewards times a fixed factor: what PPO learns from; the environment inside logs returns as they are."""
 
     def __init__(self, venv: VecEnv, factor: float) -> None:
         super().__init__(venv)
@@ -81,7 +81,7 @@ def make_model(config: TrainConfig, tensorboard: str | Path | None = None) -> PP
 
     model = PPO(
         "MlpPolicy",
-        ScaledRewards(VecMonitor(env), ppo.reward_scale),
+        ScaledRewards(env, ppo.reward_scale),
         n_steps=ppo.n_steps,
         batch_size=ppo.batch_size,
         n_epochs=ppo.n_epochs,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -19,6 +20,13 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **keywords: Any) -> None:
         super().__init__(allow_abbrev=False, **keywords)
 
+    _words: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and remember the words: an error may have to name one that argparse did not get to."""
+        self._words = sys.argv[1:] if args is None else args
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """Print the usage and the message with a suggestion, and exit with 2."""
         self.print_usage(sys.stderr)
@@ -26,13 +34,21 @@ class Parser(argparse.ArgumentParser):
 
     def _suggestion(self, message: str) -> str:
         if message.startswith("unrecognized arguments: "):
-            word = message.removeprefix("unrecognized arguments: ").split()[0].split("=")[0]
-            return nearest(word, self._option_string_actions)
+            return self._nearest_option(message.removeprefix("unrecognized arguments: ").split()[0])
+        if message.startswith("the following arguments are required: "):
+            options = (word for word in self._words if word.startswith("--") and word != "--")
+            unknown = [word for word in options if word.split("=")[0] not in self._option_string_actions]
+            return f"; unrecognized: {unknown[0]}{self._nearest_option(unknown[0])}" if unknown else ""
         if "invalid choice: '" in message:
             word = message.split("invalid choice: '")[1].split("'")[0]
             choices = [str(choice) for action in self._actions for choice in action.choices or ()]
             return nearest(word, choices)
         return ""
+
+    def _nearest_option(self, word: str) -> str:
+        """Suggest an option only where it is hardly another one: all of them share their dashes."""
+        close = difflib.get_close_matches(word.split("=")[0], self._option_string_actions, n=1, cutoff=0.7)
+        return f"; did you mean '{close[0]}'?" if close else ""
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, and let the command's own parser complain about what it does not know."""

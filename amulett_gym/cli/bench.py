@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 
 HELP = "measure the environments' speed beside Gymnasium's own"
 EXAMPLES = """  amulett bench
@@ -15,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--devices", type=int, default=1024, help="devices in the vector environments (default: 1024)")
     parser.add_argument("--turns", type=int, default=7, help="interleaved turns that each one takes (default: 7)")
+    parser.add_argument("--seed", type=int, default=0, help="of scenarios and actions (default: 0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -27,11 +29,12 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.errors import AmulettError
     from amulett_gym.evaluation.speed import contestants, race
 
-    for option in ("devices", "turns"):
-        if getattr(arguments, option) < 1:
-            raise AmulettError(f"--{option} is {getattr(arguments, option)}; it has to be at least 1")
-    entrants = contestants(arguments.devices)
-    with tqdm(total=arguments.turns * len(entrants), desc="turns", leave=False) as bar:
+    for option, smallest in (("devices", 1), ("turns", 1), ("seed", 0)):
+        if getattr(arguments, option) < smallest:
+            raise AmulettError(f"--{option} is {getattr(arguments, option)}; it has to be at least {smallest}")
+    entrants = contestants(arguments.devices, arguments.seed)
+    quiet = not sys.stderr.isatty()
+    with tqdm(total=arguments.turns * len(entrants), desc="turns", leave=False, disable=quiet) as bar:
         speeds = {speed.name: speed for speed in race(entrants, arguments.turns, watch=bar.update)}
     pendulum = speeds["Pendulum-v1, single"]
     cartpole = speeds[f"CartPole-v1, vector of {arguments.devices}"]

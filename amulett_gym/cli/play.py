@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
+import math
+import re
+import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
@@ -14,7 +18,7 @@ from amulett_gym.errors import AmulettError
 HELP = "watch a law or a trained policy, in a window or as a video"
 EXAMPLES = """  amulett play eq6
   amulett play constant:8 --suite hold-push --video hold-push.gif
-  amulett play runs/first --episodes 3
+  amulett play runs/first --episodes 3 --json
   amulett play position-only --scenario my-scenario.json --steps 200 --video step.mp4
 """
 
@@ -38,9 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="how many to play (default: %(default)s)")
     parser.add_argument("--steps", type=int, metavar="N", help="agent steps in an episode (default: 10 s of them)")
     parser.add_argument(
-        "--video", metavar="FILE", help="write a video and open no window: .gif, .webp, .png (animated) or .mp4"
+        "--video",
+        metavar="FILE",
+        help="write a video and open no window: .gif, .webp, .png (animated) or .mp4; "
+        "without a display <policy>-<suite>.gif is written in any case",
     )
     parser.add_argument("--fps", type=int, default=25, help="most frames a second in the video (default: %(default)s)")
+    parser.add_argument("--json", action="store_true", help="print metrics and what was written as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,8 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     import gymnasium as gym
 
     from amulett_gym.config import load_profile
-    from amulett_gym.envs.rendering import Renderer
-    from amulett_gym.evaluation.runner import Protocol
+    from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.laws.contenders import parse_contender
 
     contender = parse_contender(arguments.policy)
@@ -61,21 +68,47 @@ def run(arguments: argparse.Namespace) -> int:
     policy = _load(contender.policy_name, env)
     rate = env.metadata["render_fps"]
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
-    renderer = Renderer("human" if arguments.video is None else "rgb_array", rate, f"{arguments.policy}, {task}")
+    label = labels([arguments.policy])[arguments.policy]
+    renderer, path = _open(arguments, rate, label, task)
+    played: list[dict[str, Any]] = []
+    written = None
     try:
-        pictures = _play(env, policy, renderer, arguments)
-        if arguments.video is None:
+        pictures = _play(env, policy, renderer, arguments, played)
+        if path is None:
             for _ in pictures:
                 if not renderer.is_open:
                     break
         else:
-            path = Path(arguments.video)
             most = min(arguments.fps, _GIF_FPS) if path.suffix.lower() == ".gif" else arguments.fps
-            _write(path, pictures, arguments.episodes * (steps + 1), rate, stride=max(-(-rate // most), 1))
+            stride = max(-(-rate // most), 1)
+            count = _write(path, pictures, arguments.episodes * (steps + 1), rate, stride)
+            written = {"file": str(path), "frames": count, "seconds": count * stride / rate}
     finally:
         renderer.close()
         env.close()
+    if arguments.json:
+        about = {key: getattr(arguments, key) for key in ("policy", "suite", "split", "seed", "scenario")}
+        content = {**about, "profile": protocol.profile.name, "episodes": played, "video": written}
+        print(json.dumps(content, indent=2, allow_nan=False))
+    elif written is not None:
+        print(f"wrote {path}: {written['frames']} frames, {written['seconds']:.1f} s")
     return 0
+
+
+def _open(arguments: argparse.Namespace, rate: int, label: str, task: str) -> tuple[Any, Path | None]:
+    """Return a renderer and the video's file: None with a window; one in the current folder without a display."""
+    from amulett_gym.envs.rendering import Renderer, has_display
+
+    title = f"{label}, {task}"
+    if arguments.video is not None:
+        return Renderer("rgb_array", rate, title), Path(arguments.video)
+    with suppress(AmulettError):  # a display may be named and not answer; if pygame is not there, the next one says so
+        if has_display():
+            return Renderer("human", rate, title), None
+    renderer = Renderer("rgb_array", rate, title)
+    path = Path(re.sub(r"[^\w.-]+", "-", f"{label}-{task}") + ".gif")
+    print(f"There is no display for a window; writing {path} instead (--video FILE chooses the name).", file=sys.stderr)
+    return renderer, path
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -109,8 +142,13 @@ def _load(name: str | None, env: Any) -> Any:
     return load_policy(name, env)
 
 
-def _play(env: Any, policy: Any, renderer: Any, arguments: argparse.Namespace) -> Iterator[Any]:
-    """Play all episodes; draw and yield the picture at each one's start and after each of its steps."""
+def _play(
+    env: Any, policy: Any, renderer: Any, arguments: argparse.Namespace, played: list[dict[str, Any]]
+) -> Iterator[Any]:
+    """Play all episodes; draw and yield the picture at each one's start and after each of its steps.
+
+    What came of an episode that was played to its end is appended to `played`.
+    """
     from amulett_gym.envs.rendering import frame_of
 
     episodes = env.unwrapped.episodes
@@ -120,13 +158,18 @@ def _play(env: Any, policy: Any, renderer: Any, arguments: argparse.Namespace) -
         renderer.clear()
         yield renderer.draw(frame_of(episodes, 0))
         terminated = truncated = False
+        total, steps = 0.0, 0
         while not (terminated or truncated):
-            observation, _, terminated, truncated, _ = env.step(policy(observation))
+            observation, reward, terminated, truncated, info = env.step(policy(observation))
+            total, steps = total + float(reward), steps + 1
+            if terminated or truncated:
+                metrics = {key: value if math.isfinite(value) else None for key, value in info["metrics"].items()}
+                played.append({"steps": steps, "return": total, "failure": info["failure"], "metrics": metrics})
             yield renderer.draw(frame_of(episodes, 0))
 
 
-def _write(path: Path, pictures: Iterable[Any], most: int, rate: int, stride: int) -> None:
-    """Write every `stride`-th of at most `most` pictures, drawn `rate` times a second."""
+def _write(path: Path, pictures: Iterable[Any], most: int, rate: int, stride: int) -> int:
+    """Write every `stride`-th of at most `most` pictures, drawn `rate` times a second; return how many those were."""
     from itertools import islice
 
     from tqdm import tqdm
@@ -134,12 +177,16 @@ def _write(path: Path, pictures: Iterable[Any], most: int, rate: int, stride: in
     from amulett_gym.files import atomic_path
 
     chosen = tqdm(
-        islice(pictures, 0, None, stride), total=-(-most // stride), desc=path.name, unit=" frames", leave=False
+        islice(pictures, 0, None, stride),
+        total=-(-most // stride),
+        desc=path.name,
+        unit=" frames",
+        leave=False,
+        disable=not sys.stderr.isatty(),
     )
     write = _write_mp4 if path.suffix.lower() == ".mp4" else _write_images
-    with atomic_path(path) as temporary:
-        count = write(temporary, chosen, rate / stride)
-    print(f"wrote {path}: {count} frames, {count * stride / rate:.1f} s")
+    with atomic_path(path) as temporary, chosen:
+        return write(temporary, chosen, rate / stride)
 
 
 def _write_images(path: Path, pictures: Iterable[Any], rate: float) -> int:

@@ -36,13 +36,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate, write what was asked for, and print the metrics."""
     if not 0 < arguments.duration < math.inf:
         raise AmulettError(f"--duration is {arguments.duration}; it has to be a positive number of seconds")
+    if arguments.out is not None and Path(arguments.out).suffix.lower() != ".csv":
+        raise AmulettError(f"--out '{arguments.out}' has to end in .csv")
     if arguments.plot is not None and Path(arguments.plot).suffix.lower() not in (".png", ".svg"):
         raise AmulettError(f"--plot '{arguments.plot}' has to end in .png or .svg")
 
     from amulett_gym.config import load_profile
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.metrics import UNITS
-    from amulett_gym.evaluation.runner import Protocol
+    from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.simulation.trajectory import write_csv
 
     profile = load_profile(arguments.profile)
@@ -52,11 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
     episode = record_episode(arguments.law, protocol, arguments.scenario)
     if arguments.out is not None:
         write_csv(episode.trajectory, arguments.out)
-    where = arguments.scenario or f"{arguments.suite}, seed {arguments.seed}"
+    scenario = f"suite {arguments.suite}" if arguments.scenario is None else f"scenario {arguments.scenario}"
+    title = f"{labels([arguments.law])[arguments.law]}, profile {profile.name}, {scenario}"
     if arguments.plot is not None:
         from amulett_gym.evaluation.plots import save_figure, trajectory_figure
 
-        title = f"{arguments.law} on the {profile.name}: {where}"
         save_figure(trajectory_figure(episode.trajectory, title), arguments.plot)
     if arguments.json:
         metrics = {name: value if math.isfinite(value) else None for name, value in episode.metrics.items()}
@@ -74,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         }
         print(json.dumps(content, indent=2, allow_nan=False))
         return 0
-    print(f"{arguments.law} on the {profile.name}: {where}, {arguments.duration:g} s")
+    print(f"{title}, seed {arguments.seed}, {arguments.duration:g} s")
     for name, value in episode.metrics.items():
         shown = f"{value:.4g}" if math.isfinite(value) else "-"
         print(f"  {name:22} {shown:>10}  {UNITS[name] if UNITS[name] != '1' else ''}".rstrip())

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 TURNS = 7
 TURN_SECONDS = 0.25
@@ -41,8 +40,11 @@ class Speed:
     ticks_per_second: float
 
 
-def contestants(devices: int = 1024) -> list[Contestant]:
-    """Return the environments on both profiles, single and vector, and Gymnasium's Pendulum and CartPole."""
+def contestants(devices: int = 1024, seed: int = 0) -> list[Contestant]:
+    """Return the environments on both profiles, single and vector, and Gymnasium's Pendulum and CartPole.
+
+    Each holds an action that is drawn once, with `seed`; its episodes are drawn with `seed`, too.
+    """
     ours = []
     for profile in ("testbed", "simulation"):
         keywords: dict[str, Any] = {"profile": profile, "suite": "steps"}
@@ -51,16 +53,16 @@ def contestants(devices: int = 1024) -> list[Contestant]:
         ticks = round(unwrapped.episodes.agent_period / unwrapped.profile.loop.control_period)
         vector = gym.make_vec("Amulett/Scaling-v0", num_envs=devices, **keywords)
         ours += [
-            Contestant(f"single, {profile}", _single(single), 1, ticks),
-            Contestant(f"vector of {devices}, {profile}", _vector(vector), devices, ticks),
+            Contestant(f"single, {profile}", _single(single, seed), 1, ticks),
+            Contestant(f"vector of {devices}, {profile}", _vector(vector, seed), devices, ticks),
         ]
     return [
         *ours,
-        Contestant("Pendulum-v1, single", _single(gym.make("Pendulum-v1"))),
-        Contestant("CartPole-v1, single", _single(gym.make("CartPole-v1"))),
+        Contestant("Pendulum-v1, single", _single(gym.make("Pendulum-v1"), seed)),
+        Contestant("CartPole-v1, single", _single(gym.make("CartPole-v1"), seed)),
         Contestant(
             f"CartPole-v1, vector of {devices}",
-            _vector(gym.make_vec("CartPole-v1", num_envs=devices, vectorization_mode="vector_entry_point")),
+            _vector(gym.make_vec("CartPole-v1", num_envs=devices, vectorization_mode="vector_entry_point"), seed),
             devices,
         ),
     ]
@@ -103,9 +105,10 @@ def _rate(step: Step, seconds: float) -> float:
     return calls / passed
 
 
-def _single(env: gym.Env[Any, Any]) -> Step:
+def _single(env: gym.Env[Any, Any], seed: int) -> Step:
     """Return a function that steps an environment and resets it when its episode ends, as any user's loop does."""
-    env.reset(seed=0)
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
     action = env.action_space.sample()
 
     def step() -> None:
@@ -116,10 +119,8 @@ def _single(env: gym.Env[Any, Any]) -> Step:
     return step
 
 
-def _vector(env: gym.vector.VectorEnv[Any, Any, Any]) -> Step:
-    env.reset(seed=0)
-    env.action_space.seed(0)
+def _vector(env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> Step:
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
     actions = env.action_space.sample()
-    if actions.dtype == np.float32:
-        actions[:] = 0.3
     return lambda: env.step(actions)
