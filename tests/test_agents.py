@@ -26,9 +26,11 @@ from amulett_agents.config import TrainConfig  # noqa: E402
 from amulett_agents.ppo import make_model  # noqa: E402
 from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
+from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.laws.contenders import contender_names  # noqa: E402
 
 SCALING, TENSION = amulett_gym.ENV_IDS
 ROOT = Path(__file__).parent.parent
@@ -445,3 +447,46 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
     assert result["interrupted"] is True
     assert read_bundle(result["last"]).provenance["steps"] == result["steps"] > 0
     assert read_bundle(result["best"]).provenance["seed"] == 3
+
+
+# --- quickstart
+
+
+def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path):
+    out = tmp_path / "quick"
+    words = [
+        sys.executable,
+        "-m",
+        "amulett_gym",
+        "quickstart",
+        "--seconds",
+        "0.5",
+        "--episodes",
+        "2",
+        "--out",
+        str(out),
+    ]
+    first = subprocess.run([*words, "--json"], capture_output=True, text=True, check=True)
+    assert first.stderr == ""
+    assert set(LAWS) | {str(out / "ppo")} == set(json.loads(first.stdout)["policies"])
+    laws = {name for name in contender_names() if not name.endswith(">")}
+    assert laws <= set(LAWS)
+    again = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert "Replacing the earlier run" in again
+    assert f"amulett play {out / 'ppo'}" in again
+    (tmp_path / "notes.txt").write_text("mine")
+    foreign = subprocess.run([*words[:-1], str(tmp_path)], capture_output=True, text=True, check=False)
+    assert foreign.returncode == 2
+    assert "holds no quickstart" in foreign.stderr
+
+
+def test_ctrl_c_in_quickstart_says_what_is_kept(tmp_path):
+    words = [sys.executable, "-m", "amulett_gym", "quickstart", "--seconds", "600", "--out", str(tmp_path)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not (tmp_path / "ppo" / "evaluations.csv").is_file():
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert f"is kept in {tmp_path / 'ppo' / 'best'}" in stderr
+    read_bundle(tmp_path / "ppo" / "best")
