@@ -278,7 +278,7 @@ def describe(error: ValidationError, model: type[BaseModel], what: str) -> Amule
     lines = []
     for item in error.errors():
         location = item["loc"]
-        key = ".".join(str(part) for part in location) or "(top level)"
+        key = ".".join(str(part) for part in location)
         if item["type"] == "extra_forbidden":
             choices = _keys_at(model, location[:-1])
             lines.append(f"unknown key '{key}'{nearest(str(location[-1]), choices)} (allowed: {', '.join(choices)})")
@@ -286,7 +286,8 @@ def describe(error: ValidationError, model: type[BaseModel], what: str) -> Amule
             lines.append(f"'{key}' is missing")
         else:
             value = "" if isinstance(item["input"], dict | list) else f" is {item['input']!r}"
-            lines.append(f"'{key}'{value}: {item['msg'].removeprefix('Value error, ')}")
+            message = item["msg"].removeprefix("Value error, ")
+            lines.append(f"'{key}'{value}: {message}" if key else message)
     return AmulettError(f"{what}: " + "; ".join(lines))
 
 
