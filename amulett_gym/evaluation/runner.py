@@ -30,6 +30,9 @@ YARDSTICK = "eq6"
 PUSH_SUITE = "hold-push"
 """Where the response to pushes is measured if the compared suite has none: a slack arm must not win unnoticed."""
 
+MOST_EPISODES = 20_000
+"""The bootstrap's draws for more would take more than 640 MB; intervals are narrow long before."""
+
 SCHEDULE_EPISODES = 100
 """Episodes whose schedule is kept for the figures."""
 
@@ -78,6 +81,8 @@ class Protocol:
         for key, smallest in (("episodes", 1), ("seed", 0)):
             if getattr(self, key) < smallest:
                 raise AmulettError(f"{key} is {getattr(self, key)}; it has to be at least {smallest}")
+        if self.episodes > MOST_EPISODES:
+            raise AmulettError(f"episodes is {self.episodes}; it has to be at most {MOST_EPISODES}")
         for key in ("duration", "agent_period"):
             if not 0.0 < getattr(self, key) < math.inf:
                 raise AmulettError(f"{key} is {getattr(self, key)} s; it has to be a positive number of seconds")
