@@ -24,9 +24,10 @@ def select_agonist(
     equal: then the direction of the desired motion decides, if the position error is at least `tie_error`. In all other
     cases the agonist stays the one it was, so that noise does not make it chatter.
 
-    At rest, and without a load, both springs are deflected alike, and the agonist stays the last one. So a step the other
-    way switches in the very tick in which eq. 6 drops its setpoint, and the tension controller, restarting on the other
-    string, never sees that drop: flexion and extension are mirrored under a constant tension, not quite under eq. 6.
+    At rest, and without a load, both springs are deflected alike, and the agonist stays the last one. So a step the
+    other way switches in the very tick in which eq. 6 drops its setpoint, and the tension controller, restarting on the
+    other string, never sees that drop: flexion and extension are mirrored under a constant tension, not quite under
+    eq. 6.
 
     Parameters
     ----------
