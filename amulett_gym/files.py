@@ -68,9 +68,10 @@ def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -
     """
     folder = Path(path)
     _check_folder(folder)
-    made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
-    earlier = any(all((folder / name).is_file() for name in mark) for mark in marks)
+    made: list[Path] = []
     try:
+        made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
+        earlier = any(all((folder / name).is_file() for name in mark) for mark in marks)
         if not made and not earlier and any(folder.iterdir()):
             raise AmulettError(f"'{path}' is not empty and holds no {what}; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)

@@ -81,6 +81,14 @@ def test_wrong_input_is_one_line_and_exit_code_2(words, message, capsys, tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_quickstart_keeps_what_another_command_wrote(tmp_path, capsys):
+    for name in ("results.json", "scenarios.csv"):
+        (tmp_path / name).write_text("somebody's")
+    assert main(["quickstart", "--out", str(tmp_path)]) == 2
+    assert "holds no quickstart" in capsys.readouterr().err
+    assert (tmp_path / "results.json").read_text() == "somebody's"
+
+
 def test_no_command_prints_the_help(capsys):
     assert main([]) == 2
     assert "quickstart" in capsys.readouterr().out

@@ -153,6 +153,15 @@ def test_initial_angle_beyond_the_device_is_refused():
         pack(Scenario(initial_angle_deg=150.0), TESTBED)
 
 
+def test_pushes_leave_room_for_the_weight():
+    upright = load_profile({"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}})
+    flat, rows = sample("hold-push", keys(300), TESTBED), sample("hold-push", keys(300), upright)
+    spare = (build_tables(TESTBED.spring).max_force - 10.0) * TESTBED.plant.joint_pulley_radius
+    load = rows["static_torque"] * np.sin(rows["initial_angle"])
+    assert (np.abs(rows["push_torque"]).max(axis=1) <= np.maximum(0.7 * (spare - load), 0) + 1e-4).all()
+    assert (np.abs(flat["push_torque"]) >= np.abs(rows["push_torque"])).all()
+
+
 def test_unknown_names_suggest_the_nearest():
     with pytest.raises(AmulettError, match="unknown suite 'step'.*did you mean 'steps'"):
         sample("step", keys(1), TESTBED)

@@ -31,7 +31,7 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
     num_envs : int
         Number of devices.
     **keywords
-        As those of the environment, ``max_episode_steps`` included.
+        As those of the environment, ``max_episode_steps`` included; ``failure_horizon`` goes with it.
 
     Returns
     -------

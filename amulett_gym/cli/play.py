@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -97,16 +98,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _open(arguments: argparse.Namespace, rate: int, label: str, task: str) -> tuple[Any, Path | None]:
     """Return a renderer and the video's file: None with a window; one in the current folder without a display."""
-    from amulett_gym.envs.rendering import Renderer, has_display
+    from amulett_gym.envs.rendering import Renderer, display_answers
 
     title = f"{label}, {task}"
     if arguments.video is not None:
         return Renderer("rgb_array", rate, title), Path(arguments.video)
-    with suppress(AmulettError):  # a display may be named and not answer; if pygame is not there, the next one says so
-        if has_display():
-            return Renderer("human", rate, title), None
+    if display_answers():
+        return Renderer("human", rate, title), None
     renderer = Renderer("rgb_array", rate, title)
-    path = Path(re.sub(r"[^\w.-]+", "-", f"{label}-{task}") + ".gif")
+    name = re.sub(r"[^\w.-]+", "-", f"{label}-{task}")
+    path = next(path for k in count() if not (path := Path(f"{name}-{k}.gif" if k else f"{name}.gif")).exists())
     print(f"There is no display for a window; writing {path} instead (--video FILE chooses the name).", file=sys.stderr)
     return renderer, path
 

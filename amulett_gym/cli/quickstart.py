@@ -51,13 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     from amulett_agents import load_train_config
     from amulett_gym.config import load_profile
-    from amulett_gym.evaluation.results import COMPARISON_MARKS
     from amulett_gym.evaluation.runner import Protocol
 
     config = load_train_config(overrides=[f"max_seconds={arguments.seconds}", f"seed={arguments.seed}"])
     protocol = Protocol(load_profile(config.env.profile), config.env.suite, episodes=arguments.episodes)
     out = Path(arguments.out)
-    marks = [COMPARISON_MARKS, [f"ppo/{name}" for name in ("config.yaml", "command.json")]]
+    marks = [[f"ppo/{name}" for name in ("config.yaml", "command.json")]]
     with output_folder(out, "quickstart", marks) as earlier:
         if earlier:
             _say(arguments, f"Replacing the earlier run and its report in {out}.")
@@ -73,7 +72,6 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     from amulett_gym.evaluation.runner import evaluate
 
     policy = out / "ppo"
-    remove_comparison(out)  # of another policy
     _say(
         arguments,
         f"Training PPO on '{protocol.suite}' ({protocol.profile.name}): at most {config.total_steps:,} steps, "
@@ -82,6 +80,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     command = ["amulett", *sys.argv[1:]]
     progress = sys.stderr.isatty() and not arguments.json
     trained = train(config, policy, progress=progress, command=command, overwrite=True)
+    remove_comparison(out)  # it was of another policy
     try:
         if trained.interrupted:
             raise KeyboardInterrupt
@@ -93,6 +92,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
             episodes=protocol.episodes,
             progress=progress,
         )
+        summary = write_report(replace(results, command=shlex.join(command)), out)
     except KeyboardInterrupt:
         print(
             f"amulett: interrupted after {trained.steps:,} steps; the best policy until then is kept in "
@@ -100,7 +100,6 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
             file=sys.stderr,
         )
         return 130
-    summary = write_report(replace(results, command=shlex.join(command)), out)
     if arguments.json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return 0

@@ -64,7 +64,7 @@ class Episodes:
         if not 0 <= check_number("observation_noise", observation_noise) < math.inf:
             raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
         check_number("agent_period", agent_period)
-        if not isinstance(failure_horizon, int):
+        if not isinstance(failure_horizon, int | np.integer) or isinstance(failure_horizon, bool):
             raise AmulettError(f"failure_horizon is {failure_horizon!r}; it has to be a whole number of agent steps")
         if failure_horizon < 1:
             raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")

@@ -237,14 +237,33 @@ def has_display() -> bool:
     return sys.platform != "linux" or any(os.environ.get(name) for name in _DISPLAY_VARIABLES)
 
 
+def display_answers() -> bool:
+    """Tell whether a window can really be opened where it is seen: a display may be named and gone."""
+    if not has_display():
+        return False
+    pygame = _import_pygame()
+    was_open = pygame.display.get_init()
+    try:
+        pygame.display.init()
+        return bool(os.environ.get("SDL_VIDEODRIVER")) or pygame.display.get_driver() not in ("offscreen", "dummy")
+    except pygame.error:
+        return False
+    finally:
+        if not was_open:
+            pygame.display.quit()
+
+
 @contextmanager
 def _unseen() -> Iterator[None]:
     """Choose SDL's driver for windows that nobody sees; left to itself, SDL first complains on stderr."""
+    before = os.environ.get("SDL_VIDEODRIVER")
     os.environ["SDL_VIDEODRIVER"] = "dummy"
     try:
         yield
     finally:
         del os.environ["SDL_VIDEODRIVER"]
+        if before is not None:
+            os.environ["SDL_VIDEODRIVER"] = before
 
 
 def _import_pygame() -> Any:

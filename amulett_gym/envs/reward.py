@@ -52,7 +52,7 @@ def check_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
         raise AmulettError(f"reward_weights is {weights!r}; it has to be a mapping of term to weight")
     for name, weight in (weights or {}).items():
         if name not in DEFAULT_WEIGHTS:
-            raise unknown("reward weight", name, DEFAULT_WEIGHTS)
+            raise unknown("reward weight", str(name), DEFAULT_WEIGHTS)
         if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight <= MOST_WEIGHT:
             raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a number from 0 to {MOST_WEIGHT:g}")
     return {**DEFAULT_WEIGHTS, **(weights or {})}

@@ -302,8 +302,8 @@ class ScalingEnv(TensionEnv):
     - `contact` (0): square of the contact torque;
     - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
 
-    A step costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]` holds the weighted
-    terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
+    A step that does not fail costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]`
+    holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
 
     | Metric                                              | Unit    | Meaning                                         |
     |-----------------------------------------------------|---------|-------------------------------------------------|
@@ -352,7 +352,7 @@ class ScalingEnv(TensionEnv):
     | `action_range`      | None              | what action -1 and +1 stand for                                      |
     | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
-    | `failure_horizon`   | 500               | agent steps by which a failure is charged; as `max_episode_steps`    |
+    | `failure_horizon`   | 500               | steps by which a failure is charged: set it with `max_episode_steps` |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
 
     Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.

@@ -124,8 +124,13 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
     if missing:
         raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {list(rows[0])}")
     columns = [_column(rows, name, path) for name in CURVE_COLUMNS if name in rows[0]]
-    if max(column[0] for column in columns) > 0:
+    starts = {name: float(column[0]) for name, column in zip(CURVE_COLUMNS, columns, strict=False)}
+    if all(start > 0 for start in starts.values()):
         columns = [np.insert(column, 0, 0.0) for column in columns]
+    elif any(starts.values()):
+        raise AmulettError(f"measured spring curve '{path}' starts at {starts}; all of them have to be 0, or all above")
+    if columns[1][-1] <= 0:
+        raise AmulettError(f"measured spring curve '{path}', column 'force_N' has no force above 0")
     for name, column in zip(CURVE_COLUMNS, columns, strict=False):
         step = np.diff(column)
         if (step < 0).any() or (name != "force_N" and (step == 0).any()):

@@ -199,14 +199,15 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
 
 
 def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> None:
-    """Refuse an obstacle that the integration step cannot resolve: stiffer than 0.5 rad of its swing, or damped more.
+    """Refuse an obstacle that the integration step cannot resolve.
 
-    The bounds keep the error of a contact below a few per cent; explicit integration leaves stability not far beyond.
+    A step may cover half a radian of the swing on the obstacle, and a tenth of the damping's time constant: damping
+    makes the torque jump at contact, in the middle of a step.
     """
     step = profile.loop.control_period / profile.loop.substeps
     for key, value, most in (
         ("stiffness", obstacle.stiffness, 0.25 * inertia / step**2),
-        ("damping", obstacle.damping, 0.5 * inertia / step),
+        ("damping", obstacle.damping, 0.1 * inertia / step),
     ):
         if value > most:
             raise AmulettError(

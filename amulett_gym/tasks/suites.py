@@ -1,7 +1,8 @@
 """Suites: families of scenarios, sampled for many devices at once from one 64-bit key each.
 
 Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Pushes are fractions
-of the torque that the drives have left at the nominal tension, (f_max - sigma) R_2, so that they can be resisted.
+of the torque that the drives have left at the nominal tension, (f_max - sigma) R_2 less the weight's, so that they can
+be resisted.
 
 Nothing happens, and nothing is counted, in the first half second: an arm starts at the nominal tension, and a law that
 wants another one must not pay for the start that others are given.
@@ -117,12 +118,13 @@ def _hold_push(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Hold a posture of 15 to 75 deg against four torque pulses of 0.1 to 0.5 s in either direction."""
     rows["initial_angle"] = np.radians(_between(draws[:, 0], 15.0, 75.0, 2))
     rows["push_count"] = MAX_PUSHES
+    spare = np.maximum(spare_torque - np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])), 0.0)
     for k in range(MAX_PUSHES):
         when, how_long, how_strong, direction = draws[:, 4 * k + 4 : 4 * k + 8].T
         rows["push_time"][:, k] = _between(when, 2.4 * k + START, 2.4 * k + START + 1.0, 3)
         rows["push_duration"][:, k] = _between(how_long, 0.1, 0.5, 3)
         sign = np.where(direction < 0.5, -1.0, 1.0)
-        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare_torque, 0.7 * spare_torque, 4)
+        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
 
 
 def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration: tuple[float, float]) -> None:
@@ -151,7 +153,7 @@ def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> 
     rows["initial_tension"] = np.where(room > 0, np.minimum(rows["initial_tension"], room), rows["initial_tension"])
 
 
-def _between(draw: Draws, low: float, high: float, digits: int) -> Draws:
+def _between(draw: Draws, low: float | Draws, high: float | Draws, digits: int) -> Draws:
     """Scale uniform draws to [low, high], rounded: scenarios are data that people read, and replay exactly."""
     return np.round(low + draw * (high - low), digits)
 
