@@ -1,0 +1,239 @@
+"""The reproduction follows the paper's protocol, reports every number, and says which ones it does not explain."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amulett_gym.cli import main
+from amulett_gym.config import load_profile
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.episode import record_episode
+from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.paper.reproduction import (
+    ALTERNATIVES,
+    BOUNDS,
+    MEASUREMENT_TIME,
+    Readings,
+    Reproduction,
+    apply_readings,
+    best_reading,
+    compare,
+    measure,
+    paper_step,
+    reproduce,
+    step_response,
+)
+from amulett_gym.paper.results import content, in_words
+from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5
+from amulett_gym.tasks.suites import START
+
+LAWS = {"position-only": "position-only", "tension-5": "constant:5", "tension-10": "constant:10", "variable": "eq6"}
+
+
+@pytest.fixture(scope="module")
+def reproduction() -> Reproduction:
+    return reproduce()
+
+
+def test_json_has_every_number_of_tables_2_to_5_in_the_agreed_form(reproduction):
+    result = json.loads(json.dumps(content(reproduction), allow_nan=False))
+    assert list(result) == ["parameters", "rows"]
+    assert len(result["rows"]) == 8 + 8 + 8 + 16
+    for row, cell in zip(result["rows"], TABLES_2_TO_5, strict=True):
+        keys = "table profile configuration metric drive paper ours ratio unit explained note"
+        assert list(row) == keys.split()
+        assert (row["table"], row["profile"], row["configuration"]) == (cell.table, cell.profile, cell.configuration)
+        assert (row["metric"], row["drive"], row["paper"]) == (cell.metric, cell.drive, cell.value)
+        assert row["unit"]
+        low, high = BOUNDS[cell.metric, cell.profile]
+        assert row["ratio"] == pytest.approx(row["ours"] / row["paper"], rel=1e-12)
+        assert row["explained"] is (low <= row["ratio"] <= high)
+        assert row["explained"] != ("not explained" in row["note"])
+        assert ("mean of 10 repetitions" in row["note"]) == (row["profile"] == "testbed")
+
+
+def test_json_names_the_parameters_and_says_that_they_are_estimates(reproduction):
+    parameters = content(reproduction)["parameters"]
+    assert "first estimate" in parameters["status"]
+    assert parameters["readings"] == vars(Readings())
+    for device in DEVICES:
+        assert load_profile(parameters["profiles"][device]) == load_profile(device)
+
+
+def test_twice_is_the_same(reproduction):
+    assert reproduce() == reproduction
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize("device", DEVICES)
+def test_one_repetition_is_what_the_environment_records(device, configuration):
+    """The same step by another way: environment, law and contender, and sums over the recorded ticks."""
+    profile = load_profile(device)
+    ours = step_response(profile, configuration)
+    protocol = Protocol(profile, "paper-step", episodes=1, duration=START + MEASUREMENT_TIME)
+    episode = record_episode(LAWS[configuration], protocol, paper_step(profile, configuration))
+    path, dt = episode.trajectory, episode.trajectory.control_period
+    first = round(START / dt)
+    error = np.degrees(path["setpoint"] - path["angle"])
+    assert ours.position_ise[0] == pytest.approx(np.trapezoid(error[first:] ** 2, dx=dt), rel=1e-6)
+    antagonist = np.where(path["agonist"] > 0, path["force_triceps"], path["force_biceps"])
+    tension_ise = np.sum((path["tension_setpoint"] - antagonist)[first + 1 :] ** 2) * dt
+    assert ours.tension_ise["true"][0] == pytest.approx(tension_ise, rel=1e-6)
+    assert ours.tension_ise["estimated"][0] == pytest.approx(episode.metrics["tension_ise_estimated"], rel=1e-6)
+    for drive in ("biceps", "triceps"):
+        speed = np.diff(np.degrees(path[f"command_{drive}"])[first:]) / dt
+        assert ours.isav[drive, "with"][0] == pytest.approx(np.sum(speed**2) * dt, rel=1e-5)
+    inside = np.abs(path["angle"] - np.radians(45.0)) <= np.radians(2.0)
+    assert ours.rise_time["first-entry"][0] == pytest.approx((np.argmax(inside) - first) * dt)
+    last_outside = np.flatnonzero(~inside)[-1]
+    assert ours.rise_time["settling"][0] == pytest.approx((last_outside + 1 - first) * dt)
+
+
+@pytest.mark.parametrize("eq6", ["text", "printed"])
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize("device", DEVICES)
+def test_every_configuration_is_at_rest_before_the_step(device, configuration, eq6):
+    """Without a step nothing is to be counted: a start beside the law's own setpoint would move the arm."""
+    profile = load_profile(device)
+    exact = {"encoder_noise_deg": 0.0, "potentiometer_noise": 0.0, "encoder_bits": 0, "potentiometer_bits": 0}
+    exact_sensors = profile.sensors.model_copy(update={**exact, "force_floor": 0.0})
+    profile = profile.model_copy(update={"sensors": exact_sensors})
+    law = ("eq6" if eq6 == "text" else "eq6-printed") if configuration == "variable" else LAWS[configuration]
+    still = paper_step(profile, configuration, eq6).model_copy(update={"moves": [], "measure_from": 0.0})
+    episode = record_episode(law, Protocol(profile, "paper-step", episodes=1, duration=START), still)
+    assert episode.metrics["isav_biceps"] < 1e-6
+    assert episode.metrics["tension_ise"] < 1e-9
+
+
+def test_repetitions_differ_by_noise_only(reproduction):
+    spreads = {row.cell.profile: set() for row in reproduction.rows}
+    for row in reproduction.rows:
+        spreads[row.cell.profile].add(row.spread)
+    assert spreads["simulation"] == {None}
+    assert all(spread > 0 for spread in spreads["testbed"])
+
+
+def test_a_reading_of_the_loop_reaches_the_device():
+    readings = Readings(damping="printed", wiring="tension_only", agonist="biceps", floor="hold")
+    profile = apply_readings(load_profile("testbed"), replace(readings, derivative_on="measurement"))
+    assert (profile.damping.fit, profile.sensors.below_floor) == ("printed", "hold")
+    assert (profile.loop.wiring, profile.loop.agonist) == ("tension_only", "biceps")
+    for pid in (profile.loop.position, profile.loop.tension, profile.loop.position_only):
+        assert pid.derivative_on == "measurement"
+    assert profile.loop.position.kp == load_profile("testbed").loop.position.kp
+
+
+def test_default_readings_are_the_shipped_profiles():
+    for device in DEVICES:
+        assert apply_readings(load_profile(device), Readings()) == load_profile(device)
+
+
+def test_a_reading_of_the_measurement_changes_its_own_table_only(reproduction):
+    tables = {"rise_time": {2}, "tension_error": {4}, "isav_unit": {5}, "isav_kick": {5}, "eq6": {2, 3, 4, 5}}
+    for (name, _), rows in reproduction.alternatives.items():
+        pairs = zip(rows, reproduction.rows, strict=True)
+        changed = {row.cell.table for row, default in pairs if row.ours != default.ours}
+        assert changed == tables.get(name, {2, 3, 4, 5}), name
+    rows = reproduction.alternatives["isav_unit", "rad"]
+    for row, default in zip(rows, reproduction.rows, strict=True):
+        if row.cell.table == 5:
+            assert (row.unit, default.unit) == ("rad^2/s", "deg^2/s")
+            assert row.ours == pytest.approx(default.ours * math.radians(1.0) ** 2)
+
+
+def test_eq6_matters_for_variable_stiffness_only(reproduction):
+    pairs = zip(reproduction.alternatives["eq6", "printed"], reproduction.rows, strict=True)
+    assert {row.cell.configuration for row, default in pairs if row != default} == {"variable"}
+
+
+def test_the_floor_matters_on_the_testbed_only(reproduction):
+    for choice in ("hold", "ignore"):
+        pairs = zip(reproduction.alternatives["floor", choice], reproduction.rows, strict=True)
+        assert {row.cell.profile for row, default in pairs if row != default} == {"testbed"}
+
+
+def test_the_nearest_reading_is_nearer_than_all_others(reproduction):
+    for index, row in enumerate(reproduction.rows):
+        key, nearest = best_reading(reproduction, index)
+        others = [row.distance, *(rows[index].distance for rows in reproduction.alternatives.values())]
+        assert nearest.distance <= min(others) + 0.01
+        assert key is None or nearest is reproduction.alternatives[key][index]
+
+
+def test_a_step_that_never_settles_has_no_number_and_says_why():
+    slow = {"kp": 0.0, "ki": 0.1, "kd": 0.0, "derivative_filter": 0.01}
+    loop = {"position": slow, "position_only": slow}
+    devices = {name: load_profile({"name": f"slow-{name}", "base": name, "loop": loop}) for name in DEVICES}
+    responses = measure(devices, Readings())
+    rows = compare(responses, Readings())
+    assert all(row.ours is None and not row.explained for row in rows if row.cell.table == 2)
+    result = content(Reproduction(devices, Readings(), rows, {}))
+    assert result["rows"][0]["ours"] is None
+    assert "1 of 1 did not reach the error margin within 5 s" in result["rows"][0]["note"]
+    json.dumps(result, allow_nan=False)
+
+
+def test_a_device_that_fails_has_no_numbers():
+    frail = {"name": "frail", "base": "simulation", "plant": {"velocity_limit_deg": 100.0}}
+    devices = {"simulation": load_profile(frail), "testbed": load_profile("testbed")}
+    rows = compare(measure(devices, Readings()), Readings())
+    assert {row.ours for row in rows if row.cell.profile == "simulation"} == {None}
+    assert rows[0].trouble == "1 of 1 failed: joint velocity limit"
+
+
+def test_an_unknown_configuration_gets_a_suggestion():
+    with pytest.raises(AmulettError, match="did you mean 'tension-10'"):
+        paper_step(load_profile("testbed"), "tension10")
+
+
+PINNED = {
+    ("rise_time", "simulation", "variable", None): 0.38,
+    ("rise_time", "testbed", "tension-5", None): 1.9076,
+    ("position_ise", "simulation", "position-only", None): 117.493036,
+    ("position_ise", "simulation", "tension-10", None): 117.809046,
+    ("position_ise", "testbed", "position-only", None): 650.126042,
+    ("position_ise", "testbed", "variable", None): 571.50711,
+    ("tension_ise", "simulation", "position-only", None): 4.05791412,
+    ("tension_ise", "simulation", "variable", None): 20.8858967,
+    ("tension_ise", "testbed", "variable", None): 2.54993927,
+    ("isav", "simulation", "position-only", "biceps"): 1.62470896e10,
+    ("isav", "testbed", "tension-10", "triceps"): 314467.035,
+}
+
+
+def test_the_reproduced_numbers_stay(reproduction):
+    """A change of the physics or of the shipped profiles shows here, and in ``amulett reproduce``."""
+    ours = {
+        (row.cell.metric, row.cell.profile, row.cell.configuration, row.cell.drive): row.ours
+        for row in reproduction.rows
+    }
+    for key, value in PINNED.items():
+        assert ours[key] == pytest.approx(value, rel=1e-6), key
+
+
+def test_the_command_writes_its_files_and_prints_both_tables(tmp_path, capsys, reproduction):
+    folder = tmp_path / "reproduction"
+    assert main(["reproduce", "--out", str(folder)]) == 0
+    output = capsys.readouterr().out
+    assert in_words(reproduction) in output
+    assert "first estimate" in output
+    assert sorted(path.name for path in folder.iterdir()) == ["readings.csv", "reproduction.json", "rows.csv"]
+    assert json.loads((folder / "reproduction.json").read_text()) == json.loads(json.dumps(content(reproduction)))
+    with (folder / "rows.csv").open() as file:
+        assert [float(row["paper"]) for row in csv.DictReader(file)] == [cell.value for cell in TABLES_2_TO_5]
+    with (folder / "readings.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 40 * (1 + len(ALTERNATIVES))
+    assert main(["reproduce", "--out", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((folder / "reproduction.json").read_text())
+
+
+def test_the_command_keeps_off_other_folders(tmp_path, capsys):
+    (tmp_path / "thesis.txt").write_text("mine")
+    assert main(["reproduce", "--out", str(tmp_path)]) == 2
+    assert "is not empty and holds no reproduction" in capsys.readouterr().err
