@@ -61,7 +61,8 @@ class Readings:
     isav_unit : {"deg", "rad"}
         Unit of the drives' position signals in eq. 8.
     isav_kick : {"with", "without"}
-        Whether the jump of the drives' position signals at the setpoint step counts.
+        Whether the jump of the drives' position signals at the setpoint step counts: all that they do within five time
+        constants of the position controller's derivative filter.
     """
 
     eq6: Literal["text", "printed"] = "text"
