@@ -429,6 +429,11 @@ def test_without_torch_the_command_says_what_to_install(monkeypatch, tmp_path):
         command.run(argparse.Namespace(config=None, overrides=[], out=str(tmp_path / "run"), seed=None))
 
 
+def interruptible(words, **pipes):
+    """Start a process that Ctrl-C ends, even if the tests run in the background, where shells let it be ignored."""
+    return subprocess.Popen(words, text=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL), **pipes)
+
+
 def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
     program = (
         "import argparse, sys; from amulett_gym.cli import train; parser = argparse.ArgumentParser();"
@@ -436,7 +441,7 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
     )
     out = tmp_path / "run"
     arguments = ["--out", str(out), "--json", "--seed", "3", "--set", *SMALL, "total_steps=100000000"]
-    process = subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True)
+    process = interruptible([sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE)
     table = out / "evaluations.csv"
     while process.poll() is None and not (table.is_file() and len(table.read_text().splitlines()) > 2):
         time.sleep(0.05)
@@ -482,7 +487,7 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path)
 
 def test_ctrl_c_in_quickstart_says_what_is_kept(tmp_path):
     words = [sys.executable, "-m", "amulett_gym", "quickstart", "--seconds", "600", "--out", str(tmp_path)]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = interruptible(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     while process.poll() is None and not (tmp_path / "ppo" / "evaluations.csv").is_file():
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
