@@ -16,8 +16,6 @@ from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.tasks.suites import suite_names
 
-Fraction = Field(ge=0, le=1)
-
 
 class EnvSettings(Group):
     """The environment that is trained in."""

@@ -16,7 +16,7 @@ from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import Control
-from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
 DEFAULT_STEPS = 500
@@ -87,7 +87,7 @@ class Episodes:
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self._max_force = simulation.max_force
-        self._scenarios = sample(suite, self._keys, self.profile, self._max_force)
+        self._scenarios = empty_rows(num_devices, self.profile)
 
     @property
     def agent_period(self) -> float:
@@ -153,10 +153,11 @@ class Episodes:
             raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
         return observations, report
 
-    def report(self) -> Report:
-        """Return the report of the present state, shape (N, 35), with no reward."""
-        report = np.empty((self._all.size, transition.REPORT_SIZE))
-        transition.tell_devices(self.simulation.parameters, self.simulation.states, report)
+    def report(self, devices: NDArray[np.int64] | None = None) -> Report:
+        """Return the report of the given devices' present state (all if None), shape (len(devices), 35), no reward."""
+        devices = self._all if devices is None else devices
+        report = np.empty((devices.size, transition.REPORT_SIZE))
+        transition.tell_devices(self.simulation.parameters, self.simulation.states, devices, report)
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:

@@ -132,11 +132,11 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
 
 
 @compiled
-def tell_devices(p, s_blocks, report):
-    """Fill the report of all devices, one row each, but for the reward: nothing was paid since the last step."""
-    for device in range(report.shape[0]):
-        report[device, :FIRST_READING] = 0.0
-        tell(p[0], s_blocks[device // LANES], device % LANES, report[device])
+def tell_devices(p, s_blocks, devices, report):
+    """Fill the report of the given devices, one row each, but for the reward: nothing was paid since the last step."""
+    for row in range(devices.size):
+        report[row, :FIRST_READING] = 0.0
+        tell(p[0], s_blocks[devices[row] // LANES], devices[row] % LANES, report[row])
 
 
 @compiled

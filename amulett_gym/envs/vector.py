@@ -196,7 +196,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if again.size:
             self.episodes.next_episode(again)
             observations[again] = self.episodes.start(again)
-            report[again] = self.episodes.report()[again]
+            report[again] = self.episodes.report(again)
             self._steps[again] = 0
             self._clear_renderers(again)
         terminated = report[:, FIRST_READING] != RUNNING
