@@ -10,6 +10,7 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -302,6 +303,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
+@cache  # reading YAML takes longer than simulating a step response; nobody changes what is returned
 def _shipped(name: str) -> dict[str, Any]:
     with resources.as_file(resources.files("amulett_gym") / "profiles" / f"{name}.yaml") as path:
         return read_yaml(path, "profile")

@@ -216,16 +216,37 @@ _SIMULATED = ("eq6", "damping", "wiring", "agonist", "floor", "derivative_on")
 """Readings that change what the device does; the others change how it is measured."""
 
 
-def measure(devices: Mapping[str, Profile], readings: Readings) -> dict[tuple[str, str], Response]:
-    """Return the step responses of all configurations on both devices, by device and configuration."""
-    repetitions = {"simulation": PROTOCOL.repetitions_simulation, "testbed": PROTOCOL.repetitions_testbed}
-    return {
-        (name, configuration): step_response(
-            apply_readings(devices[name], readings), configuration, readings.eq6, repetitions[name]
-        )
-        for name in DEVICES
-        for configuration in CONFIGURATIONS
-    }
+def measure(
+    devices: Mapping[str, Profile],
+    readings: Readings,
+    repetitions: int = PROTOCOL.repetitions_testbed,
+    duration: Mapping[str, float] | None = None,
+) -> dict[tuple[str, str], Response]:
+    """Return the step responses of all configurations on both devices, by device and configuration.
+
+    Parameters
+    ----------
+    devices : mapping of str to Profile
+        By `tables.DEVICES`.
+    readings : Readings
+    repetitions : int
+        On the testbed; the simulation has nothing to repeat.
+    duration : mapping of str to float, optional
+        T of each device [s]; `MEASUREMENT_TIME` if None.
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold the posture at which a configuration starts.
+    """
+    counts = {"simulation": PROTOCOL.repetitions_simulation, "testbed": repetitions}
+    responses = {}
+    for name in DEVICES:
+        device = apply_readings(devices[name], readings)
+        time = MEASUREMENT_TIME if duration is None else duration[name]
+        for configuration in CONFIGURATIONS:
+            responses[name, configuration] = step_response(device, configuration, readings.eq6, counts[name], time)
+    return responses
 
 
 def apply_readings(profile: Profile, readings: Readings) -> Profile:
