@@ -20,6 +20,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -145,22 +146,38 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
 def build_tables(spring: Spring) -> SpringTables:
     """Build the look-up tables of a spring assembly: from its measured curve if it has one, else from its geometry."""
     if spring.measured_curve is None:
-        deflection = np.linspace(0.0, spring.max_deflection, CELLS + 1)
-        force, spring_deflection = assembly_curve(spring, deflection)
-    else:
-        measured, measured_force, measured_spring = read_curve(spring.measured_curve)
-        deflection = np.linspace(0.0, measured[-1], CELLS + 1)
-        force = PchipInterpolator(measured, measured_force)(deflection)
-        spring_deflection = PchipInterpolator(measured, measured_spring)(deflection)
+        return _geometric_tables(spring.stiffness, spring.half_width, spring.free_length, spring.max_deflection)
+    measured, measured_force, measured_spring = read_curve(spring.measured_curve)
+    deflection = np.linspace(0.0, measured[-1], CELLS + 1)
+    return _tables(
+        deflection,
+        PchipInterpolator(measured, measured_force)(deflection),
+        PchipInterpolator(measured, measured_spring)(deflection),
+    )
+
+
+@lru_cache(maxsize=16)  # a step response takes less time than its tables
+def _geometric_tables(stiffness: float, half_width: float, free_length: float, max_deflection: float) -> SpringTables:
+    spring = Spring(stiffness=stiffness, half_width=half_width, free_length=free_length, max_deflection=max_deflection)
+    deflection = np.linspace(0.0, max_deflection, CELLS + 1)
+    return _tables(deflection, *assembly_curve(spring, deflection))
+
+
+def _tables(
+    deflection: NDArray[np.float64], force: NDArray[np.float64], spring_deflection: NDArray[np.float64]
+) -> SpringTables:
     root = np.sqrt(spring_deflection)
     uniform_root = np.linspace(0.0, root[-1], CELLS + 1)
-    return SpringTables(
+    tables = SpringTables(
         force=_coefficients(force),
         spring_deflection=_coefficients(spring_deflection),
         estimated_force=_coefficients(PchipInterpolator(root, force)(uniform_root)),
         max_deflection=float(deflection[-1]),
         max_spring_deflection=float(spring_deflection[-1]),
     )
+    for table in (tables.force, tables.spring_deflection, tables.estimated_force):
+        table.flags.writeable = False  # shared by all devices with this spring
+    return tables
 
 
 @compiled
