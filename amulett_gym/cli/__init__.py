@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 from amulett_gym.errors import AmulettError, nearest
 
-COMMANDS = ("quickstart", "train", "evaluate", "simulate", "play", "reproduce", "check", "list", "bench")
+COMMANDS = ("quickstart", "train", "evaluate", "simulate", "play", "reproduce", "identify", "check", "list", "bench")
 
 
 class Parser(argparse.ArgumentParser):

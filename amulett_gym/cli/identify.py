@@ -1,0 +1,72 @@
+"""`amulett identify`: search for the parameters that the paper does not print."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import output_folder
+
+HELP = "search for the parameters that the paper does not print"
+EXAMPLES = """  amulett identify --out runs/identify
+  amulett identify --seeds 1 --population 30 --generations 10 --refinement 5 --steps 2 --out runs/short
+"""
+_COUNTS = {
+    "population": "candidates in a generation",
+    "generations": "generations of each start",
+    "refinement": "generations of the search that goes on from all starts",
+    "steps": "moves of each walker of the ensemble",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="folder of the study; an interrupted one in it is continued"
+    )
+    parser.add_argument(
+        "--seeds", nargs="+", type=int, metavar="N", help="of the independent starts (default: 1 2 3 4)"
+    )
+    for name, text in _COUNTS.items():
+        parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: that of the shipped study)")
+    parser.add_argument(
+        "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="searches at once (default: all cores)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the content of identification.json and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Identify, print what was found, and write the files."""
+    from amulett_gym.paper.reproduction import Readings
+    from amulett_gym.paper.study import STUDY_MARKS, Recipe, in_words, study
+
+    chosen: dict[str, Any] = {name: getattr(arguments, name) for name in ("seeds", *_COUNTS)}
+    for name, value in {**chosen, "processes": arguments.processes}.items():
+        if isinstance(value, int) and value < 1:
+            raise AmulettError(f"--{name} is {value}; it has to be at least 1")
+    if arguments.population is not None and arguments.population < 5:
+        raise AmulettError(f"--population is {arguments.population}; differential evolution needs at least 5")
+    if arguments.seeds and (min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds)):
+        raise AmulettError(f"--seeds are {arguments.seeds}; they have to differ and to be at least 0")
+    given = {name: value for name, value in chosen.items() if value is not None}
+    if arguments.seeds:
+        given["seeds"] = tuple(arguments.seeds)
+    recipe = Recipe(**given)
+
+    def report(name: str, stage: Mapping[str, Any]) -> None:
+        if not arguments.json:
+            shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"
+            print(f"  {name:24} {shown}", flush=True)
+
+    with output_folder(arguments.out, "study", [STUDY_MARKS]):
+        content = study(arguments.out, recipe, Readings(), arguments.processes, report)
+    if arguments.json:
+        print(json.dumps(content, indent=2, allow_nan=False))
+        return 0
+    print(in_words(content))
+    print(f"Written to {arguments.out}: identification.json, simulation.yaml and testbed.yaml.")
+    return 0

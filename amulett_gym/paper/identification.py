@@ -1,0 +1,325 @@
+"""Identification: which unprinted parameters reproduce Tables 2-5 on both devices, with one set of mechanics.
+
+A search vector becomes two profiles, these become rows beside the paper's (`reproduction.measure`), and these become
+residuals in units of what each row may be off by. Differential evolution from several seeds minimises a cost that rows
+out of reach cannot dominate. What the tables do not determine shows in the *ensemble*: a random walk among all
+parameter sets that are as good as the best.
+
+R_2 is not searched. The equations stay the same when R_1, R_2, all lengths of the spring and J are scaled together at
+the same forces, so no table can see it; it is set, and the others are identified for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import differential_evolution
+
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.errors import AmulettError
+from amulett_gym.model.plant import inertia
+from amulett_gym.paper.reproduction import BOUNDS, Readings, Row, compare, measure
+from amulett_gym.paper.tables import DEVICES
+
+Values = NDArray[np.float64]
+
+JOINT_PULLEY_RADIUS = 0.04
+"""R_2 [m]; see above."""
+
+MASS_ARM = 0.13
+"""Lever arm of the one mass that stands for the arm [m]; the tables see J alone."""
+
+SIMULATED = {"simulation": 2.0, "testbed": 4.0}
+"""T in the search [s]: a longer one changes no metric by more than 2 %."""
+
+OUT_OF_REACH = 60.0
+"""Residual of a row that does not exist, because the device failed."""
+
+ROBUST = 0.1
+"""Weight of the part of the cost that goes on growing for a row far off, so that the search knows where to go."""
+
+EQUAL = 1.0
+"""Sets whose cost is above the best one's by at most this are as good: about one row that is out of its bound more."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to identify.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds of the search.
+    unit : str
+        Empty if dimensionless.
+    source : str
+        Where the bounds come from.
+    logarithmic : bool
+        Whether the search moves in its logarithm.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str
+    source: str
+    logarithmic: bool = True
+
+
+PARAMETERS = (
+    Free("inertia", 3e-4, 1e-2, "kg m2", "J: a bare printed beam, to one with half a kilogram of motor and mount"),
+    Free("radius_ratio", 0.2, 0.5, "", "R_1/R_2: 0.29 by the measured position ISEs without lag, more with lag"),
+    Free("max_force", 10.05, 40.0, "N", "where the springs saturate: 10 N was held"),
+    Free("max_deflection", 2e-3, 3e-2, "m", "string deflection there: an assembly the size of a hand"),
+    Free("width_ratio", 0.15, 8.0, "", "half width of the assembly over max_deflection"),
+    Free(
+        "length_ratio", 0.0, 1.0, "", "free length of a linear spring over half width: 0 linear, 1 cubic at rest", False
+    ),
+    Free(
+        "simulation.position_filter", 2e-4, 0.03, "s", "derivative filter: up to three times Simulink's default, 10 ms"
+    ),
+    Free("simulation.tension_filter", 1e-3, 0.05, "s", "derivative filter"),
+    Free("simulation.force_filter", 1e-3, 0.1, "s", "the lag without which the tension loop is algebraic"),
+    Free("testbed.lag", 3e-3, 0.3, "s", "a servo's, to that of a geared motor under load"),
+    Free("testbed.rate_limit", 200.0, 2000.0, "deg/s", "a slow servo's, to that of a fast geared motor"),
+    Free(
+        "testbed.position_filter",
+        2e-4,
+        0.03,
+        "s",
+        "derivative filter: next to none, to what an encoder's noise asks for",
+    ),
+    Free("testbed.tension_filter", 2e-4, 0.1, "s", "derivative filter: the potentiometers are noisier"),
+    Free("testbed.force_filter", 2e-3, 0.3, "s", "low-pass of the estimated force"),
+    Free("testbed.control_period", 2e-3, 1e-2, "s", "what an Arduino Mega 2560 does with three sensors and two PIDs"),
+)
+"""What the paper does not print and the tables might determine."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of one search.
+
+    Attributes
+    ----------
+    cost : float
+    parameters : dict of str to float
+        By the names of `PARAMETERS`.
+    population : ndarray, shape (candidates, parameters)
+        Search vectors of the last generation, from which another search can go on.
+    """
+
+    cost: float
+    parameters: dict[str, float]
+    population: Values
+
+
+def unpack(vector: Values) -> dict[str, float]:
+    """Turn a search vector, whose numbers go from 0 to 1 between the bounds, into named parameters."""
+    parameters = {}
+    for free, place in zip(PARAMETERS, vector.tolist(), strict=True):
+        if free.logarithmic:
+            parameters[free.name] = free.low * (free.high / free.low) ** place
+        else:
+            parameters[free.name] = free.low + (free.high - free.low) * place
+    return parameters
+
+
+def pack(parameters: Mapping[str, float]) -> Values:
+    """Turn named parameters into a search vector: the inverse of `unpack`."""
+    vector = []
+    for free in PARAMETERS:
+        value = parameters[free.name]
+        if free.logarithmic:
+            vector.append(math.log(value / free.low) / math.log(free.high / free.low))
+        else:
+            vector.append((value - free.low) / (free.high - free.low))
+    return np.array(vector)
+
+
+def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Return what a set of parameters changes in each device's profile, in the profile's own keys.
+
+    Numbers have five significant digits, in the search too: what is written is what was found.
+    """
+    p = parameters
+    deflection, force = p["max_deflection"], p["max_force"]
+    half_width = p["width_ratio"] * deflection
+    free_length = p["length_ratio"] * half_width
+    shared = {
+        "plant": {
+            "masses": [{"mass": _digits(p["inertia"] / inertia([1.0], [MASS_ARM])), "arm": MASS_ARM}],
+            "drive_pulley_radius": _digits(p["radius_ratio"] * JOINT_PULLEY_RADIUS),
+            "joint_pulley_radius": JOINT_PULLEY_RADIUS,
+        },
+        "spring": {
+            "stiffness": _digits(force / (2 * deflection * (1 - free_length / math.hypot(half_width, deflection)))),
+            "half_width": _digits(half_width),
+            "free_length": _digits(free_length),
+            "max_deflection": _digits(deflection),
+        },
+    }
+    changes: dict[str, dict[str, Any]] = {}
+    for device in DEVICES:
+        position = {"derivative_filter": _digits(p[f"{device}.position_filter"])}
+        tension = {"derivative_filter": _digits(p[f"{device}.tension_filter"])}
+        changes[device] = {
+            **shared,
+            "sensors": {"force_filter": _digits(p[f"{device}.force_filter"])},
+            "loop": {"position": position, "position_only": position, "tension": tension},
+        }
+    testbed = changes["testbed"]
+    testbed["loop"]["control_period"] = round(p["testbed.control_period"], 4)
+    testbed["drives"] = {"lag": _digits(p["testbed.lag"]), "rate_limit_deg": _digits(p["testbed.rate_limit"])}
+    return changes
+
+
+def devices(parameters: Mapping[str, float]) -> dict[str, Profile]:
+    """Return both shipped devices with a set of parameters in the place of theirs.
+
+    Raises
+    ------
+    AmulettError
+        If a profile does not allow one of the values.
+    """
+    return {
+        name: load_profile({"base": name, "name": f"{name}-identified", **changes})
+        for name, changes in profile_changes(parameters).items()
+    }
+
+
+def reproduced(parameters: Mapping[str, float], readings: Readings, repetitions: int = 1) -> tuple[Row, ...]:
+    """Return the rows of Tables 2-5 that a set of parameters gives.
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+    return compare(measure(devices(parameters), readings, repetitions, SIMULATED), readings)
+
+
+def fitted(row: Row, without: str | None = None) -> bool:
+    """Say whether the search looks at a row; `without` leaves out one configuration, on both devices."""
+    return row.cell.configuration != without
+
+
+def residual(row: Row) -> float:
+    """Return log(ours / paper) in units of what the row may be off by: up to 1 it is explained."""
+    bound = math.log(BOUNDS[row.cell.metric, row.cell.profile][1])
+    if row.ours is None:
+        if "did not reach" not in row.trouble:
+            return OUT_OF_REACH
+        return min(math.log(SIMULATED[row.cell.profile] / row.cell.value) / bound, OUT_OF_REACH)
+    return float(np.clip(math.log(max(row.ours, 1e-6) / row.cell.value) / bound, -OUT_OF_REACH, OUT_OF_REACH))
+
+
+def cost(residuals: Sequence[float]) -> float:
+    """Return a smooth count of the rows that are out of their bounds."""
+    squares = np.square(residuals)
+    return float(np.sum(np.log1p(squares**2) + ROBUST * np.log1p(squares)))
+
+
+def objective(readings: Readings, without: str | None = None) -> Callable[[Values], float]:
+    """Return the cost as a function of the search vector."""
+
+    def value(vector: Values) -> float:
+        try:
+            rows = reproduced(unpack(vector), readings)
+        except AmulettError:  # springs too weak for a starting posture, a potentiometer that does not reach
+            return cost([OUT_OF_REACH] * 40)
+        return cost([residual(row) for row in rows if fitted(row, without)])
+
+    return value
+
+
+def search(
+    seed: int,
+    readings: Readings,
+    *,
+    generations: int,
+    population: int | Values,
+    without: str | None = None,
+    fixed: Mapping[str, float] | None = None,
+) -> Fit:
+    """Search by differential evolution.
+
+    Parameters
+    ----------
+    seed : int
+        Of the first generation and of the search.
+    readings : Readings
+    generations : int
+    population : int or ndarray
+        Candidates in a generation, which then begins anywhere between the bounds; or the search vectors to begin with.
+    without : str, optional
+        A configuration whose rows are left out.
+    fixed : mapping of str to float, optional
+        Parameters that stay as they are.
+    """
+    rng = np.random.default_rng(seed)
+    if isinstance(population, int):
+        population = rng.uniform(size=(population, len(PARAMETERS)))
+    names = [free.name for free in PARAMETERS]
+    free = np.array([name not in (fixed or {}) for name in names])
+    template = pack({**unpack(np.full(len(names), 0.5)), **(fixed or {})})
+    value = objective(readings, without)
+
+    def whole(part: Values) -> Values:
+        vector = template.copy()
+        vector[free] = part
+        return vector
+
+    found = differential_evolution(
+        lambda part: value(whole(part)),
+        [(0.0, 1.0)] * int(free.sum()),
+        init=population[:, free],
+        seed=rng,
+        maxiter=generations,
+        tol=0.0,
+        atol=1e-4,
+        polish=False,
+    )
+    return Fit(float(found.fun), unpack(whole(found.x)), np.array([whole(part) for part in found.population]))
+
+
+def ensemble(seed: int, readings: Readings, fit: Fit, *, steps: int) -> list[dict[str, float]]:
+    """Return parameter sets that are as good as the best: a random walk of many walkers inside `EQUAL` of its cost.
+
+    Each walker moves along the line through another one (the affine-invariant "stretch move" of Goodman and Weare,
+    2010); a move is accepted if the cost stays within the limit. Walkers start from the fit's last generation.
+
+    Parameters
+    ----------
+    seed : int
+    readings : Readings
+    fit : Fit
+    steps : int
+        Moves that each walker tries.
+    """
+    rng = np.random.default_rng(seed)
+    value = objective(readings)
+    limit = fit.cost + EQUAL
+    walkers = np.array([vector for vector in fit.population if value(vector) <= limit])
+    members = list(walkers)
+    count, size = walkers.shape
+    for _ in range(steps):
+        for k in range(count):
+            other = walkers[(k + rng.integers(1, count)) % count] if count > 1 else walkers[k]
+            stretch = (1.0 + rng.uniform()) ** 2 / 2.0  # density proportional to 1/sqrt(stretch), 0.5 to 2
+            accept = rng.uniform() < stretch ** (size - 1)
+            moved = other + stretch * (walkers[k] - other)
+            if accept and ((moved >= 0.0) & (moved <= 1.0)).all() and value(moved) <= limit:
+                walkers[k] = moved
+                members.append(moved)
+    return [unpack(vector) for vector in members]
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.5g}")

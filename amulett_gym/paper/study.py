@@ -1,0 +1,369 @@
+"""How the shipped parameters came about: the searches of `identification`, one after the other, and what they give.
+
+Each search is a *stage*. A finished stage is kept in the folder and not done again, so a study that was interrupted
+goes on where it was. Stages do not share random numbers: the number of processes changes nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from importlib import resources
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import read_text, write_json, write_text
+from amulett_gym.model.spring import build_tables
+from amulett_gym.paper.identification import (
+    EQUAL,
+    PARAMETERS,
+    Fit,
+    devices,
+    ensemble,
+    objective,
+    pack,
+    profile_changes,
+    reproduced,
+    search,
+    unpack,
+)
+from amulett_gym.paper.reproduction import Readings
+from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
+
+SPRING_LAWS = {
+    0.0: "linear",
+    0.7: "slightly progressive",
+    0.9: "progressive",
+    0.97: "markedly progressive",
+    1.0: "cubic at rest",
+}
+"""Free length of a linear spring over half width -> what the assembly's force is then like."""
+
+DETERMINED = 0.25
+"""A parameter is determined if the sets as good as the best cover at most this part of its search range."""
+
+STUDY_MARKS = ("recipe.json",)
+"""The file by which a study's folder is recognised."""
+
+_ROWS = len(TABLES_2_TO_5)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is searched, and for how long; the defaults gave the shipped parameters.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+        Of the independent starts.
+    population, generations : int
+        Of each start, and of each search that leaves out a configuration.
+    refinement : int
+        Generations of the search that goes on from all starts, and of the one for each spring law.
+    steps : int
+        Moves of each walker of the ensemble.
+    """
+
+    seeds: tuple[int, ...] = (1, 2, 3, 4)
+    population: int = 120
+    generations: int = 150
+    refinement: int = 60
+    steps: int = 40
+
+
+Report = Callable[[str, Mapping[str, Any]], None]
+
+
+def study(
+    folder: str | Path,
+    recipe: Recipe,
+    readings: Readings,
+    processes: int = 2,
+    report: Report = lambda name, stage: None,
+) -> dict[str, Any]:
+    """Identify the parameters and write what was found.
+
+    Parameters
+    ----------
+    folder : str or Path
+        For ``recipe.json``, ``stages/*.json``, ``identification.json`` and a profile for each device.
+    recipe : Recipe
+    readings : Readings
+    processes : int
+        Searches that run at once.
+    report : callable
+        Called with a stage's name and result when it is there.
+
+    Returns
+    -------
+    dict
+        The content of ``identification.json``.
+
+    Raises
+    ------
+    AmulettError
+        If a file cannot be read or written.
+    """
+    folder = Path(folder)
+    write_json(folder / "recipe.json", asdict(recipe))
+    size = {"population": recipe.population, "generations": recipe.generations}
+    stages: dict[str, Any] = {}
+
+    def run(calls: Mapping[str, Mapping[str, Any]]) -> None:
+        for name, result in _run_stages(folder / "stages", calls, readings, processes):
+            stages[name] = result
+            report(name, result)
+
+    run(
+        {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds}
+        | {f"without-{name}": {"seed": recipe.seeds[0], **size, "without": name} for name in CONFIGURATIONS}
+    )
+    starts = [stages[f"start-{seed}"] for seed in recipe.seeds]
+    begin = _best([vector for start in starts for vector in start["population"]], recipe.population, readings)
+    again = {"seed": recipe.seeds[0], "generations": recipe.refinement, "population": begin}
+    run({"best": again} | {f"spring-{ratio}": {**again, "fixed": {"length_ratio": ratio}} for ratio in SPRING_LAWS})
+    best = stages["best"]
+    walk = {"seed": recipe.seeds[0], "fit": {key: best[key] for key in ("cost", "parameters", "population")}}
+    run({"ensemble": {**walk, "steps": recipe.steps}})
+    content = _content(recipe, readings, stages)
+    for name in DEVICES:
+        write_text(folder / f"{name}.yaml", profile_text(name, content))
+    write_json(folder / "identification.json", content)
+    return content
+
+
+def shipped() -> dict[str, Any]:
+    """Return the study behind the shipped profiles, as `study` returned it."""
+    with resources.as_file(resources.files("amulett_gym") / "paper" / "identification.json") as path:
+        content: dict[str, Any] = json.loads(read_text(path, "identification"))
+    return content
+
+
+def profile_text(device: str, content: Mapping[str, Any]) -> str:
+    """Return a profile of one device with the identified values, each with its source, as YAML."""
+    spread = {entry["name"]: entry for entry in content["spread"]}
+    changes = profile_changes({name: entry["value"] for name, entry in spread.items()})[device]
+
+    def source(*names: str) -> str:
+        parts = []
+        for name in names:
+            entry = spread[name]
+            unit = f" {entry['unit']}" if entry["unit"] else ""
+            known = "" if entry["determined"] else ", hardly determined"
+            parts.append(
+                f"{name.split('.')[-1]} {entry['value']:.4g}{unit} ({entry['low']:.3g} to {entry['high']:.3g}{known})"
+            )
+        return "identified: " + "; ".join(parts)
+
+    sources: dict[str, dict[str, str]] = {
+        "plant": {
+            "masses": source("inertia"),
+            "drive_pulley_radius": source("radius_ratio"),
+            "joint_pulley_radius": "assumed: no table sees it; the other lengths and the inertia go with it",
+        },
+        "spring": {
+            "stiffness": source("max_force"),
+            "half_width": source("width_ratio"),
+            "free_length": source("length_ratio"),
+            "max_deflection": source("max_deflection"),
+        },
+        "sensors": {"force_filter": source(f"{device}.force_filter")},
+        "loop": {
+            key: source(f"{device}.{search}") + "; gains: Table 1"
+            for key, search in (
+                ("position", "position_filter"),
+                ("position_only", "position_filter"),
+                ("tension", "tension_filter"),
+            )
+        },
+    }
+    if device == "testbed":
+        sources["loop"]["control_period"] = source("testbed.control_period")
+        sources["drives"] = {"lag": source("testbed.lag"), "rate_limit_deg": source("testbed.rate_limit")}
+    groups = {group: {**values, "sources": sources[group]} for group, values in changes.items()}
+    profile = {
+        "name": f"{device}-identified",
+        "base": device,
+        "description": f"What `amulett identify` found for the {device}; the shipped profile holds the same values.",
+        **groups,
+    }
+    head = "# Written by `amulett identify`. In parentheses: the range of the sets that explain the tables as well.\n"
+    plain = json.loads(json.dumps(profile))  # YAML would write a mapping that occurs twice as a reference
+    text: str = yaml.safe_dump(plain, sort_keys=False, width=120)
+    return head + text
+
+
+def _run_stages(
+    folder: Path, calls: Mapping[str, Mapping[str, Any]], readings: Readings, processes: int
+) -> Iterable[tuple[str, Any]]:
+    """Yield each stage's name and result: at once those that are in the folder, then the others as they get done."""
+    inputs = {name: _inputs(call, readings) for name, call in calls.items()}
+    missing = []
+    for name in calls:
+        done = _read_stage(folder / f"{name}.json", inputs[name])
+        if done is None:
+            missing.append(name)
+        else:
+            yield name, done
+    if not missing:
+        return
+    with ProcessPoolExecutor(min(processes, len(missing)), mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
+        try:
+            for future in as_completed(futures):
+                name = futures[future]
+                result = future.result()
+                write_json(folder / f"{name}.json", {"inputs": inputs[name], "result": result})
+                yield name, result
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
+    taken = Readings(**readings)
+    if "fit" in call:
+        fit = Fit(call["fit"]["cost"], call["fit"]["parameters"], np.array(call["fit"]["population"]))
+        return ensemble(call["seed"], taken, fit, steps=call["steps"])
+    population = call["population"] if isinstance(call["population"], int) else np.array(call["population"])
+    found = search(
+        call["seed"],
+        taken,
+        generations=call["generations"],
+        population=population,
+        without=call.get("without"),
+        fixed=call.get("fixed"),
+    )
+    rows = reproduced(found.parameters, taken, PROTOCOL.repetitions_testbed)
+    return {
+        "cost": found.cost,
+        "explained": sum(row.explained for row in rows),
+        "parameters": found.parameters,
+        "population": found.population.tolist(),
+    }
+
+
+def _inputs(call: Mapping[str, Any], readings: Readings) -> dict[str, Any]:
+    """Return everything a stage's result hangs on, what is long as its hash."""
+    middle = devices(unpack(np.full(len(PARAMETERS), 0.5)))
+    long = {
+        "call": call,
+        "devices": {name: profile.model_dump() for name, profile in middle.items()},
+        "parameters": [asdict(free) for free in PARAMETERS],
+    }
+    digest = hashlib.sha256(json.dumps(long, sort_keys=True).encode()).hexdigest()
+    short = {key: value for key, value in call.items() if key not in ("fit", "population")}
+    return {**short, "readings": asdict(readings), "sha256": digest}
+
+
+def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
+    """Return a finished stage's result, None if it is not there or was asked for otherwise."""
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(read_text(path, "stage", limit=40_000_000))
+    except ValueError as error:
+        raise AmulettError(f"stage '{path}' is not valid JSON: {error}; delete it to do it again") from error
+    return content["result"] if content.get("inputs") == json.loads(json.dumps(inputs)) else None
+
+
+def _best(population: list[list[float]], count: int, readings: Readings) -> list[list[float]]:
+    """Return the candidates of least cost."""
+    value = objective(readings)
+    return sorted(population, key=lambda vector: value(np.array(vector)))[:count]
+
+
+def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> dict[str, Any]:
+    best = stages["best"]
+    members = np.array([pack(member) for member in stages["ensemble"]])
+    low, high = unpack(members.min(axis=0)), unpack(members.max(axis=0))
+    covered = np.ptp(members, axis=0)
+    return {
+        "recipe": asdict(recipe),
+        "readings": asdict(readings),
+        "cost": best["cost"],
+        "explained": best["explained"],
+        "of": _ROWS,
+        "spread": [
+            {
+                "name": free.name,
+                "unit": free.unit,
+                "value": float(f"{best['parameters'][free.name]:.6g}"),
+                "low": float(f"{low[free.name]:.3g}"),
+                "high": float(f"{high[free.name]:.3g}"),
+                "bounds": [free.low, free.high],
+                "determined": bool(width <= DETERMINED),
+                "source": free.source,
+            }
+            for free, width in zip(PARAMETERS, covered.tolist(), strict=True)
+        ],
+        "ensemble": {"members": len(members), "equal_cost": EQUAL},
+        "starts": [
+            {"seed": seed, **{key: stages[f"start-{seed}"][key] for key in ("cost", "explained", "parameters")}}
+            for seed in recipe.seeds
+        ],
+        "springs": [
+            {
+                "law": law,
+                "length_ratio": ratio,
+                "cost": stages[f"spring-{ratio}"]["cost"],
+                "met": stages[f"spring-{ratio}"]["explained"],
+                "of": _ROWS,
+                "stiffening": stiffening(devices(stages[f"spring-{ratio}"]["parameters"])["testbed"]),
+                "parameters": stages[f"spring-{ratio}"]["parameters"],
+            }
+            for ratio, law in SPRING_LAWS.items()
+        ],
+        "without": {name: stages[f"without-{name}"]["parameters"] for name in CONFIGURATIONS},
+    }
+
+
+def stiffening(profile: Profile) -> float:
+    """Return how many times stiffer a string is at 10 N than at 4 N: what a change of tension can do."""
+    tables = build_tables(profile.spring)
+    return tables.stiffness_at(tables.deflection_at(10.0)) / tables.stiffness_at(tables.deflection_at(4.0))
+
+
+def same_device(profile: Profile, other: Profile) -> bool:
+    """Say whether two profiles describe the same device, whatever their names and sources."""
+
+    def bare(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {
+                key: bare(item) for key, item in value.items() if key not in ("name", "base", "description", "sources")
+            }
+        return value
+
+    return bool(bare(load_profile(profile).model_dump()) == bare(load_profile(other).model_dump()))
+
+
+def in_words(content: Mapping[str, Any]) -> str:
+    """Return a study for the terminal: the parameters and their spread, the spring laws, and the starts."""
+    lines = [
+        f"Best set: cost {content['cost']:.3f}, {content['explained']} of {content['of']} rows explained.",
+        f"{'':28}{'value':>11}  {'as good':>21}  {'searched':>19}",
+    ]
+    for entry in content["spread"]:
+        good = f"{entry['low']:.3g} to {entry['high']:.3g}"
+        searched = f"{entry['bounds'][0]:g} to {entry['bounds'][1]:g}"
+        note = "" if entry["determined"] else "  not determined"
+        unit = f"  {entry['unit']}" if entry["unit"] else ""
+        lines.append(f"  {entry['name']:26}{entry['value']:>11.4g}  {good:>21}  {searched:>19}{unit}{note}")
+    lines.append("Spring laws, all other parameters searched again:")
+    for spring in content["springs"]:
+        lines.append(
+            f"  {spring['law']:22} free length {spring['length_ratio']:g} of half width: cost {spring['cost']:.3f}, "
+            f"{spring['met']} rows, {spring['stiffening']:.2f} times stiffer at 10 N than at 4 N"
+        )
+    starts = ", ".join(f"{start['cost']:.3f} (seed {start['seed']})" for start in content["starts"])
+    lines.append(f"Cost of the starts: {starts}")
+    return "\n".join(lines)
