@@ -106,6 +106,7 @@ class Damping(Sourced):
     b: float = Field(lt=0, description="[1/N]")
     c: float = Field(description="[N] if shifted, dimensionless if printed")
     d: NonNegative = Field(description="decay rate at large preload [1/s]")
+    preload: Literal["mean", "smaller"] = Field(description="which of the two true string forces is the preload x")
     keeps: Literal["torque", "rate"] = Field(
         description="what stays the same when a payload changes the inertia: the damping torque, or the decay rate"
     )

@@ -21,6 +21,8 @@ SUMS = (
     "isav_biceps",
     "isav_triceps",
     "isav_kick",
+    "effort_biceps",
+    "effort_triceps",
     "iav_biceps",
     "iav_triceps",
 )
@@ -75,8 +77,33 @@ def test_kick_is_what_a_setpoint_step_alone_contributes(base):
     step = np.radians(45.0)
     motion = run(profile, {"moves": [{"time": 0.1, "angle_deg": 45.0}]}, 0.3)
     gains, period = profile.loop.position, profile.loop.control_period
-    kick = (gains.kp + gains.kd / (gains.derivative_filter + period)) * step
-    assert motion["isav_kick"][-1] == pytest.approx(kick**2 / period)
+    jump = gains.kd / (gains.derivative_filter + period) * step
+    remains = gains.derivative_filter / (gains.derivative_filter + period)
+    first = gains.kp * step + jump
+    decay = (jump * (1.0 - remains)) ** 2 / (1.0 - remains**2)  # of a geometric series
+    assert motion["isav_kick"][-1] == pytest.approx((first**2 + decay) / period, rel=1e-6)
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_effort_is_isav_without_the_kick(base):
+    """Without a feedback from the arm a step costs nothing but its kick; without a step, effort and ISAV are one."""
+    profile = load_profile(base)
+    gains, period = profile.loop.position, profile.loop.control_period
+    moves = {"moves": [{"time": 0.1, "angle_deg": 45.0}]}
+    motion = run(profile, moves, 0.1 + 40 * period)
+    first = round(0.1 / period)
+    derivative, kick = 0.0, []
+    for jump in [np.radians(45.0)] + [0.0] * 39:
+        after = (gains.derivative_filter * derivative + gains.kd * jump) / (gains.derivative_filter + period)
+        kick.append(gains.kp * jump + after - derivative)
+        derivative = after
+    for drive in ("biceps", "triceps"):
+        left = np.diff(motion[f"command_{drive}"])
+        left[first:] -= kick
+        assert motion[f"effort_{drive}"][-1] == pytest.approx(np.sum(left**2) / period, rel=1e-9)
+        assert motion[f"effort_{drive}"][-1] < motion[f"isav_{drive}"][-1]
+    pushed = run(profile, {"pushes": [{"time": 0.1, "duration": 0.1, "torque": 0.05}]}, 0.4)
+    assert pushed["effort_triceps"][-1] == pushed["isav_triceps"][-1] > 0.0
 
 
 def steps_by_hand(motion, moves):
@@ -164,8 +191,8 @@ def test_metrics_of_every_suites_episode(base, suite):
 
 def test_nothing_counts_before_the_scenario_says_so():
     profile = load_profile("testbed")
-    late = run(profile, {**STEPS, "measure_from": 0.8}, 2.0)
-    full = run(profile, STEPS, 2.0)
+    late = run(profile, {**STEPS, "measure_from": 0.8}, 2.3)
+    full = run(profile, STEPS, 2.3)
     before = late["time"] <= 0.8 + 1e-9
     for name in SUMS:
         assert (late[name][before] == 0).all()

@@ -130,11 +130,14 @@ def test_a_payload_does_not_multiply_friction():
     assert friction(device(damping={"keeps": "rate"}), loaded)[0] == pytest.approx(nominal)
 
 
-def test_friction_follows_the_smaller_string_force():
-    state = start(device(plant={"orientation": "vertical"}), {"initial_angle_deg": 60.0, "initial_tension": 5.0})
-    assert state.read("force_biceps")[0] > 8
-    slowed, _ = friction(device(plant={"orientation": "vertical"}), {"initial_angle_deg": 60.0, "initial_tension": 5.0})
-    assert slowed == pytest.approx(2 * decay_rate(5.0))
+@pytest.mark.parametrize("preload", ["mean", "smaller"])
+def test_friction_follows_the_preload(preload):
+    profile = device(plant={"orientation": "vertical"}, damping={"preload": preload})
+    posture = {"initial_angle_deg": 60.0, "initial_tension": 5.0}
+    biceps = start(profile, posture).read("force_biceps")[0]
+    assert biceps > 8
+    expected = decay_rate((5.0 + biceps) / 2 if preload == "mean" else 5.0)
+    assert friction(profile, posture)[0] == pytest.approx(2 * expected)
 
 
 def test_small_motion_rings_as_a_damped_oscillator():

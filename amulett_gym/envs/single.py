@@ -297,7 +297,8 @@ class ScalingEnv(TensionEnv):
     the return of eq. 6 is about -1:
 
     - `position` (0.5): position ISE (eq. 7), by the true angle;
-    - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks;
+    - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without what a jump of the position
+      setpoint alone contributes: that is alike under every law, and would hide what the laws do;
     - `tension` (0.05): tension ISE of the antagonist, by the true force;
     - `contact` (0): square of the contact torque;
     - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
@@ -310,7 +311,8 @@ class ScalingEnv(TensionEnv):
     | `position_ise`                                      | deg2 s  | eq. 7 of the joint angle                        |
     | `tension_ise`, `tension_ise_estimated`              | N2 s    | eq. 7 of the antagonist's true, estimated force |
     | `isav_biceps`, `isav_triceps`                       | deg2/s  | eq. 8 of the drives' commands                   |
-    | `isav_kick`                                         | deg2/s  | the setpoint's own part of it, for each drive   |
+    | `isav_kick`                                         | deg2/s  | that of the setpoint's jumps alone              |
+    | `effort_biceps`, `effort_triceps`                   | deg2/s  | eq. 8 without the jumps' increments             |
     | `iav_biceps`, `iav_triceps`                         | deg     | integral of the commands' absolute rate         |
     | `rise_time`, `settling_time`                        | s       | first, last entry into +-2 deg around a target; |
     |                                                     |         | mean over the steps that got there, else NaN    |

@@ -69,6 +69,8 @@ METRICS = (
     "overshoot",
     "tension_ise_estimated",
     "isav_kick",
+    "effort_biceps",
+    "effort_triceps",
     "contact_ise",
     "contact_peak",
     "push_deflection",
@@ -176,7 +178,7 @@ def observe(p, e, c, s, i, row):
 def pay(e, s, i, report):
     """Report the reward for what happened since the last call, and its terms."""
     terms = report[FIRST_TERM:FIRST_READING]
-    effort = s.isav_biceps[i] + s.isav_triceps[i]
+    effort = s.effort_biceps[i] + s.effort_triceps[i]
     terms[0] = -e.position * (s.position_ise[i] - s.paid_position[i])
     terms[1] = -e.effort * (effort - s.paid_effort[i])
     terms[2] = -e.tension * (s.tension_ise[i] - s.paid_tension[i])
@@ -226,11 +228,13 @@ def tell(p, s, i, report):
     m[8] = s.overshoot[i] * _DEG
     m[9] = s.tension_ise_estimated[i]
     m[10] = s.isav_kick[i] * _DEG * _DEG
-    m[11] = s.contact_ise[i]
-    m[12] = s.contact_peak[i]
-    m[13] = s.push_deflection[i] * _DEG
-    m[14] = s.resting_stiffness_sum[i] / s.resting_time[i]
-    m[15] = s.step_count[i]
-    m[16] = s.rise_count[i]
-    m[17] = settled
-    m[18] = s.switch_count[i]
+    m[11] = s.effort_biceps[i] * _DEG * _DEG
+    m[12] = s.effort_triceps[i] * _DEG * _DEG
+    m[13] = s.contact_ise[i]
+    m[14] = s.contact_peak[i]
+    m[15] = s.push_deflection[i] * _DEG
+    m[16] = s.resting_stiffness_sum[i] / s.resting_time[i]
+    m[17] = s.step_count[i]
+    m[18] = s.rise_count[i]
+    m[19] = settled
+    m[20] = s.switch_count[i]

@@ -11,7 +11,17 @@ from amulett_gym.compiled import compiled
 def decay_rate(preload: float, a: float, b: float, c: float, d: float) -> float:
     """Return delta [1/s] at a preload force [N]: ``a exp(b preload + c) + d``, clipped at zero.
 
-    The preload is the smaller of the two true string forces. This is the printed form. The form that agrees with
-    Figure 3, ``a exp(b (preload + c)) + d``, is the same with ``b c`` in the place of ``c``.
+    This is the printed form. The form that agrees with Figure 3, ``a exp(b (preload + c)) + d``, is the same with
+    ``b c`` in the place of ``c``.
     """
     return max(a * math.exp(b * preload + c) + d, 0.0)
+
+
+@compiled
+def preload_force(force_biceps: float, force_triceps: float, mean: bool) -> float:
+    """Return the preload that the decay rate depends on [N]: the mean of both true string forces, or the smaller.
+
+    Figure 3 was measured with both strings at one preload. In motion they differ. "Friction in the system also being
+    preload dependent" (section 2.1) is that of both strings, hence the mean; the smaller is the antagonist's.
+    """
+    return 0.5 * (force_biceps + force_triceps) if mean else min(force_biceps, force_triceps)

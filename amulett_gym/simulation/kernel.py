@@ -15,7 +15,7 @@ from amulett_gym.compiled import compiled
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.model.damping import decay_rate
+from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.drive import drive_rate
 from amulett_gym.model.plant import contact_torque, deflection_biceps, deflection_triceps, joint_acceleration
 from amulett_gym.model.sensors import quantise, read_slider
@@ -98,7 +98,8 @@ def control(p, s, i):
     pull = s.tension_output[i]
     biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
     triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
-    command_drives(p, s, i, biceps, triceps)
+    kick = setpoint_kick(p, s, i)
+    command_drives(p, s, i, biceps, triceps, biceps_share * kick, triceps_share * kick)
 
 
 @compiled
@@ -166,21 +167,41 @@ def control_tension(p, s, i, restart):
 
 
 @compiled
-def command_drives(p, s, i, biceps, triceps):
-    """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks)."""
-    biceps = min(max(biceps, -p.command_limit), p.command_limit)
-    triceps = min(max(triceps, -p.command_limit), p.command_limit)
+def setpoint_kick(p, s, i):
+    """Return what a jump of the position setpoint alone adds to the position controller's output in this tick [rad].
+
+    It passes through the proportional and the derivative term, whatever the arm and the tension do.
+    """
+    decayed = s.kick_derivative[i]
+    if p.position_on_error:
+        s.kick_derivative[i] = filtered_derivative(
+            decayed, s.setpoint_jump[i], p.position_kd, p.position_filter, p.control_period
+        )
+    kick = p.position_kp * s.setpoint_jump[i] + s.kick_derivative[i] - decayed
+    s.isav_kick[i] += s.counting[i] * kick * kick / p.control_period
+    s.setpoint_jump[i] = 0.0
+    return kick
+
+
+@compiled
+def command_drives(p, s, i, biceps, triceps, kick_biceps, kick_triceps):
+    """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks).
+
+    The effort is the same without what the setpoint's jump alone contributes, which is alike under every law.
+    """
+    limit = p.command_limit
+    effort_biceps = min(max(biceps - kick_biceps, -limit), limit) - s.command_biceps[i]
+    effort_triceps = min(max(triceps - kick_triceps, -limit), limit) - s.command_triceps[i]
+    s.effort_biceps[i] += s.counting[i] * effort_biceps * effort_biceps / p.control_period
+    s.effort_triceps[i] += s.counting[i] * effort_triceps * effort_triceps / p.control_period
+    biceps = min(max(biceps, -limit), limit)
+    triceps = min(max(triceps, -limit), limit)
     change_biceps = biceps - s.command_biceps[i]
     change_triceps = triceps - s.command_triceps[i]
     s.isav_biceps[i] += s.counting[i] * change_biceps * change_biceps / p.control_period
     s.isav_triceps[i] += s.counting[i] * change_triceps * change_triceps / p.control_period
     s.iav_biceps[i] += s.counting[i] * abs(change_biceps)
     s.iav_triceps[i] += s.counting[i] * abs(change_triceps)
-    gain = p.position_kp
-    if p.position_on_error:
-        gain += p.position_kd / (p.position_filter + p.control_period)
-    kick = gain * (s.setpoint[i] - s.previous_setpoint[i])
-    s.isav_kick[i] += s.counting[i] * kick * kick / p.control_period
     s.previous_setpoint[i] = s.setpoint[i]
     s.command_biceps[i] = biceps
     s.command_triceps[i] = triceps
@@ -193,7 +214,8 @@ def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
     stretch_triceps = deflection_triceps(drive_triceps, angle, p.drive_radius, p.joint_radius)
     force_biceps = look_up(p.force_table, stretch_biceps * p.inverse_max_deflection)
     force_triceps = look_up(p.force_table, stretch_triceps * p.inverse_max_deflection)
-    decay = decay_rate(min(force_biceps, force_triceps), p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+    preload = preload_force(force_biceps, force_triceps, p.damping_by_mean)
+    decay = decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     if p.damping_keeps_torque:
         decay *= p.inertia / c.inertia[i]
     external = push + obstacle_torque(c, i, angle, velocity)
@@ -381,7 +403,10 @@ def read_setpoint(p, c, s, i):
     progress = 1.0
     if c.move_duration[k, i] > 0.0:
         progress = min((time - c.move_time[k, i]) / c.move_duration[k, i], 1.0)
+    last = s.setpoint[i]
     s.setpoint[i] = start + (c.move_angle[k, i] - start) * minimum_jerk(progress)
+    if c.move_duration[k, i] == 0.0:
+        s.setpoint_jump[i] = s.setpoint[i] - last
 
 
 @compiled

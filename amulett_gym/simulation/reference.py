@@ -107,7 +107,10 @@ def replay_motion(
     ) -> tuple[float, float, float, float]:
         joint, velocity, biceps, triceps = state
         pull_biceps, pull_triceps = forces(state)
-        friction = 2 * decay_rate(profile, min(pull_biceps, pull_triceps)) * friction_inertia * velocity
+        preload = min(pull_biceps, pull_triceps)
+        if profile.damping.preload == "mean":
+            preload = (pull_biceps + pull_triceps) / 2
+        friction = 2 * decay_rate(profile, preload) * friction_inertia * velocity
         torque = (pull_biceps - pull_triceps) * to_joint - weight * math.sin(joint) - friction
         torque += push + contact(joint, velocity)
         turn_biceps = turn_triceps = 0.0
