@@ -107,7 +107,7 @@ def test_returns_are_the_weighted_metrics_over_the_divisors():
     paid = divisors(env.profile, "reach")
     expected = -(
         DEFAULT_WEIGHTS["position"] * metrics["position_ise"] / paid["position"]
-        + DEFAULT_WEIGHTS["effort"] * (metrics["isav_biceps"] + metrics["isav_triceps"]) / paid["effort"]
+        + DEFAULT_WEIGHTS["effort"] * (metrics["effort_biceps"] + metrics["effort_triceps"]) / paid["effort"]
         + DEFAULT_WEIGHTS["tension"] * metrics["tension_ise"] / paid["tension"]
     )
     env.set_state(before)

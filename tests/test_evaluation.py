@@ -135,7 +135,7 @@ def test_the_cost_is_the_weighted_sum_of_raw_metrics_over_the_frozen_divisors(re
     for values in results.values.values():
         expected = (
             DEFAULT_WEIGHTS["position"] * values["position_ise"] / paid["position"]
-            + DEFAULT_WEIGHTS["effort"] * (values["isav_biceps"] + values["isav_triceps"]) / paid["effort"]
+            + DEFAULT_WEIGHTS["effort"] * (values["effort_biceps"] + values["effort_triceps"]) / paid["effort"]
             + DEFAULT_WEIGHTS["tension"] * values["tension_ise"] / paid["tension"]
             + DEFAULT_WEIGHTS["contact"] * values["contact_ise"] / paid["contact"]
         )

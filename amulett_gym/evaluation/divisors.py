@@ -42,7 +42,7 @@ def _measure(profile_name: str, suite: str) -> dict[str, float]:
     squared_degrees = float(np.degrees(1.0) ** 2)
     costs = {
         "position": mean("position_ise") * squared_degrees,
-        "effort": mean("isav_biceps", "isav_triceps") * squared_degrees,
+        "effort": mean("effort_biceps", "effort_triceps") * squared_degrees,
         "tension": mean("tension_ise"),
         "contact": mean("contact_ise") or NO_CONTACT,
     }

@@ -19,7 +19,7 @@ UNITS = {
     "cost_failure": "1",
     "return": "1",
     "failed": "1",
-    "isav": "deg2/s",
+    "effort": "deg2/s",
     "position_ise": "deg2 s",
     "tension_ise": "N2 s",
     "isav_biceps": "deg2/s",
@@ -31,6 +31,8 @@ UNITS = {
     "overshoot": "deg",
     "tension_ise_estimated": "N2 s",
     "isav_kick": "deg2/s",
+    "effort_biceps": "deg2/s",
+    "effort_triceps": "deg2/s",
     "contact_ise": "N2 m2 s",
     "contact_peak": "N m",
     "push_deflection": "deg",
@@ -40,7 +42,7 @@ UNITS = {
     "steps_settled": "1",
     "agonist_switches": "1",
 }
-"""Unit of each reported metric, in the order of reports; "1" is dimensionless. `isav` is that of both drives."""
+"""Unit of each reported metric, in the order of reports; "1" is dimensionless. `effort` is that of both drives."""
 
 COSTS = ("position", "effort", "tension", "contact", "failure")
 """Terms of the cost; ``"cost_" + term`` is reported for each."""
@@ -51,7 +53,7 @@ Values = NDArray[np.float64]
 def derive(
     raw: Mapping[str, Values], charge: Values, weights: Mapping[str, float], paid: Mapping[str, float]
 ) -> dict[str, Values]:
-    """Add what follows from raw metrics: the cost with its terms, whether the device failed, both drives' ISAV.
+    """Add what follows from raw metrics: the cost with its terms, whether the device failed, both drives' effort.
 
     The cost is the sum of each raw metric times its weight over what eq. 6 pays for it. Neither shaped nor capped,
     unlike the reward: a contender is ranked by what it did.
@@ -70,17 +72,17 @@ def derive(
     dict of str to ndarray
         `raw` and the derived metrics: all of `UNITS` but ``return``.
     """
-    isav = raw["isav_biceps"] + raw["isav_triceps"]
+    effort = raw["effort_biceps"] + raw["effort_triceps"]
     terms = {
         "position": raw["position_ise"],
-        "effort": isav,
+        "effort": effort,
         "tension": raw["tension_ise"],
         "contact": raw["contact_ise"],
     }
     costs = {f"cost_{term}": weights[term] / paid[term] * values for term, values in terms.items()}
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
-    return {"cost": np.sum(list(costs.values()), axis=0), **costs, "failed": failed, "isav": isav, **raw}
+    return {"cost": np.sum(list(costs.values()), axis=0), **costs, "failed": failed, "effort": effort, **raw}
 
 
 def failure_cost(time: float, duration: float, agent_period: float) -> float:

@@ -153,7 +153,7 @@ def table(summary: Summary) -> str:
                 means["cost"],
                 span(metrics["cost"]["ratio_to_eq6"]),
                 number(metrics["position_ise"]["mean"], 4),
-                means["isav"],
+                means["effort"],
                 means["tension_ise"],
                 f"{means['rise_time']} ({risen(metrics)})",
                 means["resting_stiffness"],

@@ -62,6 +62,8 @@ class Free:
         Where the bounds come from.
     logarithmic : bool
         Whether the search moves in its logarithm.
+    choices : tuple of float
+        If not empty, the only values between the bounds that are allowed.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Free:
     unit: str
     source: str
     logarithmic: bool = True
+    choices: tuple[float, ...] = ()
 
 
 PARAMETERS = (
@@ -97,7 +100,14 @@ PARAMETERS = (
     ),
     Free("testbed.tension_filter", 2e-4, 0.1, "s", "derivative filter: the potentiometers are noisier"),
     Free("testbed.force_filter", 2e-3, 0.3, "s", "low-pass of the estimated force"),
-    Free("testbed.control_period", 2e-3, 1e-2, "s", "what an Arduino Mega 2560 does with three sensors and two PIDs"),
+    Free(
+        "testbed.control_period",
+        2e-3,
+        1e-2,
+        "s",
+        "what an Arduino Mega 2560 does with three sensors and two PIDs; an agent acts every 20 ms, a multiple of it",
+        choices=(0.002, 0.0025, 0.004, 0.005, 0.01),
+    ),
 )
 """What the paper does not print and the tables might determine."""
 
@@ -124,7 +134,9 @@ def unpack(vector: Values) -> dict[str, float]:
     """Turn a search vector, whose numbers go from 0 to 1 between the bounds, into named parameters."""
     parameters = {}
     for free, place in zip(PARAMETERS, vector.tolist(), strict=True):
-        if free.logarithmic:
+        if free.choices:
+            parameters[free.name] = free.choices[min(int(place * len(free.choices)), len(free.choices) - 1)]
+        elif free.logarithmic:
             parameters[free.name] = free.low * (free.high / free.low) ** place
         else:
             parameters[free.name] = free.low + (free.high - free.low) * place
@@ -132,11 +144,13 @@ def unpack(vector: Values) -> dict[str, float]:
 
 
 def pack(parameters: Mapping[str, float]) -> Values:
-    """Turn named parameters into a search vector: the inverse of `unpack`."""
+    """Turn named parameters into a search vector, which `unpack` turns back."""
     vector = []
     for free in PARAMETERS:
         value = parameters[free.name]
-        if free.logarithmic:
+        if free.choices:
+            vector.append((free.choices.index(value) + 0.5) / len(free.choices))
+        elif free.logarithmic:
             vector.append(math.log(value / free.low) / math.log(free.high / free.low))
         else:
             vector.append((value - free.low) / (free.high - free.low))
@@ -175,7 +189,7 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
             "loop": {"position": position, "position_only": position, "tension": tension},
         }
     testbed = changes["testbed"]
-    testbed["loop"]["control_period"] = round(p["testbed.control_period"], 4)
+    testbed["loop"]["control_period"] = p["testbed.control_period"]
     testbed["drives"] = {"lag": _digits(p["testbed.lag"]), "rate_limit_deg": _digits(p["testbed.rate_limit"])}
     return changes
 

@@ -45,6 +45,8 @@ class Readings:
         Eq. 6 with the shift by d_offset that its text describes, or as printed.
     damping : {"shifted", "printed"}
         Figure 3's fit with the parentheses that its text needs, or as printed.
+    preload : {"mean", "smaller"}
+        Which string force the damping depends on: "the preload force" of Figure 3 was alike in both strings.
     wiring : {"sum", "tension_only"}
         What the antagonist follows: position plus tension controller, as section 2.2 says, or the tension controller.
     agonist : {"biceps", "switching"}
@@ -63,9 +65,9 @@ class Readings:
     isav_unit : {"deg", "rad"}
         Unit of the drives' position signals in eq. 8.
     isav_kick : {"agonist", "both", "neither"}
-        Of which drive's position signal the jump at the setpoint step counts: all that it does within five time
-        constants of the position controller's derivative filter. As section 2.2 is written, both drives receive it; but
-        one column of Table 5 is thousands of times smaller than the other.
+        Of which drive's position signal the setpoint's jump counts, which passes through the position controller's
+        proportional and derivative term. As section 2.2 is written, both drives receive it; but one column of Table 5
+        is thousands of times smaller than the other.
     isav_columns : {"swapped", "as-printed"}
         Whether Table 5's columns are headed by the other drive's name: the agonist of a flexion is the biceps, and
         receives the jump, but the small numbers are headed "biceps".
@@ -73,6 +75,7 @@ class Readings:
 
     eq6: Literal["text", "printed"] = "text"
     damping: Literal["shifted", "printed"] = "shifted"
+    preload: Literal["mean", "smaller"] = "mean"
     wiring: Literal["sum", "tension_only"] = "sum"
     agonist: Literal["biceps", "switching"] = "biceps"
     floor: Literal["clamp", "hold", "ignore"] = "clamp"
@@ -87,6 +90,7 @@ class Readings:
 ALTERNATIVES: tuple[tuple[str, str], ...] = (
     ("eq6", "printed"),
     ("damping", "printed"),
+    ("preload", "smaller"),
     ("wiring", "tension_only"),
     ("agonist", "switching"),
     ("floor", "hold"),
@@ -222,7 +226,7 @@ def reproduce(profiles: Mapping[str, Profile] | None = None) -> Reproduction:
     return Reproduction(devices, readings, rows(readings), alternatives)
 
 
-_SIMULATED = ("eq6", "damping", "wiring", "agonist", "floor", "derivative_on")
+_SIMULATED = ("eq6", "damping", "preload", "wiring", "agonist", "floor", "derivative_on")
 """Readings that change what the device does; the others change how it is measured."""
 
 
@@ -263,7 +267,7 @@ def apply_readings(profile: Profile, readings: Readings) -> Profile:
     """Return a profile with the readings that concern the device and its loop."""
     derivative = {"derivative_on": readings.derivative_on}
     changes = {
-        "damping": {"fit": readings.damping},
+        "damping": {"fit": readings.damping, "preload": readings.preload},
         "sensors": {"below_floor": readings.floor},
         "loop": {
             "wiring": readings.wiring,
@@ -331,15 +335,10 @@ def step_response(
     if configuration in TENSION_SETPOINT:
         simulation.command_tension(TENSION_SETPOINT[configuration])
     period = simulation.control_period
-    ticks = round(duration / period)
-    position = profile.loop.position_only if control == "position-only" else profile.loop.position
-    kick_ticks = min(max(math.ceil(5.0 * position.derivative_filter / period), 3), ticks)
-    simulation.advance(math.ceil(START / period - 1e-9) + kick_ticks)
-    early = {drive: simulation.read(f"isav_{drive}") for drive in DRIVES}
-    simulation.advance(ticks - kick_ticks)
+    simulation.advance(math.ceil(START / period - 1e-9) + round(duration / period))
     read = simulation.read
     isav = {(drive, "with"): read(f"isav_{drive}") * _TO_DEGREES**2 for drive in DRIVES}
-    isav |= {(drive, "without"): isav[drive, "with"] - early[drive] * _TO_DEGREES**2 for drive in DRIVES}
+    isav |= {(drive, "without"): read(f"effort_{drive}") * _TO_DEGREES**2 for drive in DRIVES}
     return Response(
         rise_time={
             "first-entry": np.where(read("rise_count") > 0, read("rise_sum"), math.nan),

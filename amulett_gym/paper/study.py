@@ -36,7 +36,7 @@ from amulett_gym.paper.identification import (
     search,
     unpack,
 )
-from amulett_gym.paper.reproduction import Readings
+from amulett_gym.paper.reproduction import Readings, Row, compare, measure
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
 
 SPRING_LAWS = {
@@ -367,3 +367,24 @@ def in_words(content: Mapping[str, Any]) -> str:
     starts = ", ".join(f"{start['cost']:.3f} (seed {start['seed']})" for start in content["starts"])
     lines.append(f"Cost of the starts: {starts}")
     return "\n".join(lines)
+
+
+def cross_check(content: Mapping[str, Any], readings: Readings) -> dict[str, tuple[Row, ...]]:
+    """Return what the fits to three configurations predict for the fourth, by the configuration that was left out.
+
+    Parameters
+    ----------
+    content : mapping
+        From `study` or `shipped`.
+    readings : Readings
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+    predicted = {}
+    for left_out, parameters in content["without"].items():
+        rows = compare(measure(devices(parameters), readings), readings)
+        predicted[left_out] = tuple(row for row in rows if row.cell.configuration == left_out)
+    return predicted
