@@ -40,7 +40,7 @@ RESPONSES = 12
 _MAIN = {
     "cost": "cost",
     "position_ise": "position ISE",
-    "isav": "ISAV, both drives",
+    "effort": "effort: ISAV of both drives without the setpoint's jump",
     "tension_ise": "tension ISE",
 }
 _DETAILS = {
@@ -52,7 +52,7 @@ _DETAILS = {
     "agonist_switches": "agonist switches",
     "failed": "failed",
 }
-_LOWER_IS_BETTER = ("cost", "position_ise", "isav", "tension_ise")
+_LOWER_IS_BETTER = ("cost", "position_ise", "effort", "tension_ise")
 
 
 def write_report(results: Results, folder: str | Path) -> Summary:
@@ -121,10 +121,9 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
     figures : dict of str to Figure
         From :func:`draw`.
     """
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    template = (resources.files("amulett_gym") / "evaluation" / "report.html.j2").read_text(encoding="utf-8")
     label, device = summary["labels"], Simulation(results.protocol.profile, 1)
-    return environment.from_string(template).render(
+    return fill_page(
+        "evaluation/report.html.j2",
         summary=summary,
         labels=label,
         long_names={name: short for name, short in label.items() if name != short},
@@ -140,6 +139,22 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
         band=round(math.degrees(device.parameters["margin"][0]), 3),
         max_force=device.max_force,
     )
+
+
+def fill_page(template: str, **values: Any) -> str:
+    """Fill one of the package's templates; `style` is what all pages look like.
+
+    Parameters
+    ----------
+    template : str
+        Its path in the package.
+    **values
+        What the template needs; text is escaped.
+    """
+    files = resources.files("amulett_gym")
+    style = files.joinpath("evaluation/page.css").read_text(encoding="utf-8")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    return environment.from_string(files.joinpath(template).read_text(encoding="utf-8")).render(style=style, **values)
 
 
 def _columns(summary: Summary, titles: dict[str, str]) -> list[dict[str, Any]]:
