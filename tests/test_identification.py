@@ -153,7 +153,7 @@ def test_a_device_that_cannot_start_is_worse_than_any_that_can(parameters):
 def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path):
     done = []
     content = study.study(tmp_path, SHORT, Readings(), 2, lambda name, stage: done.append(name))
-    assert len(done) == len(set(done)) == 2 + 4 + 1 + len(study.SPRING_LAWS) + 1
+    assert len(done) == len(set(done)) == 2 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 1
     for name in DEVICES:
         assert load_profile(tmp_path / f"{name}.yaml").name == f"{name}-identified"
     stages = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}

@@ -20,9 +20,8 @@ REPRODUCTION_MARKS = ("reproduction.json", "rows.csv", "readings.csv")
 """Files by which a reproduction's folder is recognised."""
 
 STATUS = (
-    "What the paper does not print is a first estimate in the shipped profiles, marked 'identified' or 'assumed' "
-    "there; it is not yet fitted to all tables at once. One set of parameters and readings holds for all rows; nothing "
-    "is tuned per row."
+    "What the paper does not print was fitted to all rows of both devices at once (`amulett identify`), with one set of "
+    "mechanical parameters. One set of parameters and readings holds for all rows; nothing is tuned per row."
 )
 
 _ROW_KEYS = ("table", "profile", "configuration", "metric", "drive")

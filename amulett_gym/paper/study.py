@@ -29,14 +29,13 @@ from amulett_gym.paper.identification import (
     Fit,
     devices,
     ensemble,
-    objective,
     pack,
     profile_changes,
     reproduced,
     search,
     unpack,
 )
-from amulett_gym.paper.reproduction import Readings, Row, compare, measure
+from amulett_gym.paper.reproduction import ALTERNATIVES, Readings, Row, compare, measure
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
 
 SPRING_LAWS = {
@@ -47,6 +46,9 @@ SPRING_LAWS = {
     1.0: "cubic at rest",
 }
 """Free length of a linear spring over half width -> what the assembly's force is then like."""
+
+SHIFT = 0.15
+"""Standard deviation of the shifted candidates, as a part of the search range."""
 
 DETERMINED = 0.25
 """A parameter is determined if the sets as good as the best cover at most this part of its search range."""
@@ -68,7 +70,7 @@ class Recipe:
     population, generations : int
         Of each start, and of each search that leaves out a configuration.
     refinement : int
-        Generations of the search that goes on from all starts, and of the one for each spring law.
+        Generations of the search that goes on from all starts, and of those for each spring law and reading.
     steps : int
         Moves of each walker of the ensemble.
     """
@@ -128,9 +130,13 @@ def study(
         | {f"without-{name}": {"seed": recipe.seeds[0], **size, "without": name} for name in CONFIGURATIONS}
     )
     starts = [stages[f"start-{seed}"] for seed in recipe.seeds]
-    begin = _best([vector for start in starts for vector in start["population"]], recipe.population, readings)
+    begin = _mixed([start["population"] for start in starts], recipe.population, recipe.seeds[0])
     again = {"seed": recipe.seeds[0], "generations": recipe.refinement, "population": begin}
-    run({"best": again} | {f"spring-{ratio}": {**again, "fixed": {"length_ratio": ratio}} for ratio in SPRING_LAWS})
+    run(
+        {"best": again}
+        | {f"spring-{ratio}": {**again, "fixed": {"length_ratio": ratio}} for ratio in SPRING_LAWS}
+        | {f"reading-{name}-{choice}": {**again, "reading": {name: choice}} for name, choice in ALTERNATIVES}
+    )
     best = stages["best"]
     walk = {"seed": recipe.seeds[0], "fit": {key: best[key] for key in ("cost", "parameters", "population")}}
     run({"ensemble": {**walk, "steps": recipe.steps}})
@@ -230,7 +236,7 @@ def _run_stages(
 
 
 def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
-    taken = Readings(**readings)
+    taken = Readings(**{**readings, **call.get("reading", {})})
     if "fit" in call:
         fit = Fit(call["fit"]["cost"], call["fit"]["parameters"], np.array(call["fit"]["population"]))
         return ensemble(call["seed"], taken, fit, steps=call["steps"])
@@ -276,10 +282,17 @@ def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
     return content["result"] if content.get("inputs") == json.loads(json.dumps(inputs)) else None
 
 
-def _best(population: list[list[float]], count: int, readings: Readings) -> list[list[float]]:
-    """Return the candidates of least cost."""
-    value = objective(readings)
-    return sorted(population, key=lambda vector: value(np.array(vector)))[:count]
+def _mixed(populations: list[list[list[float]]], count: int, seed: int) -> list[list[float]]:
+    """Return candidates to begin with: half of them from the starts' last generations, half of them shifted ones.
+
+    The generations have contracted to where each start ended; what follows has to be able to leave that.
+    """
+    rng = np.random.default_rng(seed)
+    pool = np.concatenate([np.array(population) for population in populations])
+    chosen = pool[rng.integers(len(pool), size=count)]
+    chosen[count // 2 :] += rng.normal(0.0, SHIFT, size=chosen[count // 2 :].shape)
+    mixed: list[list[float]] = np.clip(chosen, 0.0, 1.0).tolist()
+    return mixed
 
 
 def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> dict[str, Any]:
@@ -323,6 +336,15 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
             }
             for ratio, law in SPRING_LAWS.items()
         ],
+        "readings_refitted": [
+            {
+                "reading": name,
+                "choice": choice,
+                "cost": stages[f"reading-{name}-{choice}"]["cost"],
+                "explained": stages[f"reading-{name}-{choice}"]["explained"],
+            }
+            for name, choice in ALTERNATIVES
+        ],
         "without": {name: stages[f"without-{name}"]["parameters"] for name in CONFIGURATIONS},
     }
 
@@ -364,6 +386,10 @@ def in_words(content: Mapping[str, Any]) -> str:
             f"  {spring['law']:22} free length {spring['length_ratio']:g} of half width: cost {spring['cost']:.3f}, "
             f"{spring['met']} rows, {spring['stiffening']:.2f} times stiffer at 10 N than at 4 N"
         )
+    lines.append("Readings, each alone, all parameters searched again:")
+    for reading in content["readings_refitted"]:
+        name = f"{reading['reading']} {reading['choice']}"
+        lines.append(f"  {name:28} cost {reading['cost']:7.3f}, {reading['explained']} rows")
     starts = ", ".join(f"{start['cost']:.3f} (seed {start['seed']})" for start in content["starts"])
     lines.append(f"Cost of the starts: {starts}")
     return "\n".join(lines)

@@ -1,0 +1,186 @@
+"""The generated part of ``docs/reproduction.md``: numbers and figures come from the command, the judgement from us."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import read_text, write_text
+from amulett_gym.paper.claims import CheckedClaim
+from amulett_gym.paper.hypotheses import Answer
+from amulett_gym.paper.reproduction import Reproduction, Row
+from amulett_gym.paper.statements import NAMES
+from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
+
+BEGIN = "<!-- Written by `amulett reproduce --doc`; edit around it. -->"
+END = "<!-- End of what is written. -->"
+
+_COLUMNS = (
+    ("rise_time", None, "rise time [s]"),
+    ("position_ise", None, "position ISE [deg² s]"),
+    ("tension_ise", None, "tension ISE [N² s]"),
+    ("isav", "triceps", 'ISAV, column "triceps" [rad²/s]'),
+    ("isav", "biceps", 'ISAV, column "biceps" [rad²/s]'),
+)
+
+
+def block(
+    reproduction: Reproduction,
+    identification: Mapping[str, Any],
+    predicted: Mapping[str, Sequence[Row]],
+    claims: Sequence[CheckedClaim],
+    hypotheses: Sequence[Answer],
+    figures: Mapping[str, str],
+) -> str:
+    """Return the generated part as Markdown.
+
+    Parameters
+    ----------
+    reproduction : Reproduction
+    identification : mapping
+        From `study.shipped`.
+    predicted : mapping of str to sequence of Row
+        From `study.cross_check`.
+    claims : sequence of CheckedClaim
+    hypotheses : sequence of Answer
+    figures : mapping of str to str
+        File of each figure, relative to the document, and its caption.
+    """
+    parts = [
+        _rows(reproduction),
+        _readings(reproduction),
+        _predicted(predicted),
+        _spread(identification),
+        _springs(identification),
+        _hypotheses(hypotheses),
+        _claims(claims),
+        "\n\n".join(f"![{caption}]({file})\n\n*{caption}*" for file, caption in figures.items()),
+    ]
+    return "\n\n".join(parts)
+
+
+def update(path: str | Path, text: str) -> None:
+    """Put `text` between the two marks of a document, in the place of what was there.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read or written, or has not both marks once, in their order.
+    """
+    document = read_text(path, "document")
+    begin, end = document.find(BEGIN), document.find(END)
+    if begin < 0 or end < begin or document.count(BEGIN) != 1 or document.count(END) != 1:
+        raise AmulettError(f"document '{path}' has to hold the line '{BEGIN}' once, and after it '{END}' once")
+    write_text(path, f"{document[:begin]}{BEGIN}\n\n{text}\n\n{document[end:]}")
+
+
+def _rows(reproduction: Reproduction) -> str:
+    numbers = {
+        (row.cell.profile, row.cell.configuration, row.cell.metric, row.cell.drive): row for row in reproduction.rows
+    }
+    body = []
+    for device in DEVICES:
+        for configuration in CONFIGURATIONS:
+            cells = [numbers[device, configuration, metric, drive] for metric, drive, _ in _COLUMNS]
+            body.append([device, NAMES[configuration], *map(_cell, cells)])
+    explained = sum(row.explained for row in reproduction.rows)
+    return (
+        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {explained} of {len(reproduction.rows)} numbers are "
+        f"explained.\n\n{_table(['device', 'configuration', *(title for *_, title in _COLUMNS)], body)}"
+    )
+
+
+def _cell(row: Row) -> str:
+    if row.ours is None or row.ratio is None:
+        return f"**{_short(row.cell.value)} / -**"
+    text = f"{_short(row.cell.value)} / {_short(row.ours)} ({row.ratio:.2f})"
+    return text if row.explained else f"**{text}**"
+
+
+def _readings(reproduction: Reproduction) -> str:
+    def counts(rows: Sequence[Row]) -> list[str]:
+        return [str(sum(row.explained for row in rows if row.cell.table == table)) for table in (2, 3, 4, 5)]
+
+    body = [["as taken", *counts(reproduction.rows), ""]]
+    for (name, choice), rows in reproduction.alternatives.items():
+        pairs = zip(rows, reproduction.rows, strict=True)
+        moved = [row.distance - default.distance for row, default in pairs]
+        nearer, farther = sum(step < -0.01 for step in moved), sum(step > 0.01 for step in moved)
+        body.append([f"`{name}`: {choice}", *counts(rows), f"{nearer} nearer, {farther} farther"])
+    titles = ["reading, each alone", "Table 2", "Table 3", "Table 4", "Table 5", "than as taken"]
+    return f"### Readings\n\nNumbers explained.\n\n{_table(titles, body)}"
+
+
+def _predicted(predicted: Mapping[str, Sequence[Row]]) -> str:
+    body = []
+    for left_out, rows in predicted.items():
+        ratios = {
+            device: ", ".join(
+                "-" if row.ratio is None else f"{row.ratio:.2f}" for row in rows if row.cell.profile == device
+            )
+            for device in DEVICES
+        }
+        body.append([NAMES[left_out], f"{sum(row.explained for row in rows)} of {len(rows)}", *ratios.values()])
+    titles = ["left out of the fit", "explained", *(f"ratios, {device}" for device in DEVICES)]
+    return (
+        "### Cross-check: fit three configurations, predict the fourth\n\nRatios in the order of Tables 2, 3, 4, 5 biceps, "
+        f"5 triceps.\n\n{_table(titles, body)}"
+    )
+
+
+def _spread(identification: Mapping[str, Any]) -> str:
+    body = [
+        [
+            f"`{entry['name']}`",
+            f"{_short(entry['value'])} {entry['unit']}".rstrip(),
+            f"{_short(entry['low'])} to {_short(entry['high'])}",
+            f"{_short(entry['bounds'][0])} to {_short(entry['bounds'][1])}",
+            "yes" if entry["determined"] else "no",
+        ]
+        for entry in identification["spread"]
+    ]
+    titles = ["parameter", "value", "as good", "searched", "determined"]
+    return f"### What the tables determine\n\n{_table(titles, body)}"
+
+
+def _springs(identification: Mapping[str, Any]) -> str:
+    body = [
+        [
+            spring["law"],
+            f"{spring['length_ratio']:g}",
+            f"{spring['cost']:.1f}",
+            f"{spring['met']} of {spring['of']}",
+            f"{spring['stiffening']:.2f}",
+        ]
+        for spring in identification["springs"]
+    ]
+    titles = ["spring law", "free length / half width", "cost", "explained", "stiffness at 10 N / at 4 N"]
+    return f"### Spring laws, all other parameters fitted again\n\n{_table(titles, body)}"
+
+
+def _hypotheses(hypotheses: Sequence[Answer]) -> str:
+    body = [[str(item.number), item.hypothesis, f"**{item.verdict}**", item.paper] for item in hypotheses]
+    return f"### Hypotheses of section 1.2\n\n{_table(['', 'hypothesis', 'ours', 'the paper'], body)}"
+
+
+def _claims(claims: Sequence[CheckedClaim]) -> str:
+    failing = [item for item in claims if item.ours.holds is not True]
+    body = [
+        [item.claim.section, f'"{item.claim.quote}"', item.ours.words, "no" if item.contradicted else ""]
+        for item in failing
+    ]
+    return (
+        f"### Claims of sections 3 to 5\n\n{len(claims) - len(failing)} of {len(claims)} hold on our devices. Those that do "
+        f"not:\n\n{_table(['section', 'claim', 'ours', 'borne out by the paper itself'], body)}"
+    )
+
+
+def _short(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.4g}"
+
+
+def _table(titles: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    lines = [titles, ["---"] * len(titles), *body]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
