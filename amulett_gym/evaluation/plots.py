@@ -10,6 +10,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec
@@ -19,7 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from amulett_gym.config import VariableStiffness
@@ -28,6 +29,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COSTS
 from amulett_gym.evaluation.results import number, pretty, span
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
+from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
 from amulett_gym.files import atomic_path
 from amulett_gym.simulation.trajectory import Trajectory
 
@@ -40,6 +42,12 @@ JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
 
 WIDTH = 10.0
 """Of every figure of a comparison [in], so that their texts have one size on the page."""
+
+PRINT_WIDTH = 7.0
+"""Of the paper's figures [in]: the text width of a printed page."""
+
+_STRINGS = {"biceps": (BICEPS, (0, (4, 1))), "triceps": (TRICEPS, "-")}
+"""String -> colour, and the line style that tells it apart in grey."""
 
 _FIXED_COLOURS = {"eq6": BLACK, "eq6-printed": GREY}
 _LAW_COLOURS = (BLUE, GREEN, PURPLE, SKY, INDIGO, OLIVE, BROWN, ORANGE)
@@ -166,7 +174,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     angle.plot(time, np.degrees(trajectory["angle"]), color=JOINT, label="joint angle")
     angle.set_ylabel("joint angle [deg]")
 
-    for string, colour in (("biceps", BICEPS), ("triceps", TRICEPS)):
+    for string, (colour, _) in _STRINGS.items():
         estimate = trajectory[f"estimate_{string}"]
         tension.plot(time, estimate, color=colour, alpha=0.35, linewidth=0.9, label=f"{string}, estimated")
         tension.plot(time, trajectory[f"force_{string}"], color=colour, label=f"{string}, true")
@@ -375,7 +383,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     panel.axvline(1.0, color=GREY, linewidth=0.8)
     efforts = []
     for k, (name, metrics) in enumerate(policies.items()):
-        position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", "isav"))
+        position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", "effort"))
         if position["mean"] is None or effort["mean"] is None:
             continue
         efforts.append(effort["mean"])
@@ -400,13 +408,184 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
             which(FuncFormatter(lambda value, _: f"{value:g}"))
     paid = policies[YARDSTICK]
     panel.set_xlabel(f"position ISE, in units of {YARDSTICK}'s {pretty(number(paid['position_ise']['mean']))} deg² s")
-    panel.set_ylabel(f"ISAV of both drives, in units of\n{YARDSTICK}'s {pretty(number(paid['isav']['mean']))} deg²/s")
+    panel.set_ylabel(
+        f"effort of both drives, in units of\n{YARDSTICK}'s {pretty(number(paid['effort']['mean']))} deg²/s"
+    )
     panel.annotate("better", (0.03, 0.04), (0.11, 0.13), xycoords="axes fraction", color=GREY, arrowprops=_ARROW)
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 
+@_styled
+def curves_figure(
+    x: NDArray[Any],
+    curves: Mapping[str, NDArray[Any]],
+    x_label: str,
+    y_label: str,
+    marks: Mapping[float, str] | None = None,
+) -> Figure:
+    """Draw curves over a common abscissa: the first one thick, the others thin and in styles of their own.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+    curves : mapping of str to ndarray, shape (n,)
+        By the legend's text.
+    x_label, y_label : str
+        With units.
+    marks : mapping of float to str, optional
+        Abscissae at which the first curve gets a point, and what is written beside it.
+    """
+    figure = Figure(figsize=(PRINT_WIDTH, 3.0), layout="constrained")
+    panel = figure.subplots()
+    styles = zip(curves.items(), ((BLUE, "-", 2.0), (RED, "--", 1.3), (GREY, ":", 1.3)), strict=False)
+    for (name, values), (colour, style, width) in styles:
+        panel.plot(x, values, color=colour, linestyle=style, linewidth=width, label=name)
+    first = next(iter(curves.values()))
+    panel.margins(y=0.08)
+    panel.set_xlim(x[0], x[-1])
+    middle = 0.5 * sum(panel.get_ylim())
+    for mark, text in (marks or {}).items():
+        height = float(np.interp(mark, x, first))
+        panel.plot(mark, height, color=BLUE, marker="o", markersize=6, markeredgecolor="white", zorder=5)
+        # Away from the nearer end of the axis, so that the text stays inside.
+        side, edge = (1.0, "bottom") if height < middle else (-1.0, "top")
+        panel.annotate(text, (mark, height), (11.0, 5.0 * side), textcoords="offset points", va=edge, fontsize=8.5)
+    panel.set_xlabel(x_label)
+    panel.set_ylabel(y_label)
+    figure.legend(loc="outside lower center", ncols=len(curves))
+    return figure
+
+
+@_styled
+def force_estimation_figure(
+    deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float
+) -> Figure:
+    """Draw what single sensor readings make of a string's force, and how far they are off (Figure 5b).
+
+    Parameters
+    ----------
+    deflection : ndarray, shape (n,)
+        Of the string [mm].
+    force : ndarray, shape (n,)
+        The true string force [N].
+    estimate : ndarray, shape (n, readings)
+        [N]
+    rms : ndarray, shape (n,)
+        Root mean square of the error over the readings [N].
+    floor : float
+        Estimates below this are not used [N]; shaded.
+    """
+    figure = Figure(figsize=(PRINT_WIDTH, 4.0), layout="constrained")
+    grid = figure.add_gridspec(2, 2)
+    curve, error, relative = (figure.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
+    drawn = slice(None, None, max(force.size // 100, 1))
+    curve.plot(deflection[drawn], estimate[drawn, 0], color=RED, marker="o", markersize=3.2, linewidth=0)
+    curve.plot(deflection, force, color=BLACK)
+    error.plot(force[drawn], (estimate[:, 0] - force)[drawn], color=RED, marker="o", markersize=2.4, linewidth=0)
+    for bound in (rms, -rms):
+        error.plot(force, bound, color=BLUE, linewidth=1.1)
+    relative.plot(force, 100.0 * rms / force, color=BLUE, linewidth=1.1)
+    relative.set_yscale("log")
+    relative.set_ylim(top=200.0)
+    relative.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    curve.axhspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
+    for panel in (error, relative):
+        panel.axvspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
+        panel.set_xlim(0.0, force[-1])
+    curve.set_xlim(0.0, deflection[-1])
+    curve.set_ylim(0.0, 1.05 * max(force[-1], estimate.max()))
+    curve.set_xlabel("string deflection [mm]")
+    curve.set_ylabel("string force [N]")
+    error.set_ylabel("error [N]")
+    error.set_xlabel("true string force [N]")
+    relative.set_ylabel("error / true force [%]")
+    relative.set_xlabel("true string force [N]")
+    figure.align_ylabels([error, relative])
+    handles = [
+        Line2D([], [], color=BLACK, label="true force"),
+        Line2D([], [], color=RED, marker="o", markersize=3.2, linewidth=0, label="estimate from a single reading"),
+        Line2D([], [], color=BLUE, linewidth=1.1, label="rms error of all readings"),
+        Patch(color="#ececec", label=f"below {floor:g} N: not used"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return figure
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a column of `tracking_figure` shows.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    span : tuple of float, optional
+        From when to when [s]; all of it if None.
+    title : str
+    shows_switches : bool
+        Whether lines mark the switches of the agonist, and the string that is not fed back is drawn too.
+    without : sequence of Trajectory
+        What the device would have done without a switch, for the angle's panel.
+    """
+
+    trajectory: Trajectory
+    span: tuple[float, float] | None = None
+    title: str = ""
+    shows_switches: bool = False
+    without: Sequence[Trajectory] = ()
+
+
+@_styled
+def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_margin: float) -> Figure:
+    """Draw joint angle and fed-back force with their setpoints and error margins, as in Figures 7-9.
+
+    Setpoints are solid and black, margins dashed. The force is the antagonist's, in the colour of its string.
+
+    Parameters
+    ----------
+    columns : sequence of Tracked
+        One column of panels each.
+    position_margin : float
+        Of the angle's setpoint [deg].
+    tension_margin : float
+        Of the force's setpoint, a fraction of it.
+    """
+    figure = Figure(figsize=(PRINT_WIDTH, 4.6), layout="constrained")
+    grid = figure.subplots(2, len(columns), sharex="col", sharey="row", squeeze=False)
+    for (angle, tension), column in zip(grid.T, columns, strict=True):
+        trajectory = column.trajectory
+        time = trajectory["time"]
+        angle.set_title(column.title)
+        setpoint = np.degrees(trajectory["setpoint"])
+        _draw_setpoint(angle, time, setpoint, setpoint - position_margin, setpoint + position_margin)
+        angle.plot(time, np.degrees(trajectory["measured_angle"]), color=BLUE, label="joint angle")
+        for other in column.without:
+            degrees = np.degrees(other["measured_angle"])
+            angle.plot(other["time"], degrees, color=RED, linestyle=":", linewidth=1.2, label="without that switch")
+        setpoint = acting(trajectory, "tension_setpoint")
+        _draw_setpoint(tension, time, setpoint, (1.0 - tension_margin) * setpoint, (1.0 + tension_margin) * setpoint)
+        _draw_feedback(tension, trajectory, column.shows_switches)
+        if column.shows_switches:
+            for moment in time[switch_rows(trajectory)]:
+                for panel in (angle, tension):
+                    panel.axvline(
+                        moment, color=GREY, linestyle=_DOTS, linewidth=0.8, zorder=1, label="switch of the agonist"
+                    )
+        angle.set_xlim(column.span or (time[0], time[-1]))
+        angle.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10], prune="upper"))
+        tension.set_xlabel("time [s]")
+    grid[0, 0].set_ylabel("joint angle [deg]")
+    grid[1, 0].set_ylabel("estimated force [N]")
+    figure.align_ylabels(grid[:, 0])
+    handles: dict[str, Any] = {}
+    for panel in grid.flat:
+        handles |= dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    return figure
+
+
 _COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
+_DOTS = (0, (1, 1))
 _ARROW = {"arrowstyle": "->", "color": GREY}
 
 
@@ -432,6 +611,29 @@ def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any
 
 def _antagonist_tension(trajectory: Trajectory) -> NDArray[np.float64]:
     return np.where(trajectory["agonist"] > 0, trajectory["force_triceps"], trajectory["force_biceps"])
+
+
+def _draw_setpoint(panel: Any, time: NDArray[Any], setpoint: NDArray[Any], *margins: NDArray[Any]) -> None:
+    panel.plot(time, setpoint, color=BLACK, linewidth=1.0, drawstyle="steps-post", label="setpoint")
+    for margin in margins:
+        panel.plot(
+            time, margin, color=BLACK, linestyle="--", linewidth=0.7, drawstyle="steps-post", label="error margin"
+        )
+
+
+def _draw_feedback(panel: Any, trajectory: Trajectory, both: bool) -> None:
+    """Draw the force that is fed back, in the colour of its string, and thin those that are not if `both` is true."""
+    time, acting_agonist, feedback = trajectory["time"], acting(trajectory, "agonist"), force_feedback(trajectory)
+    for agonist, string in ANTAGONIST.items():
+        colour, style = _STRINGS[string]
+        fed_back = acting_agonist == agonist
+        if fed_back.any():
+            force = np.where(fed_back, feedback, np.nan)
+            label = f"{string}, fed back" if both else f"{string}' string"
+            panel.plot(time, force, color=colour, linestyle=style, label=label)
+        if both:
+            force = trajectory[f"estimate_{string}"]
+            panel.plot(time, force, color=colour, linewidth=0.6, zorder=1.5, label=f"{string}, not fed back")
 
 
 def _draw_eq6(panel: Any, law: VariableStiffness, reach: float) -> None:
