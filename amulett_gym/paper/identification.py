@@ -88,7 +88,7 @@ PARAMETERS = (
         "simulation.position_filter", 2e-4, 0.03, "s", "derivative filter: up to three times Simulink's default, 10 ms"
     ),
     Free("simulation.tension_filter", 1e-3, 0.05, "s", "derivative filter"),
-    Free("simulation.force_filter", 1e-3, 0.1, "s", "the lag without which the tension loop is algebraic"),
+    Free("simulation.force_filter", 1e-3, 0.3, "s", "the lag without which the tension loop is algebraic"),
     Free("testbed.lag", 3e-3, 0.3, "s", "a servo's, to that of a geared motor under load"),
     Free("testbed.rate_limit", 200.0, 2000.0, "deg/s", "a slow servo's, to that of a fast geared motor"),
     Free(

@@ -52,7 +52,7 @@ class Readings:
     agonist : {"biceps", "switching"}
         Which drive is the agonist of the steps, which all flex: the biceps throughout, since section 3.5 alone shows
         "movements with enabled switching"; or the one whose spring is deflected more.
-    floor : {"clamp", "hold", "ignore"}
+    floor : {"hold", "clamp", "ignore"}
         What replaces estimated forces below 5 N on the testbed.
     derivative_on : {"error", "measurement"}
         What the controllers differentiate.
@@ -78,7 +78,7 @@ class Readings:
     preload: Literal["mean", "smaller"] = "mean"
     wiring: Literal["sum", "tension_only"] = "sum"
     agonist: Literal["biceps", "switching"] = "biceps"
-    floor: Literal["clamp", "hold", "ignore"] = "clamp"
+    floor: Literal["hold", "clamp", "ignore"] = "hold"
     derivative_on: Literal["error", "measurement"] = "error"
     rise_time: Literal["settling", "first-entry"] = "settling"
     tension_error: Literal["recorded", "estimated", "true"] = "recorded"
@@ -93,7 +93,7 @@ ALTERNATIVES: tuple[tuple[str, str], ...] = (
     ("preload", "smaller"),
     ("wiring", "tension_only"),
     ("agonist", "switching"),
-    ("floor", "hold"),
+    ("floor", "clamp"),
     ("floor", "ignore"),
     ("derivative_on", "measurement"),
     ("rise_time", "first-entry"),

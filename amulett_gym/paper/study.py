@@ -75,9 +75,9 @@ class Recipe:
         Moves of each walker of the ensemble.
     """
 
-    seeds: tuple[int, ...] = (1, 2, 3, 4)
-    population: int = 120
-    generations: int = 150
+    seeds: tuple[int, ...] = (1, 2, 3)
+    population: int = 150
+    generations: int = 180
     refinement: int = 60
     steps: int = 40
 
