@@ -14,7 +14,7 @@ from amulett_gym.paper.claims import CLAIMS, check_claims
 from amulett_gym.paper.hypotheses import answer_hypotheses
 from amulett_gym.paper.page import render
 from amulett_gym.paper.reproduction import ALTERNATIVES, Reproduction, Row, reproduce
-from amulett_gym.paper.results import content
+from amulett_gym.paper.results import entry
 from amulett_gym.paper.statements import our_numbers
 from amulett_gym.paper.tables import TABLES_2_TO_5
 
@@ -82,7 +82,7 @@ def test_claims_and_hypotheses_are_there(page, answers):
 def test_sections_appear_only_with_what_they_show(page, reproduction, answers):
     assert not any(f"<h2>{section}" in page for section in SECTIONS)
     rows = [
-        {**row, "left_out": "variable"} for row in content(reproduction)["rows"] if row["configuration"] == "variable"
+        {**row, "left_out": "variable"} for row in map(entry, reproduction.rows) if row["configuration"] == "variable"
     ]
     ratio = {
         "name": "R_1/R_2",
@@ -96,7 +96,7 @@ def test_sections_appear_only_with_what_they_show(page, reproduction, answers):
     identification = {
         "cross_check": rows,
         "spread": [ratio, {**ratio, "name": "<i>width</i>", "determined": False}],
-        "springs": [{"law": "geometric", "cost": 12.3, "met": 20, "of": 40}],
+        "springs": [{"law": "geometric", "length_ratio": 0.9, "cost": 12.3, "met": 20, "of": 40, "stiffening": 1.7}],
     }
     figure = Figure()
     figure.subplots().plot([0.0, 1.0])

@@ -28,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="folder of the study; an interrupted one in it is continued"
     )
-    parser.add_argument(
-        "--seeds", nargs="+", type=int, metavar="N", help="of the independent starts (default: 1 2 3)"
-    )
+    parser.add_argument("--seeds", nargs="+", type=int, metavar="N", help="of the independent starts (default: 1 2 3)")
     for name, text in _COUNTS.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: that of the shipped study)")
     parser.add_argument(

@@ -11,29 +11,36 @@ from amulett_gym.files import output_folder
 HELP = "run what the paper measured, and compare Tables 2-5 with ours"
 EXAMPLES = """  amulett reproduce --out runs/reproduction
   amulett reproduce --json
+  amulett reproduce --doc docs/reproduction.md
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--out", metavar="DIR", help="folder for reproduction.json, rows.csv and readings.csv")
+    parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
+    parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
     parser.add_argument("--json", action="store_true", help="print the content of reproduction.json and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
-    from amulett_gym.paper.reproduction import reproduce
-    from amulett_gym.paper.results import REPRODUCTION_MARKS, content, in_words, write
+    from amulett_gym.paper.evidence import gather
+    from amulett_gym.paper.report import REPRODUCTION_MARKS, write_document, write_report
+    from amulett_gym.paper.results import content, in_words
 
     out = arguments.out
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
-        reproduction = reproduce()
-        result = content(reproduction) if out is None else write(reproduction, out)
+        evidence = gather()
+        result = content(evidence) if out is None else write_report(evidence, out)
+    if arguments.doc is not None:
+        write_document(evidence, arguments.doc)
     if arguments.json:
         print(json.dumps(result, indent=2, allow_nan=False))
         return 0
-    print(in_words(reproduction))
+    print(in_words(evidence))
     if out is not None:
         replaced = ", in the place of the reproduction that was there" if earlier else ""
-        print(f"Written to {out}: reproduction.json, rows.csv and readings.csv{replaced}.")
+        print(f"Written to {out}: reproduction.html, reproduction.json, CSV files and figures{replaced}.")
+    if arguments.doc is not None:
+        print(f"Renewed: {arguments.doc}")
     return 0

@@ -9,6 +9,7 @@ from typing import Any
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text, write_text
 from amulett_gym.paper.claims import CheckedClaim
+from amulett_gym.paper.evidence import Evidence
 from amulett_gym.paper.hypotheses import Answer
 from amulett_gym.paper.reproduction import Reproduction, Row
 from amulett_gym.paper.statements import NAMES
@@ -26,37 +27,25 @@ _COLUMNS = (
 )
 
 
-def block(
-    reproduction: Reproduction,
-    identification: Mapping[str, Any],
-    predicted: Mapping[str, Sequence[Row]],
-    claims: Sequence[CheckedClaim],
-    hypotheses: Sequence[Answer],
-    figures: Mapping[str, str],
-) -> str:
+def block(evidence: Evidence, figures: Mapping[str, str]) -> str:
     """Return the generated part as Markdown.
 
     Parameters
     ----------
-    reproduction : Reproduction
-    identification : mapping
-        From `study.shipped`.
-    predicted : mapping of str to sequence of Row
-        From `study.cross_check`.
-    claims : sequence of CheckedClaim
-    hypotheses : sequence of Answer
+    evidence : Evidence
     figures : mapping of str to str
         File of each figure, relative to the document, and its caption.
     """
     parts = [
-        _rows(reproduction),
-        _readings(reproduction),
-        _predicted(predicted),
-        _spread(identification),
-        _springs(identification),
-        _hypotheses(hypotheses),
-        _claims(claims),
-        "\n\n".join(f"![{caption}]({file})\n\n*{caption}*" for file, caption in figures.items()),
+        _rows(evidence.reproduction),
+        _readings(evidence.reproduction, evidence.identification),
+        _predicted(evidence.predicted),
+        _spread(evidence.identification),
+        _springs(evidence.identification),
+        _hypotheses(evidence.hypotheses),
+        _claims(evidence.claims),
+        "### Figures",
+        *[f"![{Path(file).stem}]({file})\n\n*{caption}*" for file, caption in figures.items()],
     ]
     return "\n\n".join(parts)
 
@@ -87,8 +76,8 @@ def _rows(reproduction: Reproduction) -> str:
             body.append([device, NAMES[configuration], *map(_cell, cells)])
     explained = sum(row.explained for row in reproduction.rows)
     return (
-        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {explained} of {len(reproduction.rows)} numbers are "
-        f"explained.\n\n{_table(['device', 'configuration', *(title for *_, title in _COLUMNS)], body)}"
+        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {explained} of {len(reproduction.rows)} "
+        f"numbers are explained.\n\n{_table(['device', 'configuration', *(title for *_, title in _COLUMNS)], body)}"
     )
 
 
@@ -99,18 +88,25 @@ def _cell(row: Row) -> str:
     return text if row.explained else f"**{text}**"
 
 
-def _readings(reproduction: Reproduction) -> str:
+def _readings(reproduction: Reproduction, identification: Mapping[str, Any]) -> str:
     def counts(rows: Sequence[Row]) -> list[str]:
         return [str(sum(row.explained for row in rows if row.cell.table == table)) for table in (2, 3, 4, 5)]
 
-    body = [["as taken", *counts(reproduction.rows), ""]]
+    refitted = {(entry["reading"], entry["choice"]): entry for entry in identification["readings_refitted"]}
+    body = [["as taken", *counts(reproduction.rows), str(identification["explained"]), f"{identification['cost']:.1f}"]]
     for (name, choice), rows in reproduction.alternatives.items():
-        pairs = zip(rows, reproduction.rows, strict=True)
-        moved = [row.distance - default.distance for row, default in pairs]
-        nearer, farther = sum(step < -0.01 for step in moved), sum(step > 0.01 for step in moved)
-        body.append([f"`{name}`: {choice}", *counts(rows), f"{nearer} nearer, {farther} farther"])
-    titles = ["reading, each alone", "Table 2", "Table 3", "Table 4", "Table 5", "than as taken"]
-    return f"### Readings\n\nNumbers explained.\n\n{_table(titles, body)}"
+        again = refitted[name, choice]
+        body.append([f"`{name}`: {choice}", *counts(rows), str(again["explained"]), f"{again['cost']:.1f}"])
+    titles = [
+        "reading, each alone",
+        "Table 2",
+        "Table 3",
+        "Table 4",
+        "Table 5",
+        "all, fitted again",
+        "cost of that fit",
+    ]
+    return f"### Readings\n\nNumbers explained, of 8, 8, 8 and 16.\n\n{_table(titles, body)}"
 
 
 def _predicted(predicted: Mapping[str, Sequence[Row]]) -> str:
@@ -125,8 +121,8 @@ def _predicted(predicted: Mapping[str, Sequence[Row]]) -> str:
         body.append([NAMES[left_out], f"{sum(row.explained for row in rows)} of {len(rows)}", *ratios.values()])
     titles = ["left out of the fit", "explained", *(f"ratios, {device}" for device in DEVICES)]
     return (
-        "### Cross-check: fit three configurations, predict the fourth\n\nRatios in the order of Tables 2, 3, 4, 5 biceps, "
-        f"5 triceps.\n\n{_table(titles, body)}"
+        "### Cross-check: fit three configurations, predict the fourth\n\nRatios in the order of Tables 2, 3, 4, "
+        f"5 biceps, 5 triceps.\n\n{_table(titles, body)}"
     )
 
 
@@ -172,8 +168,8 @@ def _claims(claims: Sequence[CheckedClaim]) -> str:
         for item in failing
     ]
     return (
-        f"### Claims of sections 3 to 5\n\n{len(claims) - len(failing)} of {len(claims)} hold on our devices. Those that do "
-        f"not:\n\n{_table(['section', 'claim', 'ours', 'borne out by the paper itself'], body)}"
+        f"### Claims of sections 3 to 5\n\n{len(claims) - len(failing)} of {len(claims)} hold on our devices. "
+        f"Those that do not:\n\n{_table(['section', 'claim', 'ours', 'borne out by the paper itself'], body)}"
     )
 
 

@@ -19,8 +19,8 @@ from amulett_gym.evaluation.signals import force_feedback
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.sensors import read_slider
 from amulett_gym.model.spring import build_tables, estimate_force, look_up
-from amulett_gym.paper.reproduction import Readings, apply_readings, paper_step
-from amulett_gym.paper.runs import HOLD, MOVES_FROM, follow, start, there_and_back
+from amulett_gym.paper.reproduction import Readings, apply_readings
+from amulett_gym.paper.runs import HOLD, MOVES_FROM, STEPS, follow, paper_step, start, there_and_back
 from amulett_gym.paper.switching import SWITCH_WINDOW, Switch, switching_run
 from amulett_gym.paper.tables import DEVICES, PROTOCOL, TENSION_SETPOINT
 from amulett_gym.simulation.random import normal
@@ -133,7 +133,7 @@ def position_only_steps(profile: Profile, readings: Readings) -> Trajectory:
     """
     device = apply_readings(profile, readings)
     scenario = there_and_back(device, "position-only")
-    trajectory = follow(start(device, "position-only", scenario), MOVES_FROM + 3 * HOLD)
+    trajectory = follow(start(device, "position-only", [scenario]), MOVES_FROM + len(STEPS) * HOLD)
     setpoint = force_feedback(trajectory)[trajectory["time"] < MOVES_FROM].mean()
     signals = {**trajectory.signals, "tension_setpoint": np.full(len(trajectory), setpoint)}
     return Trajectory(trajectory.profile, trajectory.control_period, signals)
@@ -143,7 +143,7 @@ def variable_stiffness_step(profile: Profile, readings: Readings) -> Trajectory:
     """Do the step of Figure 8: the paper's, with the tension setpoint of eq. 6."""
     device = apply_readings(profile, readings)
     scenario = paper_step(device, "variable", readings.eq6)
-    return follow(start(device, "variable", scenario, readings.eq6), START + HOLD)
+    return follow(start(device, "variable", [scenario], readings.eq6), START + HOLD)
 
 
 def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, Figure]:

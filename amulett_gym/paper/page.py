@@ -62,7 +62,8 @@ def render(
         How the parameters came about. All of its entries are optional, and each makes a section: ``cross_check``, rows
         as in ``reproduction.json`` with the configuration that was ``left_out`` of the fit; ``spread``, one
         ``{"name", "unit", "value", "low", "high", "determined", "source"}`` a parameter; ``springs``, one
-        ``{"law", "cost", "met", "of"}`` a spring law.
+        ``{"law", "length_ratio", "cost", "met", "of", "stiffening"}`` a spring law; ``readings_refitted``, one
+        ``{"reading", "choice", "explained"}`` a reading, beside the ``explained`` of the readings taken.
     captions : mapping of str to str, optional
         What the figures show, by the same names.
     """
@@ -79,11 +80,11 @@ def render(
         tables=[_table(reproduction, table) for table in _TABLES],
         repetitions=PROTOCOL.repetitions_testbed,
         rise_time=reproduction.readings.rise_time,
-        readings=_readings(reproduction),
+        readings=_readings(reproduction, found),
         taken={_READINGS.get(name, name): choice for name, choice in asdict(reproduction.readings).items()},
         cross_check=[_row_in_words(row) for row in found.get("cross_check", ())],
         spread=[_numbers_in_words(item, ("value", "low", "high")) for item in found.get("spread", ())],
-        springs=[_numbers_in_words(item, ("cost",)) for item in found.get("springs", ())],
+        springs=[_numbers_in_words(item, ("length_ratio", "cost", "stiffening")) for item in found.get("springs", ())],
         claims=claims,
         counts={
             "hold": sum(item.ours.holds is True for item in claims),
@@ -161,8 +162,10 @@ def _table(reproduction: Reproduction, table: int) -> dict[str, Any]:
     }
 
 
-def _readings(reproduction: Reproduction) -> list[dict[str, Any]]:
-    taken = {"name": "as taken", "choice": "", "nearer": "", "farther": ""}
+def _readings(reproduction: Reproduction, found: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a line for each reading; what explains as much when everything is fitted again, where that is known."""
+    refitted = {(item["reading"], item["choice"]): item["explained"] for item in found.get("readings_refitted", ())}
+    taken = {"name": "as taken", "choice": "", "nearer": "", "farther": "", "refitted": found.get("explained", "")}
     lines: list[dict[str, Any]] = [{**taken, "explained": _explained(reproduction.rows)}]
     for (name, choice), rows in reproduction.alternatives.items():
         moved = [row.distance - default.distance for row, default in zip(rows, reproduction.rows, strict=True)]
@@ -173,6 +176,7 @@ def _readings(reproduction: Reproduction) -> list[dict[str, Any]]:
                 "explained": _explained(rows),
                 "nearer": sum(distance < -SAME for distance in moved),
                 "farther": sum(distance > SAME for distance in moved),
+                "refitted": refitted.get((name, choice), ""),
             }
         )
     return lines

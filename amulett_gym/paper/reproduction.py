@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile, merge
-from amulett_gym.errors import unknown
-from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, PROTOCOL, TABLES_2_TO_5, TENSION_SETPOINT, Cell
-from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import FAILURES, Control
-from amulett_gym.tasks.scenario import Move, Scenario, pack
+from amulett_gym.paper.runs import paper_step, start
+from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, PROTOCOL, TABLES_2_TO_5, Cell
+from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.suites import START
 
 MEASUREMENT_TIME = 5.0
@@ -280,27 +278,6 @@ def apply_readings(profile: Profile, readings: Readings) -> Profile:
     return load_profile(merge(profile.model_dump(), changes))
 
 
-def paper_step(profile: Profile, configuration: str, eq6: str = "text", noise_seed: int = 1) -> Scenario:
-    """Return the paper's step from 0 to 45 deg, from rest at the configuration's own tension setpoint.
-
-    Raises
-    ------
-    AmulettError
-        If the configuration is none of `tables.CONFIGURATIONS`.
-    """
-    if configuration not in CONFIGURATIONS:
-        raise unknown("configuration", configuration, CONFIGURATIONS)
-    law = profile.variable_stiffness
-    at_rest = law.nominal_tension if eq6 == "text" else law.minimum_tension  # eq. 6 at an error of zero
-    return Scenario(
-        initial_angle_deg=PROTOCOL.start_deg,
-        initial_tension=TENSION_SETPOINT.get(configuration, at_rest),
-        moves=[Move(time=START, angle_deg=PROTOCOL.target_deg)],
-        measure_from=START,
-        noise_seed=noise_seed,
-    )
-
-
 def step_response(
     profile: Profile,
     configuration: str,
@@ -328,12 +305,7 @@ def step_response(
         If the configuration is unknown or the device cannot hold its starting posture.
     """
     scenarios = [paper_step(profile, configuration, eq6, key) for key in range(1, repetitions + 1)]
-    control: Control = "position-only" if configuration == "position-only" else "decentralized"
-    law = {"text": "eq6", "printed": "eq6-printed"}[eq6] if configuration == "variable" else "agent"
-    simulation = Simulation(profile, repetitions, control, law)
-    simulation.reset(np.concatenate([pack(scenario, profile) for scenario in scenarios]))
-    if configuration in TENSION_SETPOINT:
-        simulation.command_tension(TENSION_SETPOINT[configuration])
+    simulation = start(profile, configuration, scenarios, eq6)
     period = simulation.control_period
     simulation.advance(math.ceil(START / period - 1e-9) + round(duration / period))
     read = simulation.read

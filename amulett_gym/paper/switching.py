@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from amulett_gym.config import Profile
 from amulett_gym.evaluation.signals import ANTAGONIST, switch_rows
 from amulett_gym.paper.reproduction import Readings, apply_readings
-from amulett_gym.paper.runs import HOLD, MOVES_FROM, follow, start, there_and_back
+from amulett_gym.paper.runs import HOLD, MOVES_FROM, STEPS, follow, start, there_and_back, with_agonist
 from amulett_gym.simulation.trajectory import Trajectory
 
 SWITCH_WINDOW = 0.2
@@ -96,13 +96,13 @@ def switching_run(profile: Profile, readings: Readings, configuration: str = FIG
     """
     device = apply_readings(profile, replace(readings, agonist="switching"))
     scenario = there_and_back(device, configuration, readings.eq6)
-    trajectory = follow(start(device, configuration, scenario, readings.eq6), MOVES_FROM + 3 * HOLD)
-    again = start(device, configuration, scenario, readings.eq6)
+    trajectory = follow(start(device, configuration, [scenario], readings.eq6), MOVES_FROM + len(STEPS) * HOLD)
+    again = start(device, configuration, [scenario], readings.eq6)
     switches = []
     for row in switch_rows(trajectory):
         again.advance(int(row - again.read("tick")[0]))
         stays = {+1: "biceps", -1: "triceps"}[int(trajectory["agonist"][row])]
-        fixed = start(_with_agonist(device, stays), configuration, scenario, readings.eq6)
+        fixed = start(with_agonist(device, stays), configuration, [scenario], readings.eq6)
         fixed.set_state(again.get_state())
         switches.append(_switch(trajectory, int(row), follow(fixed, SWITCH_WINDOW)))
     return SwitchingRun(trajectory, tuple(switches))
@@ -139,7 +139,3 @@ def _switch(trajectory: Trajectory, row: int, without: Trajectory) -> Switch:
 
 def _largest(values: NDArray[np.float64]) -> float:
     return float(np.abs(values).max(initial=0.0))
-
-
-def _with_agonist(profile: Profile, agonist: str) -> Profile:
-    return profile.model_copy(update={"loop": profile.loop.model_copy(update={"agonist": agonist})})

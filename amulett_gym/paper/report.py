@@ -1,0 +1,69 @@
+"""The files of a reproduction: numbers, figures, a page that needs nothing else, and a document's generated part."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.evaluation.plots import save_figure
+from amulett_gym.files import write_json, write_text
+from amulett_gym.paper import document
+from amulett_gym.paper.evidence import Evidence
+from amulett_gym.paper.figures import CAPTIONS, paper_figures
+from amulett_gym.paper.page import render
+from amulett_gym.paper.results import as_csv, content, readings_content, rows_content
+
+REPRODUCTION_MARKS = ("reproduction.json", "rows.csv", "readings.csv")
+"""Files by which a reproduction's folder is recognised."""
+
+
+def write_report(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
+    """Write ``reproduction.json``, CSV files, the figures and ``reproduction.html`` into a folder.
+
+    Everything is made before the first file is written, and each file is written whole or not at all.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    folder : str or Path
+        ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
+        ``claims.csv`` the paper's claims.
+
+    Returns
+    -------
+    dict
+        The content of ``reproduction.json``.
+
+    Raises
+    ------
+    AmulettError
+        If a file cannot be written.
+    """
+    folder, reproduction = Path(folder), evidence.reproduction
+    result = content(evidence)
+    figures = paper_figures(reproduction.profiles, reproduction.readings)
+    identification = {**evidence.identification, "cross_check": result["cross_check"]}
+    page = render(reproduction, evidence.claims, evidence.hypotheses, figures, identification, CAPTIONS)
+    write_text(folder / "rows.csv", as_csv(rows_content(evidence, result)))
+    write_text(folder / "readings.csv", as_csv(readings_content(reproduction)))
+    write_text(folder / "claims.csv", as_csv(result["claims"]))
+    for name, figure in figures.items():
+        save_figure(figure, folder / f"{name}.png")
+    write_text(folder / "reproduction.html", page)
+    write_json(folder / "reproduction.json", result)
+    return result
+
+
+def write_document(evidence: Evidence, path: str | Path) -> None:
+    """Renew the generated part of a document, and its figures in the folder ``images`` beside it.
+
+    Raises
+    ------
+    AmulettError
+        If a file cannot be read or written, or the document has no place for what is generated.
+    """
+    path, reproduction = Path(path), evidence.reproduction
+    text = document.block(evidence, {f"images/{name}.png": caption for name, caption in CAPTIONS.items()})
+    document.update(path, text)
+    for name, figure in paper_figures(reproduction.profiles, reproduction.readings).items():
+        save_figure(figure, path.parent / "images" / f"{name}.png")
