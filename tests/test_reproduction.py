@@ -224,7 +224,7 @@ def place(row: Row) -> str:
 
 
 def test_the_cross_check_predicts_what_it_has_not_seen(evidence):
-    """Ten numbers of each configuration, by parameters that are not the shipped ones, since they came from the others."""
+    """Ten numbers of each configuration, by parameters that came from the three others."""
     shipped = {row.cell: row.ours for row in evidence.reproduction.rows}
     for left_out, rows in evidence.predicted.items():
         assert [row.cell for row in rows] == [cell for cell in TABLES_2_TO_5 if cell.configuration == left_out]
