@@ -50,8 +50,9 @@ class Readings:
     agonist : {"biceps", "switching"}
         Which drive is the agonist of the steps, which all flex: the biceps throughout, since section 3.5 alone shows
         "movements with enabled switching"; or the one whose spring is deflected more.
-    floor : {"hold", "clamp", "ignore"}
-        What replaces estimated forces below 5 N on the testbed.
+    floor : {"clamp", "hold", "ignore"}
+        What replaces estimated forces below 5 N on the testbed. With ``hold``, the nearest to the words, the loop is
+        blind below 5 N, and its noise lets a setpoint of 5 N run down to a slack string within seconds.
     derivative_on : {"error", "measurement"}
         What the controllers differentiate.
     rise_time : {"settling", "first-entry"}
@@ -76,7 +77,7 @@ class Readings:
     preload: Literal["mean", "smaller"] = "mean"
     wiring: Literal["sum", "tension_only"] = "sum"
     agonist: Literal["biceps", "switching"] = "biceps"
-    floor: Literal["hold", "clamp", "ignore"] = "hold"
+    floor: Literal["clamp", "hold", "ignore"] = "clamp"
     derivative_on: Literal["error", "measurement"] = "error"
     rise_time: Literal["settling", "first-entry"] = "settling"
     tension_error: Literal["recorded", "estimated", "true"] = "recorded"
@@ -91,7 +92,7 @@ ALTERNATIVES: tuple[tuple[str, str], ...] = (
     ("preload", "smaller"),
     ("wiring", "tension_only"),
     ("agonist", "switching"),
-    ("floor", "clamp"),
+    ("floor", "hold"),
     ("floor", "ignore"),
     ("derivative_on", "measurement"),
     ("rise_time", "first-entry"),

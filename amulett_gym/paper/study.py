@@ -77,8 +77,8 @@ class Recipe:
 
     seeds: tuple[int, ...] = (1, 2, 3)
     population: int = 150
-    generations: int = 180
-    refinement: int = 60
+    generations: int = 160
+    refinement: int = 45
     steps: int = 40
 
 
