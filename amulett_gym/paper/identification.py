@@ -38,7 +38,7 @@ SIMULATED = {"simulation": 2.0, "testbed": MEASUREMENT_TIME}
 """T in the search [s]: the simulation is at rest after a second."""
 
 WEIGHTS = {"rise_time": 1.0, "position_ise": 2.0, "tension_ise": 1.0, "isav": 0.5}
-"""What a row counts in the cost: position ISE hangs on no margin, estimate or unit, ISAV on a unit that is not printed."""
+"""What a row counts in the cost. Position ISE hangs on no margin, estimate or unit; the unit of ISAV is not printed."""
 
 OUT_OF_REACH = 60.0
 """Residual of a row that does not exist, because the device failed."""
