@@ -206,7 +206,7 @@ def test_vertical_arm_holds_its_payload():
 def test_impossible_posture_is_refused():
     profile = {"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}}
     env = gym.make(SCALING, profile=profile)
-    with pytest.raises(AmulettError, match="springs give 0 to 14.03 N"):
+    with pytest.raises(AmulettError, match=r"springs give 0 to \d+\.\d\d N"):
         env.reset(options={"scenario": {"initial_angle_deg": 90.0, "payload": {"mass": 1.0, "arm": 0.2}}})
 
 

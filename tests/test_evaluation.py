@@ -22,7 +22,7 @@ from amulett_gym.evaluation.results import in_words, number, pretty, span, summa
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 
-FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 220.0}}
+FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 180.0}}
 """A device on which eq. 6 fails now and then, and constant:10 never."""
 
 FILES = {"results.json", "scenarios.csv", "report.html", "cost.png", "trade_off.png", "responses.png", "schedule.png"}

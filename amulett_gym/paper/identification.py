@@ -309,36 +309,65 @@ def search(
     return Fit(float(found.fun), unpack(whole(found.x)), np.array([whole(part) for part in found.population]))
 
 
-def ensemble(seed: int, readings: Readings, fit: Fit, *, steps: int) -> list[dict[str, float]]:
-    """Return parameter sets that are as good as the best: a random walk of many walkers inside `EQUAL` of its cost.
+def ensemble(
+    seed: int, readings: Readings, candidates: Values, *, limit: float, walkers: int, steps: int
+) -> list[dict[str, float]]:
+    """Return parameter sets that are as good as the best: a random walk of many walkers where the cost is low enough.
 
     Each walker moves along the line through another one (the affine-invariant "stretch move" of Goodman and Weare,
-    2010); a move is accepted if the cost stays within the limit. Walkers start from the fit's last generation.
+    2010); a move is accepted if the cost stays within the limit.
 
     Parameters
     ----------
     seed : int
     readings : Readings
-    fit : Fit
+    candidates : ndarray, shape (candidates, parameters)
+        Search vectors; the walkers start from some of those within the limit.
+    limit : float
+        Largest cost.
+    walkers : int
+        At most so many.
     steps : int
         Moves that each walker tries.
+
+    Returns
+    -------
+    list of dict of str to float
+        Every place at which a walker was; empty if no candidate is within the limit.
     """
     rng = np.random.default_rng(seed)
     value = objective(readings)
-    limit = fit.cost + EQUAL
-    walkers = np.array([vector for vector in fit.population if value(vector) <= limit])
-    members = list(walkers)
-    count, size = walkers.shape
-    for _ in range(steps):
+    within = [vector for vector in candidates[rng.permutation(len(candidates))] if value(vector) <= limit]
+    places = np.array(within[:walkers]).reshape(-1, len(PARAMETERS))
+    members = list(places)
+    count, size = places.shape
+    for _ in range(steps if count > 1 else 0):
         for k in range(count):
-            other = walkers[(k + rng.integers(1, count)) % count] if count > 1 else walkers[k]
+            other = places[(k + rng.integers(1, count)) % count]
             stretch = (1.0 + rng.uniform()) ** 2 / 2.0  # density proportional to 1/sqrt(stretch), 0.5 to 2
             accept = rng.uniform() < stretch ** (size - 1)
-            moved = other + stretch * (walkers[k] - other)
+            moved = other + stretch * (places[k] - other)
             if accept and ((moved >= 0.0) & (moved <= 1.0)).all() and value(moved) <= limit:
-                walkers[k] = moved
+                places[k] = moved
                 members.append(moved)
     return [unpack(vector) for vector in members]
+
+
+def most_explained(readings: Readings, members: Sequence[Mapping[str, float]]) -> tuple[int, float, dict[str, float]]:
+    """Return the set that explains most rows, with all repetitions; among several the one of least cost.
+
+    Returns
+    -------
+    tuple of int, float and dict
+        Rows explained, cost, parameters.
+    """
+    value = objective(readings)
+    ranked = []
+    for member in members:
+        rows = compare(measure(devices(member), readings), readings)
+        ranked.append((-sum(row.explained for row in rows), value(pack(member)), dict(member)))
+    explained, least, parameters = min(ranked, key=lambda entry: entry[:2])
+    return -explained, least, parameters
 
 
 def _digits(value: float) -> float:

@@ -26,16 +26,19 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.paper.identification import (
     EQUAL,
     PARAMETERS,
-    Fit,
+    ROBUST,
+    SIMULATED,
+    WEIGHTS,
     devices,
     ensemble,
+    most_explained,
     pack,
     profile_changes,
     reproduced,
     search,
     unpack,
 )
-from amulett_gym.paper.reproduction import ALTERNATIVES, Readings, Row, compare, measure
+from amulett_gym.paper.reproduction import ALTERNATIVES, BOUNDS, Readings, Row, compare, measure
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
 
 SPRING_LAWS = {
@@ -49,6 +52,9 @@ SPRING_LAWS = {
 
 SHIFT = 0.15
 """Standard deviation of the shifted candidates, as a part of the search range."""
+
+CHOICES = 400
+"""Members of the ensemble, about, among which the chosen set is looked for."""
 
 DETERMINED = 0.25
 """A parameter is determined if the sets as good as the best cover at most this part of its search range."""
@@ -133,13 +139,17 @@ def study(
     begin = _mixed([start["population"] for start in starts], recipe.population, recipe.seeds[0])
     again = {"seed": recipe.seeds[0], "generations": recipe.refinement, "population": begin}
     run(
-        {"best": again}
+        {"together": again}
         | {f"spring-{ratio}": {**again, "fixed": {"length_ratio": ratio}} for ratio in SPRING_LAWS}
         | {f"reading-{name}-{choice}": {**again, "reading": {name: choice}} for name, choice in ALTERNATIVES}
     )
-    best = stages["best"]
-    walk = {"seed": recipe.seeds[0], "fit": {key: best[key] for key in ("cost", "parameters", "population")}}
-    run({"ensemble": {**walk, "steps": recipe.steps}})
+    fits = [stages[name] for name in _fits(recipe)]
+    limit = min(fit["cost"] for fit in fits) + EQUAL
+    candidates = [vector for fit in fits for vector in fit["population"]]
+    walk = {"candidates": candidates, "limit": limit, "walkers": recipe.population, "steps": recipe.steps}
+    run({"ensemble": {"seed": recipe.seeds[0], **walk}})
+    members = stages["ensemble"][:: max(len(stages["ensemble"]) // CHOICES, 1)]
+    run({"chosen": {"members": [fit["parameters"] for fit in fits if fit["cost"] <= limit] + members}})
     content = _content(recipe, readings, stages)
     for name in DEVICES:
         write_text(folder / f"{name}.yaml", profile_text(name, content))
@@ -237,9 +247,13 @@ def _run_stages(
 
 def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
     taken = Readings(**{**readings, **call.get("reading", {})})
-    if "fit" in call:
-        fit = Fit(call["fit"]["cost"], call["fit"]["parameters"], np.array(call["fit"]["population"]))
-        return ensemble(call["seed"], taken, fit, steps=call["steps"])
+    if "members" in call:
+        explained, cost, parameters = most_explained(taken, call["members"])
+        return {"cost": cost, "explained": explained, "parameters": parameters}
+    if "candidates" in call:
+        places = np.array(call["candidates"])
+        sizes = {key: call[key] for key in ("limit", "walkers", "steps")}
+        return ensemble(call["seed"], taken, places, **sizes)
     population = call["population"] if isinstance(call["population"], int) else np.array(call["population"])
     found = search(
         call["seed"],
@@ -265,9 +279,10 @@ def _inputs(call: Mapping[str, Any], readings: Readings) -> dict[str, Any]:
         "call": call,
         "devices": {name: profile.model_dump() for name, profile in middle.items()},
         "parameters": [asdict(free) for free in PARAMETERS],
+        "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, EQUAL, SIMULATED],
     }
     digest = hashlib.sha256(json.dumps(long, sort_keys=True).encode()).hexdigest()
-    short = {key: value for key, value in call.items() if key not in ("fit", "population")}
+    short = {key: value for key, value in call.items() if key not in ("candidates", "members", "population")}
     return {**short, "readings": asdict(readings), "sha256": digest}
 
 
@@ -280,6 +295,11 @@ def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
     except ValueError as error:
         raise AmulettError(f"stage '{path}' is not valid JSON: {error}; delete it to do it again") from error
     return content["result"] if content.get("inputs") == json.loads(json.dumps(inputs)) else None
+
+
+def _fits(recipe: Recipe) -> list[str]:
+    """Return the stages that fit all rows under the readings taken."""
+    return [*(f"start-{seed}" for seed in recipe.seeds), "together", *(f"spring-{ratio}" for ratio in SPRING_LAWS)]
 
 
 def _mixed(populations: list[list[list[float]]], count: int, seed: int) -> list[list[float]]:
@@ -296,21 +316,22 @@ def _mixed(populations: list[list[list[float]]], count: int, seed: int) -> list[
 
 
 def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> dict[str, Any]:
-    best = stages["best"]
+    chosen = stages["chosen"]
     members = np.array([pack(member) for member in stages["ensemble"]])
+    least = min(stages[name]["cost"] for name in _fits(recipe))
     low, high = unpack(members.min(axis=0)), unpack(members.max(axis=0))
     covered = np.ptp(members, axis=0)
     return {
         "recipe": asdict(recipe),
         "readings": asdict(readings),
-        "cost": best["cost"],
-        "explained": best["explained"],
+        "cost": chosen["cost"],
+        "explained": chosen["explained"],
         "of": _ROWS,
         "spread": [
             {
                 "name": free.name,
                 "unit": free.unit,
-                "value": float(f"{best['parameters'][free.name]:.6g}"),
+                "value": float(f"{chosen['parameters'][free.name]:.6g}"),
                 "low": float(f"{low[free.name]:.3g}"),
                 "high": float(f"{high[free.name]:.3g}"),
                 "bounds": [free.low, free.high],
@@ -319,7 +340,7 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
             }
             for free, width in zip(PARAMETERS, covered.tolist(), strict=True)
         ],
-        "ensemble": {"members": len(members), "equal_cost": EQUAL},
+        "ensemble": {"members": len(members), "least_cost": least, "equal_cost": EQUAL},
         "starts": [
             {"seed": seed, **{key: stages[f"start-{seed}"][key] for key in ("cost", "explained", "parameters")}}
             for seed in recipe.seeds
@@ -371,7 +392,9 @@ def same_device(profile: Profile, other: Profile) -> bool:
 def in_words(content: Mapping[str, Any]) -> str:
     """Return a study for the terminal: the parameters and their spread, the spring laws, and the starts."""
     lines = [
-        f"Best set: cost {content['cost']:.3f}, {content['explained']} of {content['of']} rows explained.",
+        f"Chosen: {content['explained']} of {content['of']} rows explained, cost {content['cost']:.3f}. Of the "
+        f"{content['ensemble']['members']} sets within {content['ensemble']['equal_cost']:g} of the least cost, "
+        f"{content['ensemble']['least_cost']:.3f}, no other that was tried explains more.",
         f"{'':28}{'value':>11}  {'as good':>21}  {'searched':>19}",
     ]
     for entry in content["spread"]:
