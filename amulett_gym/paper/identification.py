@@ -46,8 +46,8 @@ OUT_OF_REACH = 60.0
 ROBUST = 0.1
 """Weight of the part of the cost that goes on growing for a row far off, so that the search knows where to go."""
 
-EQUAL = 1.0
-"""Sets whose cost is above the best one's by at most this are as good: about one row that is out of its bound more."""
+EQUAL = 2.5
+"""Sets whose cost is above the best one's by at most this are as good: independent starts end as far apart."""
 
 
 @dataclass(frozen=True)
