@@ -1,1 +1,1 @@
-"""Yardsticks for the kernel's speed, used for nothing else: the same tick in C, and this machine's limits."""
+"""How fast the kernel could be: the same tick in C, this machine's limits. Yardsticks only; nothing else uses them."""

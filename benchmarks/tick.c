@@ -1,26 +1,75 @@
 /* The tick of amulett_gym/simulation/kernel.py in plain C: a yardstick for its speed, used for nothing else.
 
    Same names and order of operations as there. layout.h is generated from the dtypes of simulation/layout.py.
-   Built plainly, each device runs through the whole tick before the next one: what a C programmer writes first.
-   Built with -DLANE_INNER, each stage of the tick runs through the devices of a block, one in each lane of a vector:
-   the shape in which a compiler can use SIMD. The equations are the same text in both. */
+   A `real` is WIDTH devices side by side: with WIDTH 1 a double, and each device runs through the whole tick before the
+   next one, as in the kernel; with WIDTH 8 a vector, and the block's devices run through it in step, both sides of each
+   choice computed. The equations are the same text in both. */
 
 #include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "layout.h"
-
 #define INLINE static inline __attribute__((always_inline))
 
-#ifdef LANE_INNER
-/* The C library's vector versions of exp and sin (libmvec). */
-__attribute__((simd("notinbranch"))) double exp(double);
-__attribute__((simd("notinbranch"))) double sin(double);
-#define FOR_LANES _Pragma("omp simd") for (int64_t i = 0; i < LANES; i++)
-#define LOCKSTEP true
+#if WIDTH == 1
+
+typedef double real;
+typedef int64_t integer;
+typedef uint64_t word;
+typedef bool mask;
+#define select(condition, yes, no) ((condition) ? (yes) : (no))
+#define either(condition, yes, no) ((condition) ? (yes) : (no)) /* of integers */
+#define to_real(a) ((double)(a))
+#define to_integer(a) ((int64_t)(a))
+#define to_word(a) ((uint64_t)(a))
+#define all(a) ((double)(a)) /* the same number in all lanes */
+#define all_integers(a) ((int64_t)(a))
+#define not(a) (!(a))
+#define any(a) (a)
+#define at(array, index) array[index][i] /* of the scenario: an element that differs from lane to lane */
+
 #else
-#define LOCKSTEP false
+
+typedef double real __attribute__((vector_size(8 * WIDTH)));
+typedef int64_t integer __attribute__((vector_size(8 * WIDTH)));
+typedef uint64_t word __attribute__((vector_size(8 * WIDTH)));
+typedef integer mask; /* all bits of a lane are set, or none */
+typedef double row __attribute__((vector_size(32), aligned(8)));
+#define to_real(a) __builtin_convertvector(a, real)
+#define to_integer(a) __builtin_convertvector(a, integer)
+#define to_word(a) ((word)(a))
+#define not(a) (~(a))
+#define at(array, index) pick(array[0], index)
+INLINE real all(double a) { return a - (real){0}; }
+INLINE integer all_integers(int64_t a) { return a - (integer){0}; }
+INLINE integer either(mask condition, integer yes, integer no) { return (yes & condition) | (no & ~condition); }
+INLINE real select(mask condition, real yes, real no) {
+    return (real)either(condition, (integer)yes, (integer)no);
+}
+INLINE bool any(mask a) {
+    int64_t found = 0;
+    for (int lane = 0; lane < WIDTH; lane++) found |= a[lane];
+    return found != 0;
+}
+INLINE real pick(const real *array, integer index) {
+    real picked;
+    for (int lane = 0; lane < WIDTH; lane++) picked[lane] = array[index[lane]][lane];
+    return picked;
+}
+
+#endif
+
+#include "layout.h"
+
+#if WIDTH > 1
+typedef integer field __attribute__((may_alias)); /* the lanes of any field of a block, whatever they hold */
+
+/* Give some lanes of a block back what they had. */
+INLINE void keep(states *s, const states *before, mask lanes) {
+    const field *then = (const field *)before;
+    field *now = (field *)s;
+    for (uint64_t k = 0; k < sizeof(states) / sizeof(field); k++) now[k] = either(lanes, then[k], now[k]);
+}
 #endif
 
 typedef const parameters *restrict Parameters;
@@ -28,473 +77,514 @@ typedef const scenarios *restrict Scenarios;
 typedef states *restrict States;
 
 /* Python's min and max: the first argument unless the second is truly less, more. */
-INLINE double least(double a, double b) { return b < a ? b : a; }
-INLINE double greatest(double a, double b) { return b > a ? b : a; }
-INLINE double square(double a) { return a * a; }
+INLINE real least(real a, real b) { return select(b < a, b, a); }
+INLINE real greatest(real a, real b) { return select(b > a, b, a); }
+INLINE real square(real a) { return a * a; }
+
+/* ---- the C library's functions ---- */
+
+#if WIDTH == 1
+
+INLINE word bits_of(real a) { return ((union { double value; uint64_t bits; }){a}).bits; }
+#define absolute fabs
+#define floor_of floor
+#define root sqrt
+#define exponential exp
+#define sine sin
+
+#else
+
+INLINE word bits_of(real a) { return (word)a; }
+INLINE real absolute(real a) { return (real)(bits_of(a) & 0x7FFFFFFFFFFFFFFFu); }
+INLINE real floor_of(real a) {
+    real whole = to_real(to_integer(a));
+    return select(whole > a, whole - 1.0, whole);
+}
+INLINE real root(real a) {
+    for (int lane = 0; lane < WIDTH; lane++) a[lane] = sqrt(a[lane]);
+    return a;
+}
+#if defined __FAST_MATH__ && defined __AVX512F__ && defined __GLIBC__ && WIDTH == 8
+real _ZGVeN8v_exp(real), _ZGVeN8v_sin(real); /* libmvec's, to 4 units in the last place */
+#define exponential _ZGVeN8v_exp
+#define sine _ZGVeN8v_sin
+#else
+INLINE real exponential(real a) {
+    for (int lane = 0; lane < WIDTH; lane++) a[lane] = exp(a[lane]);
+    return a;
+}
+INLINE real sine(real a) {
+    for (int lane = 0; lane < WIDTH; lane++) a[lane] = sin(a[lane]);
+    return a;
+}
+#endif
+#endif
+
+/* By their bits, which hold under fast math too. */
+INLINE mask is_nan(real a) { return (bits_of(a) << 1) > 0xFFE0000000000000u; }
+INLINE mask is_finite(real a) { return (bits_of(a) << 1) < 0xFFE0000000000000u; }
 
 /* ---- simulation/random.py ---- */
 
-INLINE uint64_t random_bits(uint64_t key, uint64_t counter) {
-    uint64_t z = key + (counter + 1) * GOLDEN;
+INLINE word random_bits(word key, word counter) {
+    word z = key + (counter + 1) * GOLDEN;
     z = (z ^ (z >> 30)) * MIX_1;
     z = (z ^ (z >> 27)) * MIX_2;
     return z ^ (z >> 31);
 }
 
-INLINE double noise(uint64_t key, uint64_t counter) {
-    uint64_t bits = random_bits(key, counter);
-    double total = (double)(int64_t)(bits & 0xFFFF) + (double)(int64_t)((bits >> 16) & 0xFFFF) +
-                   (double)(int64_t)((bits >> 32) & 0xFFFF) + (double)(int64_t)(bits >> 48);
+INLINE real noise(word key, word counter) {
+    word bits = random_bits(key, counter);
+    real total = to_real(bits & 0xFFFF) + to_real((bits >> 16) & 0xFFFF) + to_real((bits >> 32) & 0xFFFF) +
+                 to_real(bits >> 48);
     return (total - NOISE_MEAN) / NOISE_DEVIATION;
 }
 
 /* ---- model/ and control/ ---- */
 
-INLINE double look_up(const double table[CELLS][4], double position) {
-    double scaled = least(greatest(position, 0.0), 1.0) * CELLS;
-    int64_t cell = (int64_t)scaled;
-    cell = cell < CELLS - 1 ? cell : CELLS - 1;
-    double w = scaled - (double)cell;
-    return table[cell][0] + w * (table[cell][1] + w * (table[cell][2] + w * table[cell][3]));
+typedef struct {
+    real w, k0, k1, k2, k3; /* how far into its cell a position lies, and the cell's coefficients */
+} cubic;
+
+INLINE cubic find_cell(const double table[CELLS][4], real position) {
+    real scaled = least(greatest(position, all(0.0)), all(1.0)) * CELLS;
+    integer cell = to_integer(least(scaled, all(CELLS - 1)));
+    cubic found = {scaled - to_real(cell)};
+#if WIDTH == 1
+    found.k0 = table[cell][0], found.k1 = table[cell][1], found.k2 = table[cell][2], found.k3 = table[cell][3];
+#else
+    /* Loading whole rows and transposing them is faster than the processor's own gather. */
+#define TABLE_ROW(lane) (*(const row *)table[cell[lane]])
+#define JOIN(one, other) __builtin_shufflevector(TABLE_ROW(one), TABLE_ROW(other), 0, 1, 2, 3, 4, 5, 6, 7)
+    real a = JOIN(0, 4), b = JOIN(1, 5), c = JOIN(2, 6), d = JOIN(3, 7);
+    real ab02 = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+    real ab13 = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+    real cd02 = __builtin_shufflevector(c, d, 0, 8, 2, 10, 4, 12, 6, 14);
+    real cd13 = __builtin_shufflevector(c, d, 1, 9, 3, 11, 5, 13, 7, 15);
+    found.k0 = __builtin_shufflevector(ab02, cd02, 0, 1, 8, 9, 4, 5, 12, 13);
+    found.k1 = __builtin_shufflevector(ab13, cd13, 0, 1, 8, 9, 4, 5, 12, 13);
+    found.k2 = __builtin_shufflevector(ab02, cd02, 2, 3, 10, 11, 6, 7, 14, 15);
+    found.k3 = __builtin_shufflevector(ab13, cd13, 2, 3, 10, 11, 6, 7, 14, 15);
+#endif
+    return found;
 }
 
-INLINE double look_up_slope(const double table[CELLS][4], double position) {
-    double scaled = least(greatest(position, 0.0), 1.0) * CELLS;
-    int64_t cell = (int64_t)scaled;
-    cell = cell < CELLS - 1 ? cell : CELLS - 1;
-    double w = scaled - (double)cell;
-    double slope = (table[cell][1] + w * (2.0 * table[cell][2] + w * 3.0 * table[cell][3])) * CELLS;
-    return position < 0.0 || position > 1.0 ? 0.0 : slope;
+INLINE real look_up(const double table[CELLS][4], real position) {
+    cubic at = find_cell(table, position);
+    return at.k0 + at.w * (at.k1 + at.w * (at.k2 + at.w * at.k3));
 }
 
-INLINE double estimate_force(Parameters p, double spring_deflection) {
-    return look_up(p->estimate_table, sqrt(greatest(spring_deflection, 0.0) / p->max_spring_deflection));
+INLINE real look_up_slope(const double table[CELLS][4], real position) {
+    cubic at = find_cell(table, position);
+    real slope = (at.k1 + at.w * (2.0 * at.k2 + at.w * 3.0 * at.k3)) * CELLS;
+    return select((position < 0.0) | (position > 1.0), all(0.0), slope);
 }
 
-INLINE double deflection_biceps(Parameters p, double drive, double joint) {
+INLINE real estimate_force(Parameters p, real spring_deflection) {
+    return look_up(p->estimate_table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
+}
+
+INLINE real deflection_biceps(Parameters p, real drive, real joint) {
     return drive * p->drive_radius - joint * p->joint_radius;
 }
 
-INLINE double deflection_triceps(Parameters p, double drive, double joint) {
+INLINE real deflection_triceps(Parameters p, real drive, real joint) {
     return joint * p->joint_radius - drive * p->drive_radius;
 }
 
-INLINE double decay_rate(Parameters p, double preload) {
-    return greatest(p->damping_a * exp(p->damping_b * preload + p->damping_c) + p->damping_d, 0.0);
+INLINE real decay_rate(Parameters p, real preload) {
+    real rate = p->damping_a * exponential(p->damping_b * preload + p->damping_c) + p->damping_d;
+    return greatest(rate, all(0.0));
 }
 
-INLINE double drive_rate(Parameters p, double command, double angle) {
-    return least(greatest((command - angle) * p->inverse_lag, -p->rate_limit), p->rate_limit);
+INLINE real drive_rate(Parameters p, real command, real angle) {
+    return least(greatest((command - angle) * p->inverse_lag, all(-p->rate_limit)), all(p->rate_limit));
 }
 
-INLINE double quantise(double value, double resolution) {
-    return resolution <= 0.0 ? value : floor(value / resolution + 0.5) * resolution;
+INLINE real quantise(real value, double resolution) {
+    if (resolution <= 0.0) return value;
+    return floor_of(value / resolution + 0.5) * resolution;
 }
 
-INLINE double filtered_derivative(double derivative, double change, double gain, double time_constant, double period) {
+INLINE real filtered_derivative(real derivative, real change, double gain, double time_constant, double period) {
     return (time_constant * derivative + gain * change) / (time_constant + period);
 }
 
-INLINE double integrate(double integral, double error, double gain, double period, bool up, bool down) {
-    bool held = (error > 0.0 && !up) || (error < 0.0 && !down);
-    return held ? integral : integral + gain * error * period;
+INLINE real integrate(real integral, real error, double gain, double period, mask up, mask down) {
+    mask held = ((error > 0.0) & not(up)) | ((error < 0.0) & not(down));
+    return select(held, integral, integral + gain * error * period);
 }
 
-INLINE double select_agonist(Parameters p, double agonist, double deflection_biceps, double deflection_triceps,
-                             double error) {
-    double difference = deflection_biceps - deflection_triceps;
-    bool tie = fabs(difference) <= p->tie_width && fabs(error) >= p->tie_error && error != 0.0;
-    double by_error = error > 0.0 ? BICEPS : TRICEPS;
-    double selected = tie ? by_error : agonist;
-    selected = difference < -p->switch_hysteresis ? TRICEPS : selected;
-    return difference > p->switch_hysteresis ? BICEPS : selected;
+INLINE real select_agonist(Parameters p, real agonist, real deflection_biceps, real deflection_triceps, real error) {
+    real difference = deflection_biceps - deflection_triceps;
+    mask tie = (absolute(difference) <= p->tie_width) & (absolute(error) >= p->tie_error) & (error != 0.0);
+    real selected = select(tie, select(error > 0.0, all(BICEPS), all(TRICEPS)), agonist);
+    selected = select(difference < -p->switch_hysteresis, all(TRICEPS), selected);
+    return select(difference > p->switch_hysteresis, all(BICEPS), selected);
 }
 
-INLINE double scaling_factor(Parameters p, double error) {
+INLINE real scaling_factor(Parameters p, real error) {
     double lowest = p->minimum_tension / p->nominal_tension;
-    double distance = greatest(1.0 - fabs(error) / p->error_offset, 0.0);
+    real distance = greatest(1.0 - absolute(error) / p->error_offset, all(0.0));
     return (1.0 - lowest) * square(square(distance)) + lowest;
 }
 
-INLINE double scaling_factor_printed(Parameters p, double error) {
+INLINE real scaling_factor_printed(Parameters p, real error) {
     double lowest = p->minimum_tension / p->nominal_tension;
-    return least((1.0 - lowest) * square(square(fabs(error) / p->error_offset)) + lowest, 1.0);
+    return least((1.0 - lowest) * square(square(absolute(error) / p->error_offset)) + lowest, all(1.0));
 }
 
-INLINE double minimum_jerk(double progress) {
+INLINE real minimum_jerk(real progress) {
     return progress * progress * progress * (10.0 + progress * (6.0 * progress - 15.0));
 }
 
 /* ---- simulation/kernel.py ---- */
 
 INLINE void start_counting(Parameters p, Scenarios c, States s, int64_t i) {
-    s->counting[i] = (double)s->tick[i] * p->control_period >= c->measure_from[i] - TIME_SLACK ? 1.0 : 0.0;
+    mask counts = to_real(s->tick[i]) * p->control_period >= c->measure_from[i] - TIME_SLACK;
+    s->counting[i] = select(counts, all(1.0), all(0.0));
 }
 
-INLINE void control_position(Parameters p, States s, int64_t i, double error) {
-    double signal = p->position_on_error ? error : -s->measured_angle[i];
+INLINE void control_position(Parameters p, States s, int64_t i, real error) {
+    real signal = p->position_on_error ? error : -s->measured_angle[i];
     s->position_derivative[i] = filtered_derivative(s->position_derivative[i], signal - s->position_signal[i],
                                                     p->position_kd, p->position_filter, p->control_period);
     s->position_signal[i] = signal;
-    double command = s->agonist[i] == BICEPS ? s->command_biceps[i] : s->command_triceps[i];
+    real command = select(s->agonist[i] == BICEPS, s->command_biceps[i], s->command_triceps[i]);
     s->position_integral[i] = integrate(s->position_integral[i], error, p->position_ki, p->control_period,
                                         command < p->command_limit, command > -p->command_limit);
     s->position_output[i] = p->position_kp * error + s->position_integral[i] + s->position_derivative[i];
 }
 
-INLINE double choose_tension(Parameters p, States s, int64_t i, double error) {
-    if (s->law[i] == AGENT) return s->tension_command[i];
-    double factor = s->law[i] == EQ6 ? scaling_factor(p, error) : scaling_factor_printed(p, error);
-    return factor * p->nominal_tension;
+INLINE real choose_tension(Parameters p, States s, int64_t i, real error) {
+    mask agent = s->law[i] == AGENT, text = s->law[i] == EQ6;
+    if (!any(not(agent))) return s->tension_command[i];
+    real factor = scaling_factor(p, error);
+    if (any(not(text))) factor = select(text, factor, scaling_factor_printed(p, error));
+    return select(agent, s->tension_command[i], factor * p->nominal_tension);
 }
 
-INLINE void control_tension(Parameters p, States s, int64_t i, bool restart) {
-    bool biceps_is_antagonist = s->agonist[i] == TRICEPS;
-    double estimate = biceps_is_antagonist ? s->estimate_biceps[i] : s->estimate_triceps[i];
-    bool untrusted = (biceps_is_antagonist ? s->untrusted_biceps[i] : s->untrusted_triceps[i]) != 0;
-    double measured = biceps_is_antagonist ? s->measured_biceps[i] : s->measured_triceps[i];
-    double command = biceps_is_antagonist ? s->command_biceps[i] : -s->command_triceps[i];
-    double error = s->tension_setpoint[i] - estimate;
-    error = untrusted && p->below_floor == IGNORE ? 0.0 : error;
-    double signal = p->tension_on_error ? error : -estimate;
-    double derivative = filtered_derivative(s->tension_derivative[i], signal - s->tension_signal[i], p->tension_kd,
-                                            p->tension_filter, p->control_period);
-    double integral = integrate(s->tension_integral[i], error, p->tension_ki, p->control_period,
-                                command < p->command_limit && measured < p->slider_end,
-                                command > -p->command_limit && !untrusted);
-    s->tension_derivative[i] = restart ? 0.0 : derivative;
-    s->tension_integral[i] = restart ? -p->tension_kp * error : integral;
+INLINE void control_tension(Parameters p, States s, int64_t i, mask restart) {
+    mask biceps_is_antagonist = s->agonist[i] == TRICEPS;
+    real estimate = select(biceps_is_antagonist, s->estimate_biceps[i], s->estimate_triceps[i]);
+    mask untrusted = either(biceps_is_antagonist, s->untrusted_biceps[i], s->untrusted_triceps[i]) != 0;
+    real measured = select(biceps_is_antagonist, s->measured_biceps[i], s->measured_triceps[i]);
+    real command = select(biceps_is_antagonist, s->command_biceps[i], -s->command_triceps[i]);
+    real error = s->tension_setpoint[i] - estimate;
+    if (p->below_floor == IGNORE) error = select(untrusted, all(0.0), error);
+    real signal = p->tension_on_error ? error : -estimate;
+    real derivative = filtered_derivative(s->tension_derivative[i], signal - s->tension_signal[i], p->tension_kd,
+                                          p->tension_filter, p->control_period);
+    real integral = integrate(s->tension_integral[i], error, p->tension_ki, p->control_period,
+                              (command < p->command_limit) & (measured < p->slider_end),
+                              (command > -p->command_limit) & not(untrusted));
+    s->tension_derivative[i] = select(restart, all(0.0), derivative);
+    s->tension_integral[i] = select(restart, -p->tension_kp * error, integral);
     s->tension_signal[i] = signal;
     s->tension_output[i] = p->tension_kp * error + s->tension_integral[i] + s->tension_derivative[i];
 }
 
-INLINE double setpoint_kick(Parameters p, States s, int64_t i) {
-    double decayed = s->kick_derivative[i];
+INLINE real setpoint_kick(Parameters p, States s, int64_t i) {
+    real decayed = s->kick_derivative[i];
     if (p->position_on_error)
         s->kick_derivative[i] =
             filtered_derivative(decayed, s->setpoint_jump[i], p->position_kd, p->position_filter, p->control_period);
-    double kick = p->position_kp * s->setpoint_jump[i] + s->kick_derivative[i] - decayed;
+    real kick = p->position_kp * s->setpoint_jump[i] + s->kick_derivative[i] - decayed;
     s->isav_kick[i] += s->counting[i] * kick * kick / p->control_period;
-    s->setpoint_jump[i] = 0.0;
+    s->setpoint_jump[i] = all(0.0);
     return kick;
 }
 
-INLINE void command_drives(Parameters p, States s, int64_t i, double biceps, double triceps, double kick_biceps,
-                           double kick_triceps) {
-    double limit = p->command_limit;
-    double effort_biceps = least(greatest(biceps - kick_biceps, -limit), limit) - s->command_biceps[i];
-    double effort_triceps = least(greatest(triceps - kick_triceps, -limit), limit) - s->command_triceps[i];
+INLINE real limit(Parameters p, real command) {
+    return least(greatest(command, all(-p->command_limit)), all(p->command_limit));
+}
+
+INLINE void command_drives(Parameters p, States s, int64_t i, real biceps, real triceps, real kick_biceps,
+                           real kick_triceps) {
+    real effort_biceps = limit(p, biceps - kick_biceps) - s->command_biceps[i];
+    real effort_triceps = limit(p, triceps - kick_triceps) - s->command_triceps[i];
     s->effort_biceps[i] += s->counting[i] * effort_biceps * effort_biceps / p->control_period;
     s->effort_triceps[i] += s->counting[i] * effort_triceps * effort_triceps / p->control_period;
-    biceps = least(greatest(biceps, -limit), limit);
-    triceps = least(greatest(triceps, -limit), limit);
-    double change_biceps = biceps - s->command_biceps[i];
-    double change_triceps = triceps - s->command_triceps[i];
+    biceps = limit(p, biceps);
+    triceps = limit(p, triceps);
+    real change_biceps = biceps - s->command_biceps[i];
+    real change_triceps = triceps - s->command_triceps[i];
     s->isav_biceps[i] += s->counting[i] * change_biceps * change_biceps / p->control_period;
     s->isav_triceps[i] += s->counting[i] * change_triceps * change_triceps / p->control_period;
-    s->iav_biceps[i] += s->counting[i] * fabs(change_biceps);
-    s->iav_triceps[i] += s->counting[i] * fabs(change_triceps);
+    s->iav_biceps[i] += s->counting[i] * absolute(change_biceps);
+    s->iav_triceps[i] += s->counting[i] * absolute(change_triceps);
     s->previous_setpoint[i] = s->setpoint[i];
     s->command_biceps[i] = biceps;
     s->command_triceps[i] = triceps;
 }
 
 INLINE void control(Parameters p, States s, int64_t i) {
-    double error = s->setpoint[i] - s->measured_angle[i];
-    double agonist = p->fixed_agonist != 0.0
-                         ? p->fixed_agonist
-                         : select_agonist(p, s->agonist[i], s->measured_biceps[i], s->measured_triceps[i], error);
-    bool switched = agonist != s->agonist[i];
-    s->switch_count[i] += switched ? s->counting[i] : 0.0;
+    real error = s->setpoint[i] - s->measured_angle[i];
+    real agonist = all(p->fixed_agonist);
+    if (p->fixed_agonist == 0.0)
+        agonist = select_agonist(p, s->agonist[i], s->measured_biceps[i], s->measured_triceps[i], error);
+    mask switched = agonist != s->agonist[i], biceps_leads = agonist == BICEPS;
     s->agonist[i] = agonist;
-    double last_position_output = s->position_output[i];
+    s->switch_count[i] += select(switched, s->counting[i], all(0.0));
+    real last_position_output = s->position_output[i];
     control_position(p, s, i, error);
-    double biceps_share = 1.0, triceps_share = 1.0;
+    real biceps_share = all(1.0), triceps_share = all(1.0);
     if (p->tension_loop) {
-        biceps_share = agonist == BICEPS ? 1.0 : p->antagonist_share;
-        triceps_share = agonist == BICEPS ? p->antagonist_share : 1.0;
+        biceps_share = select(biceps_leads, all(1.0), all(p->antagonist_share));
+        triceps_share = select(biceps_leads, all(p->antagonist_share), all(1.0));
         s->tension_setpoint[i] = choose_tension(p, s, i, error);
         control_tension(p, s, i, switched);
-        double offset_biceps = s->command_biceps[i] - biceps_share * last_position_output;
-        double offset_triceps = s->command_triceps[i] - triceps_share * last_position_output;
-        s->offset_biceps[i] = switched ? offset_biceps : s->offset_biceps[i];
-        s->offset_triceps[i] = switched ? offset_triceps : s->offset_triceps[i];
+        if (any(switched)) {
+            real offset_biceps = s->command_biceps[i] - biceps_share * last_position_output;
+            real offset_triceps = s->command_triceps[i] - triceps_share * last_position_output;
+            s->offset_biceps[i] = select(switched, offset_biceps, s->offset_biceps[i]);
+            s->offset_triceps[i] = select(switched, offset_triceps, s->offset_triceps[i]);
+        }
     }
-    double pull = s->tension_output[i];
-    double biceps =
-        s->offset_biceps[i] + biceps_share * s->position_output[i] + (agonist == TRICEPS ? pull : 0.0);
-    double triceps =
-        s->offset_triceps[i] + triceps_share * s->position_output[i] - (agonist == BICEPS ? pull : 0.0);
-    double kick = setpoint_kick(p, s, i);
+    real pull = s->tension_output[i];
+    real biceps = s->offset_biceps[i] + biceps_share * s->position_output[i] + select(biceps_leads, all(0.0), pull);
+    real triceps = s->offset_triceps[i] + triceps_share * s->position_output[i] - select(biceps_leads, pull, all(0.0));
+    real kick = setpoint_kick(p, s, i);
     command_drives(p, s, i, biceps, triceps, biceps_share * kick, triceps_share * kick);
 }
 
-INLINE double obstacle_torque(Scenarios c, int64_t i, double angle, double velocity) {
-    double side = c->obstacle_side[i];
-    double depth = side * (angle - c->obstacle_angle[i]);
-    double resistance = c->obstacle_stiffness[i] * depth + c->obstacle_damping[i] * side * velocity;
-    return depth <= 0.0 || c->obstacle_stiffness[i] <= 0.0 ? 0.0 : -side * greatest(resistance, 0.0);
+INLINE real obstacle_torque(Scenarios c, int64_t i, real angle, real velocity) {
+    real side = c->obstacle_side[i], stiffness = c->obstacle_stiffness[i];
+    real depth = side * (angle - c->obstacle_angle[i]);
+    mask touching = (depth > 0.0) & (stiffness > 0.0);
+    if (!any(touching)) return all(0.0);
+    real resistance = stiffness * depth + c->obstacle_damping[i] * side * velocity;
+    return select(touching, -side * greatest(resistance, all(0.0)), all(0.0));
 }
 
-INLINE double acceleration(Parameters p, Scenarios c, int64_t i, double angle, double velocity, double drive_biceps,
-                           double drive_triceps, double push) {
-    double stretch_biceps = deflection_biceps(p, drive_biceps, angle);
-    double stretch_triceps = deflection_triceps(p, drive_triceps, angle);
-    double force_biceps = look_up(p->force_table, stretch_biceps * p->inverse_max_deflection);
-    double force_triceps = look_up(p->force_table, stretch_triceps * p->inverse_max_deflection);
-    double preload =
-        p->damping_by_mean ? 0.5 * (force_biceps + force_triceps) : least(force_biceps, force_triceps);
-    double decay = decay_rate(p, preload);
-    decay = p->damping_keeps_torque ? decay * (p->inertia / c->inertia[i]) : decay;
-    double external = push + obstacle_torque(c, i, angle, velocity);
-    double torque =
-        (force_biceps - force_triceps) * p->joint_radius - c->static_torque[i] * sin(angle) + external;
+INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real velocity, real drive_biceps,
+                         real drive_triceps, real push) {
+    real stretch_biceps = deflection_biceps(p, drive_biceps, angle);
+    real stretch_triceps = deflection_triceps(p, drive_triceps, angle);
+    real force_biceps = look_up(p->force_table, stretch_biceps * p->inverse_max_deflection);
+    real force_triceps = look_up(p->force_table, stretch_triceps * p->inverse_max_deflection);
+    real preload = p->damping_by_mean ? 0.5 * (force_biceps + force_triceps) : least(force_biceps, force_triceps);
+    real decay = decay_rate(p, preload);
+    if (p->damping_keeps_torque) decay *= p->inertia / c->inertia[i];
+    real external = push + obstacle_torque(c, i, angle, velocity);
+    real torque = (force_biceps - force_triceps) * p->joint_radius - c->static_torque[i] * sine(angle) + external;
     return torque / c->inertia[i] - 2.0 * decay * velocity;
 }
 
-INLINE double pushes(Parameters p, Scenarios c, States s, int64_t i) {
-    double time = (double)s->tick[i] * p->control_period, push = 0.0;
-    for (int64_t k = 0; k < (LOCKSTEP ? MAX_PUSHES : c->push_count[i]); k++) {
-        double elapsed = time - c->push_time[k][i] + TIME_SLACK;
-        bool acts = k < c->push_count[i] && 0.0 <= elapsed && elapsed < c->push_duration[k][i];
-        push += acts ? c->push_torque[k][i] : 0.0;
+INLINE real pushes(Parameters p, Scenarios c, States s, int64_t i) {
+    real time = to_real(s->tick[i]) * p->control_period, push = all(0.0);
+    for (int64_t k = 0; k < MAX_PUSHES && any(k < c->push_count[i]); k++) {
+        real elapsed = time - c->push_time[k][i] + TIME_SLACK;
+        mask acts = (k < c->push_count[i]) & (0.0 <= elapsed) & (elapsed < c->push_duration[k][i]);
+        push += select(acts, c->push_torque[k][i], all(0.0));
     }
     return push;
 }
 
-typedef struct {
-    double x, v, a, b; /* joint angle and velocity, drive angles */
-} motion;
-
-INLINE motion runge_kutta(Parameters p, Scenarios c, int64_t i, motion m, double to_biceps, double to_triceps,
-                          double push) {
-    double h = p->control_period / (double)p->substeps;
-    double x = m.x, v = m.v, a = m.a, b = m.b;
-    double a1 = drive_rate(p, to_biceps, a);
-    double b1 = drive_rate(p, to_triceps, b);
-    double v1 = v;
-    double w1 = acceleration(p, c, i, x, v1, a, b, push);
-    double a2 = drive_rate(p, to_biceps, a + 0.5 * h * a1);
-    double b2 = drive_rate(p, to_triceps, b + 0.5 * h * b1);
-    double v2 = v + 0.5 * h * w1;
-    double w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
-    double a3 = drive_rate(p, to_biceps, a + 0.5 * h * a2);
-    double b3 = drive_rate(p, to_triceps, b + 0.5 * h * b2);
-    double v3 = v + 0.5 * h * w2;
-    double w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
-    double a4 = drive_rate(p, to_biceps, a + h * a3);
-    double b4 = drive_rate(p, to_triceps, b + h * b3);
-    double v4 = v + h * w3;
-    double w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
-    return (motion){x + h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0,
-                    a + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0, b + h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0};
-}
-
-INLINE motion present_motion(Parameters p, States s, int64_t i) {
-    bool ideal = p->inverse_lag == 0.0;
-    return (motion){s->angle[i], s->velocity[i], ideal ? s->command_biceps[i] : s->drive_biceps[i],
-                    ideal ? s->command_triceps[i] : s->drive_triceps[i]};
-}
-
 INLINE void feel_strings(Parameters p, States s, int64_t i) {
-    double biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    double triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
+    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
     s->force_biceps[i] = look_up(p->force_table, biceps * p->inverse_max_deflection);
     s->force_triceps[i] = look_up(p->force_table, triceps * p->inverse_max_deflection);
 }
 
-/* The end of move(), for a finite motion. */
-INLINE void arrive(Parameters p, Scenarios c, States s, int64_t i, motion m, double push) {
-    double error_before = s->setpoint[i] - s->angle[i];
-    int64_t too_fast = fabs(m.v) > p->velocity_limit ? VELOCITY_LIMIT : s->failure[i];
-    s->failure[i] = fabs(m.x) > p->angle_limit ? ANGLE_LIMIT : too_fast;
-    s->angle[i] = m.x, s->velocity[i] = m.v, s->drive_biceps[i] = m.a, s->drive_triceps[i] = m.b;
+INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
+    real push = pushes(p, c, s, i);
+    real to_biceps = s->command_biceps[i], to_triceps = s->command_triceps[i];
+    real x = s->angle[i], v = s->velocity[i];
+    real a = s->drive_biceps[i], b = s->drive_triceps[i];
+    if (p->inverse_lag == 0.0) a = to_biceps, b = to_triceps;
+    real error_before = s->setpoint[i] - x;
+    double h = p->control_period / (double)p->substeps;
+    for (int64_t k = 0; k < p->substeps; k++) {
+        real a1 = drive_rate(p, to_biceps, a);
+        real b1 = drive_rate(p, to_triceps, b);
+        real v1 = v;
+        real w1 = acceleration(p, c, i, x, v1, a, b, push);
+        real a2 = drive_rate(p, to_biceps, a + 0.5 * h * a1);
+        real b2 = drive_rate(p, to_triceps, b + 0.5 * h * b1);
+        real v2 = v + 0.5 * h * w1;
+        real w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
+        real a3 = drive_rate(p, to_biceps, a + 0.5 * h * a2);
+        real b3 = drive_rate(p, to_triceps, b + 0.5 * h * b2);
+        real v3 = v + 0.5 * h * w2;
+        real w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
+        real a4 = drive_rate(p, to_biceps, a + h * a3);
+        real b4 = drive_rate(p, to_triceps, b + h * b3);
+        real v4 = v + h * w3;
+        real w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
+        a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0;
+        b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0;
+        x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0;
+        v += h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0;
+    }
+    mask finite = is_finite(x) & is_finite(v);
+#if WIDTH == 1
+    if (!finite) {
+        s->failure[i] = NOT_FINITE;
+        return;
+    }
+#else
+    bool all_finite = !any(not(finite));
+    states before;
+    if (!all_finite) before = *s;
+#endif
+    integer failure = either(absolute(v) > p->velocity_limit, all_integers(VELOCITY_LIMIT), s->failure[i]);
+    s->failure[i] = either(absolute(x) > p->angle_limit, all_integers(ANGLE_LIMIT), failure);
+    s->angle[i] = x, s->velocity[i] = v, s->drive_biceps[i] = a, s->drive_triceps[i] = b;
     s->push_torque[i] = push;
-    s->contact_torque[i] = obstacle_torque(c, i, m.x, m.v);
+    s->contact_torque[i] = obstacle_torque(c, i, x, v);
     feel_strings(p, s, i);
-    double error_after = s->setpoint[i] - m.x;
-    double counted = s->counting[i] * p->control_period;
+    real error_after = s->setpoint[i] - x;
+    real counted = s->counting[i] * p->control_period;
     s->position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after);
     s->contact_ise[i] += counted * s->contact_torque[i] * s->contact_torque[i];
-    s->contact_peak[i] = greatest(s->contact_peak[i], s->counting[i] * fabs(s->contact_torque[i]));
-    double deflection = greatest(s->push_deflection[i], fabs(error_after));
-    s->push_deflection[i] = push != 0.0 && s->counting[i] > 0.0 ? deflection : s->push_deflection[i];
-    double tension_error = s->tension_setpoint[i] - (s->agonist[i] == BICEPS ? s->force_triceps[i] : s->force_biceps[i]);
+    s->contact_peak[i] = greatest(s->contact_peak[i], s->counting[i] * absolute(s->contact_torque[i]));
+    mask pushed = (push != 0.0) & (s->counting[i] > 0.0);
+    s->push_deflection[i] = select(pushed, greatest(s->push_deflection[i], absolute(error_after)), s->push_deflection[i]);
+    real force = select(s->agonist[i] == BICEPS, s->force_triceps[i], s->force_biceps[i]);
+    real tension_error = s->tension_setpoint[i] - force;
     s->tension_ise[i] += counted * tension_error * tension_error;
+#if WIDTH > 1
+    if (!all_finite) {
+        keep(s, &before, not(finite));
+        s->failure[i] = either(finite, s->failure[i], all_integers(NOT_FINITE));
+    }
+#endif
 }
 
-INLINE double trust(Parameters p, double estimate, double last) {
-    double distrusted = p->below_floor == CLAMP ? p->force_floor : p->below_floor == HOLD ? last : estimate;
-    return estimate >= p->force_floor ? estimate : distrusted;
+INLINE real trust(Parameters p, real estimate, real last) {
+    real distrusted = p->below_floor == CLAMP ? all(p->force_floor) : p->below_floor == HOLD ? last : estimate;
+    return select(estimate >= p->force_floor, estimate, distrusted);
 }
 
-INLINE double low_pass(Parameters p, double last, double force) {
+INLINE real low_pass(Parameters p, real last, real force) {
     return last + (force - last) * p->control_period / (p->force_filter + p->control_period);
 }
 
-/* Exact sensors do not pay for noise: the caller leaves it out (`noisy` is a constant at every call). */
-INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i, bool noisy_encoder, bool noisy_slider) {
-    uint64_t key = c->noise_key[i], counter = (uint64_t)s->tick[i] * SENSOR_STREAMS;
-    double angle_noise = noisy_encoder ? p->encoder_noise * noise(key, counter + ENCODER) : 0.0;
+INLINE real sensor_noise(double deviation, word key, word counter) {
+    if (deviation > 0.0) return deviation * noise(key, counter);
+    return all(0.0);
+}
+
+INLINE real read_slider(Parameters p, real deflection, real noise) {
+    real end = all(p->slider_travel);
+    return quantise(least(greatest(deflection + noise, all(0.0)), end), p->slider_resolution);
+}
+
+INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
+    word key = c->noise_key[i], counter = to_word(s->tick[i]) * SENSOR_STREAMS;
+    real angle_noise = sensor_noise(p->encoder_noise, key, counter + ENCODER);
     s->measured_angle[i] = quantise(s->angle[i] + angle_noise, p->encoder_resolution);
-    double biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    double triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
-    double biceps_noise = noisy_slider ? p->slider_noise * noise(key, counter + SLIDER_BICEPS) : 0.0;
-    double triceps_noise = noisy_slider ? p->slider_noise * noise(key, counter + SLIDER_TRICEPS) : 0.0;
-    biceps = look_up(p->spring_table, biceps * p->inverse_max_deflection) + biceps_noise;
-    triceps = look_up(p->spring_table, triceps * p->inverse_max_deflection) + triceps_noise;
-    s->measured_biceps[i] = quantise(least(greatest(biceps, 0.0), p->slider_travel), p->slider_resolution);
-    s->measured_triceps[i] = quantise(least(greatest(triceps, 0.0), p->slider_travel), p->slider_resolution);
-    double raw = estimate_force(p, s->measured_biceps[i]);
-    s->untrusted_biceps[i] = raw < p->force_floor;
+    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
+    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps * p->inverse_max_deflection),
+                                        sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS));
+    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps * p->inverse_max_deflection),
+                                         sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS));
+    real raw = estimate_force(p, s->measured_biceps[i]);
+    s->untrusted_biceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
     s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trust(p, raw, s->estimate_biceps[i]));
     raw = estimate_force(p, s->measured_triceps[i]);
-    s->untrusted_triceps[i] = raw < p->force_floor;
+    s->untrusted_triceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
     s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trust(p, raw, s->estimate_triceps[i]));
 }
 
-INLINE void begin_step(States s, int64_t i, double time, double target, double change) {
-    if (!isnan(s->inside_since[i])) {
-        s->settling_sum[i] += s->inside_since[i] - s->step_start[i];
-        s->settling_count[i] += 1.0;
-    }
-    s->inside_since[i] = NAN;
-    s->step_start[i] = time;
-    s->step_target[i] = target;
-    s->step_direction[i] = change != 0.0 ? copysign(1.0, change) : 0.0;
-    s->risen[i] = 0;
-    if (change != 0.0) s->step_count[i] += 1.0;
+INLINE void begin_step(States s, int64_t i, mask begins, real time, real target, real change) {
+    mask settled = begins & not(is_nan(s->inside_since[i]));
+    s->settling_sum[i] += select(settled, s->inside_since[i] - s->step_start[i], all(0.0));
+    s->settling_count[i] += select(settled, all(1.0), all(0.0));
+    s->inside_since[i] = select(begins, all(NAN), s->inside_since[i]);
+    s->step_start[i] = select(begins, time, s->step_start[i]);
+    s->step_target[i] = select(begins, target, s->step_target[i]);
+    real direction = select(change > 0.0, all(1.0), select(change < 0.0, all(-1.0), all(0.0)));
+    s->step_direction[i] = select(begins, direction, s->step_direction[i]);
+    s->risen[i] = either(begins, all_integers(0), s->risen[i]);
+    s->step_count[i] += select(begins & (change != 0.0), all(1.0), all(0.0));
 }
 
-/* The first half of read_setpoint(): begin the moves that are due, which happens in few ticks. */
-INLINE bool move_is_due(Parameters p, Scenarios c, States s, int64_t i) {
-    double time = (double)s->tick[i] * p->control_period;
-    int64_t next = s->move[i] + 1;
-    double begins = c->move_time[next < MAX_MOVES ? next : MAX_MOVES - 1][i];
-    return next < c->move_count[i] && begins <= time + TIME_SLACK;
-}
-
-INLINE void begin_moves(Parameters p, Scenarios c, States s, int64_t i) {
-    double time = (double)s->tick[i] * p->control_period;
-    while (move_is_due(p, c, s, i)) {
-        int64_t k = ++s->move[i];
-        double start = k > 0 ? c->move_angle[k - 1][i] : c->initial_angle[i];
-        double change = c->move_angle[k][i] - start;
-        bool counts = time >= c->measure_from[i] - TIME_SLACK;
-        begin_step(s, i, time, c->move_angle[k][i], counts ? change : 0.0);
-    }
+/* Where a scenario's move k starts from; a k of -1 is no move. */
+INLINE real start_of(Scenarios c, int64_t i, integer k) {
+    integer last = either(k > 0, k - 1, all_integers(0));
+    return select(k > 0, at(c->move_angle, last), c->initial_angle[i]);
 }
 
 INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
-    double time = (double)s->tick[i] * p->control_period;
-    int64_t k = s->move[i];
-    if (k < 0) return;
-    double start = k > 0 ? c->move_angle[k - 1][i] : c->initial_angle[i];
-    double progress = 1.0;
-    if (c->move_duration[k][i] > 0.0)
-        progress = least((time - c->move_time[k][i]) / c->move_duration[k][i], 1.0);
-    double last = s->setpoint[i];
-    s->setpoint[i] = start + (c->move_angle[k][i] - start) * minimum_jerk(progress);
-    if (c->move_duration[k][i] == 0.0) s->setpoint_jump[i] = s->setpoint[i] - last;
+    real time = to_real(s->tick[i]) * p->control_period;
+    for (;;) {
+        integer next = s->move[i] + 1;
+        integer k = either(next < MAX_MOVES, next, all_integers(MAX_MOVES - 1));
+        mask begins = (next < c->move_count[i]) & (at(c->move_time, k) <= time + TIME_SLACK);
+        if (!any(begins)) break;
+        s->move[i] = either(begins, next, s->move[i]);
+        real target = at(c->move_angle, k);
+        mask counts = time >= c->measure_from[i] - TIME_SLACK;
+        begin_step(s, i, begins, time, target, select(counts, target - start_of(c, i, k), all(0.0)));
+    }
+    mask moves = s->move[i] >= 0;
+    if (!any(moves)) return;
+    integer k = either(moves, s->move[i], all_integers(0));
+    real start = start_of(c, i, k), angle = at(c->move_angle, k), duration = at(c->move_duration, k);
+    mask lasts = duration > 0.0;
+    real progress = all(1.0);
+    if (any(lasts)) progress = select(lasts, least((time - at(c->move_time, k)) / duration, all(1.0)), all(1.0));
+    real last = s->setpoint[i];
+    s->setpoint[i] = select(moves, start + (angle - start) * minimum_jerk(progress), last);
+    mask jumps = moves & (duration == 0.0);
+    s->setpoint_jump[i] = select(jumps, s->setpoint[i] - last, s->setpoint_jump[i]);
 }
 
-/* sense() up to the setpoint. */
-INLINE void sense(Parameters p, Scenarios c, States s, int64_t i, bool noisy_encoder, bool noisy_slider) {
+INLINE void sense(Parameters p, Scenarios c, States s, int64_t i) {
     s->tick[i] += 1;
-    double last_angle = s->measured_angle[i];
-    read_sensors(p, c, s, i, noisy_encoder, noisy_slider);
+    real last_angle = s->measured_angle[i];
+    read_sensors(p, c, s, i);
     s->measured_velocity[i] = filtered_derivative(s->measured_velocity[i], s->measured_angle[i] - last_angle, 1.0,
                                                   p->velocity_filter, p->control_period);
-    double error = s->tension_setpoint[i] - (s->agonist[i] == BICEPS ? s->estimate_triceps[i] : s->estimate_biceps[i]);
+    real force = select(s->agonist[i] == BICEPS, s->estimate_triceps[i], s->estimate_biceps[i]);
+    real error = s->tension_setpoint[i] - force;
     s->tension_ise_estimated[i] += s->counting[i] * p->control_period * error * error;
+    read_setpoint(p, c, s, i);
 }
 
-INLINE double joint_stiffness(Parameters p, States s, int64_t i) {
-    double biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    double triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
+INLINE real joint_stiffness(Parameters p, States s, int64_t i) {
+    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
     double scale = p->inverse_max_deflection;
-    double slopes = look_up_slope(p->force_table, biceps * scale) + look_up_slope(p->force_table, triceps * scale);
+    real slopes = look_up_slope(p->force_table, biceps * scale) + look_up_slope(p->force_table, triceps * scale);
     return slopes * scale * p->joint_radius * p->joint_radius;
 }
 
 INLINE void track_step(Parameters p, States s, int64_t i) {
-    if (s->step_direction[i] != 0.0) {
-        double beyond = s->step_direction[i] * (s->angle[i] - s->step_target[i]);
-        s->overshoot[i] = greatest(s->overshoot[i], beyond);
-        double time = (double)s->tick[i] * p->control_period;
-        bool inside = !(fabs(beyond) > p->margin);
-        bool rises = inside && !s->risen[i];
-        s->inside_since[i] = !inside ? NAN : isnan(s->inside_since[i]) ? time : s->inside_since[i];
-        s->risen[i] = rises ? 1 : s->risen[i];
-        s->rise_sum[i] += rises ? time - s->step_start[i] : 0.0;
-        s->rise_count[i] += rises ? 1.0 : 0.0;
+    mask tracked = s->step_direction[i] != 0.0;
+    if (any(tracked)) {
+        real beyond = s->step_direction[i] * (s->angle[i] - s->step_target[i]);
+        s->overshoot[i] = select(tracked, greatest(s->overshoot[i], beyond), s->overshoot[i]);
+        real time = to_real(s->tick[i]) * p->control_period;
+        mask outside = absolute(beyond) > p->margin;
+        real since = select(is_nan(s->inside_since[i]), time, s->inside_since[i]);
+        s->inside_since[i] = select(tracked, select(outside, all(NAN), since), s->inside_since[i]);
+        mask rises = tracked & not(outside) & (s->risen[i] == 0);
+        if (any(rises)) {
+            s->risen[i] = either(rises, all_integers(1), s->risen[i]);
+            s->rise_sum[i] += select(rises, time - s->step_start[i], all(0.0));
+            s->rise_count[i] += select(rises, all(1.0), all(0.0));
+        }
     }
-    if (fabs(s->setpoint[i] - s->angle[i]) <= p->margin && s->setpoint[i] == s->previous_setpoint[i]) {
-        s->resting_stiffness_sum[i] += s->counting[i] * p->control_period * joint_stiffness(p, s, i);
-        s->resting_time[i] += s->counting[i] * p->control_period;
+    mask rests = (absolute(s->setpoint[i] - s->angle[i]) <= p->margin) & (s->setpoint[i] == s->previous_setpoint[i]);
+    if (any(rests)) {
+        real counted = select(rests, s->counting[i] * p->control_period, all(0.0));
+        s->resting_stiffness_sum[i] += counted * joint_stiffness(p, s, i);
+        s->resting_time[i] += counted;
     }
 }
 
-static void tick_device(Parameters p, Scenarios c, States s, int64_t i) {
+INLINE void tick(Parameters p, Scenarios c, States s, int64_t i) {
     start_counting(p, c, s, i);
     control(p, s, i);
-    double push = pushes(p, c, s, i);
-    motion m = present_motion(p, s, i);
-    for (int64_t k = 0; k < p->substeps; k++)
-        m = runge_kutta(p, c, i, m, s->command_biceps[i], s->command_triceps[i], push);
-    if (isfinite(m.x) && isfinite(m.v))
-        arrive(p, c, s, i, m, push);
-    else
-        s->failure[i] = NOT_FINITE;
-    sense(p, c, s, i, p->encoder_noise > 0.0, p->slider_noise > 0.0);
-    begin_moves(p, c, s, i);
-    read_setpoint(p, c, s, i);
+    move(p, c, s, i);
+    sense(p, c, s, i);
     track_step(p, s, i);
 }
-
-#ifdef LANE_INNER
-
-static void tick_block(Parameters p, Scenarios c, States s) {
-    double x[LANES] VECTOR, v[LANES] VECTOR, a[LANES] VECTOR, b[LANES] VECTOR, push[LANES] VECTOR;
-    FOR_LANES start_counting(p, c, s, i);
-    FOR_LANES control(p, s, i);
-    FOR_LANES {
-        push[i] = pushes(p, c, s, i);
-        motion m = present_motion(p, s, i);
-        x[i] = m.x, v[i] = m.v, a[i] = m.a, b[i] = m.b;
-    }
-    for (int64_t k = 0; k < p->substeps; k++) FOR_LANES {
-        motion m = {x[i], v[i], a[i], b[i]};
-        m = runge_kutta(p, c, i, m, s->command_biceps[i], s->command_triceps[i], push[i]);
-        x[i] = m.x, v[i] = m.v, a[i] = m.a, b[i] = m.b;
-    }
-    int64_t finite = 1;
-    for (int64_t i = 0; i < LANES; i++) finite &= isfinite(x[i]) && isfinite(v[i]);
-    if (finite) {
-        FOR_LANES arrive(p, c, s, i, ((motion){x[i], v[i], a[i], b[i]}), push[i]);
-    } else {
-        for (int64_t i = 0; i < LANES; i++)
-            if (isfinite(x[i]) && isfinite(v[i]))
-                arrive(p, c, s, i, (motion){x[i], v[i], a[i], b[i]}, push[i]);
-            else
-                s->failure[i] = NOT_FINITE;
-    }
-    if (p->encoder_noise > 0.0 && p->slider_noise > 0.0) {
-        FOR_LANES sense(p, c, s, i, true, true);
-    } else if (p->encoder_noise > 0.0 || p->slider_noise > 0.0) {
-        for (int64_t i = 0; i < LANES; i++) sense(p, c, s, i, p->encoder_noise > 0.0, p->slider_noise > 0.0);
-    } else {
-        FOR_LANES sense(p, c, s, i, false, false);
-    }
-    int64_t due = 0;
-    for (int64_t i = 0; i < LANES; i++) due |= move_is_due(p, c, s, i);
-    if (due)
-        for (int64_t i = 0; i < LANES; i++) begin_moves(p, c, s, i);
-    FOR_LANES read_setpoint(p, c, s, i);
-    FOR_LANES track_step(p, s, i);
-}
-
-#endif
 
 void advance(Parameters p, const scenarios *c_blocks, states *s_blocks, int64_t num_devices, int64_t ticks) {
     for (int64_t block = 0; block * LANES < num_devices; block++) {
@@ -502,16 +592,18 @@ void advance(Parameters p, const scenarios *c_blocks, states *s_blocks, int64_t 
         States s = s_blocks + block;
         int64_t filled = num_devices - block * LANES < LANES ? num_devices - block * LANES : LANES;
         for (int64_t k = 0; k < ticks; k++) {
-#ifdef LANE_INNER
-            int64_t running = filled == LANES;
-            for (int64_t i = 0; i < LANES; i++) running &= s->failure[i] == RUNNING;
-            if (running) {
-                tick_block(p, c, s);
-                continue;
-            }
-#endif
+#if WIDTH == 1
             for (int64_t i = 0; i < filled; i++)
-                if (s->failure[i] == RUNNING) tick_device(p, c, s, i);
+                if (s->failure[i] == RUNNING) tick(p, c, s, i);
+#else
+            integer lanes = {0, 1, 2, 3, 4, 5, 6, 7};
+            mask idle = (s->failure[0] != RUNNING) | (lanes >= filled);
+            states before;
+            bool some_idle = any(idle);
+            if (some_idle) before = *s;
+            tick(p, c, s, 0);
+            if (some_idle) keep(s, &before, idle);
+#endif
         }
     }
 }

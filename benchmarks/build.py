@@ -1,0 +1,160 @@
+"""Compile the C yardsticks with the system's compiler, from declarations generated from the kernel's own dtypes."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.control import agonist
+from amulett_gym.errors import AmulettError
+from amulett_gym.simulation import kernel, layout, random
+
+COMPILERS = ("cc", "gcc", "clang")
+NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the yardsticks cannot be built"
+
+Advance = Callable[[NDArray[np.void], NDArray[np.void], NDArray[np.void], int, int], None]
+"""Called as `kernel.advance` is."""
+
+
+@dataclass(frozen=True)
+class Build:
+    """One way of compiling ``tick.c``.
+
+    Attributes
+    ----------
+    label : str
+    flags : tuple of str
+    tolerance : float
+        How far its states may be from the kernel's after a second (see `yardstick.deviations`).
+    """
+
+    label: str
+    flags: tuple[str, ...]
+    tolerance: float
+
+
+_STRICT = ("-O3", "-march=native", "-ffp-contract=off")
+
+BUILDS = {
+    "scalar": Build(
+        "C, strict scalar", (*_STRICT, "-fno-tree-vectorize", "-fno-tree-slp-vectorize", "-DWIDTH=1"), 1e-9
+    ),
+    "automatic": Build("C, strict, vectorised by the compiler", (*_STRICT, "-DWIDTH=1"), 1e-9),
+    "simd_strict": Build("C, SIMD, strict", (*_STRICT, "-fno-math-errno", "-fno-trapping-math", "-DWIDTH=8"), 1e-9),
+    "simd": Build("C, SIMD, fast math: the limit", ("-O3", "-march=native", "-ffast-math", "-DWIDTH=8"), 1e-6),
+}
+
+_CONSTANTS: dict[str, Any] = {
+    **{name: getattr(layout, name) for name in ("LANES", "CELLS", "MAX_MOVES", "MAX_PUSHES")},
+    **{name: getattr(layout, name) for name in ("AGENT", "EQ6", "EQ6_PRINTED", "CLAMP", "HOLD", "IGNORE")},
+    **{name: getattr(layout, name) for name in ("RUNNING", "ANGLE_LIMIT", "VELOCITY_LIMIT", "NOT_FINITE")},
+    **{name: getattr(agonist, name) for name in ("BICEPS", "TRICEPS")},
+    **{name: getattr(kernel, name) for name in ("TIME_SLACK", "SENSOR_STREAMS")},
+    **{name: getattr(kernel, name) for name in ("ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS")},
+    **{name: getattr(random, f"_{name}") for name in ("GOLDEN", "MIX_1", "MIX_2")},
+    **{f"NOISE_{name}": getattr(random, f"_{name}") for name in ("MEAN", "DEVIATION")},
+}
+
+
+def find_compiler() -> str | None:
+    """Return the path of the system's C compiler, or None."""
+    return next((path for name in COMPILERS if (path := shutil.which(name))), None)
+
+
+def declarations() -> str:
+    """Return ``layout.h``: the kernel's constants and records as C sees them.
+
+    A record of a block holds one `real` for each group of lanes: a double each, or a vector of them all.
+    """
+    lines = ["#include <assert.h>", "#include <stddef.h>"]
+    for name, value in _CONSTANTS.items():
+        lines.append(
+            f"#define {name} {int(value)}{'u' * isinstance(value, np.uint64)}"
+            if _whole(value)
+            else f"#define {name} {float(value).hex()}"
+        )
+    lines += _struct("parameters", layout.PARAMETERS, {"f8": "double", "i8": "int64_t"})
+    lanes = {"f8": "real", "i8": "integer", "u8": "word"}
+    lines += _struct("scenarios", layout.SCENARIO_BLOCK, lanes)
+    lines += _struct("states", layout.STATE_BLOCK, lanes)
+    return "\n".join(lines) + "\n"
+
+
+def build(name: str, folder: Path) -> Advance:
+    """Compile ``tick.c`` one way and load it.
+
+    Parameters
+    ----------
+    name : str
+        Of `BUILDS`.
+    folder : Path
+        For the generated declarations and the library.
+
+    Raises
+    ------
+    AmulettError
+        If there is no compiler, or it refuses.
+    """
+    (folder / "layout.h").write_text(declarations())
+    function = compile_library("tick.c", BUILDS[name].flags, folder, name).advance
+    function.argtypes = [ctypes.c_void_p] * 3 + [ctypes.c_int64] * 2
+    function.restype = None
+
+    def advance(
+        parameters: NDArray[np.void],
+        scenarios: NDArray[np.void],
+        states: NDArray[np.void],
+        num_devices: int,
+        ticks: int,
+    ) -> None:
+        function(parameters.ctypes.data, scenarios.ctypes.data, states.ctypes.data, num_devices, ticks)
+
+    return advance
+
+
+def compile_library(source: str, flags: tuple[str, ...], folder: Path, name: str) -> ctypes.CDLL:
+    """Compile a file of this package as a shared library and load it (errors as `build`)."""
+    compiler = find_compiler()
+    if compiler is None:
+        raise AmulettError(NO_COMPILER)
+    path = Path(__file__).with_name(source)
+    library = folder / f"{name}.so"
+    command = [compiler, "-std=gnu11", "-shared", "-fPIC", *flags, f"-I{folder}", str(path), "-o", str(library), "-lm"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        raise AmulettError(f"{compiler} cannot build {source} with {' '.join(flags)}:\n{result.stderr[-2000:]}")
+    return ctypes.CDLL(str(library))
+
+
+def aligned(records: NDArray[np.void]) -> NDArray[np.void]:
+    """Return a copy that begins on a cache line, where a vector of a block's lanes fits without crossing one."""
+    raw = np.zeros(records.nbytes + 64, dtype=np.uint8)
+    start = -raw.ctypes.data % 64
+    copy: NDArray[np.void] = raw[start : start + records.nbytes].view(records.dtype).reshape(records.shape)
+    copy[...] = records
+    return copy
+
+
+def _whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer)
+
+
+def _struct(name: str, dtype: np.dtype[Any], types: dict[str, str]) -> list[str]:
+    """Declare a record; its size and every offset are asserted, so that C cannot see it otherwise than numpy."""
+    lines, checks = ["typedef struct {"], [f'static_assert(sizeof({name}) == {dtype.itemsize}, "{name}");']
+    for field, (kind, offset, *_) in (dtype.fields or {}).items():
+        base, shape = kind.subdtype or (kind, ())
+        sizes = [str(size) for size in shape]
+        if name != "parameters":
+            sizes[-1] = "LANES / WIDTH"
+        lines.append(f"    {types[base.str[1:]]} {field}{''.join(f'[{size}]' for size in sizes)};")
+        checks.append(f'static_assert(offsetof({name}, {field}) == {offset}, "{name}.{field}");')
+    return [*lines, f"}} {name};", *checks]
