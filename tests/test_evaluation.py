@@ -22,7 +22,7 @@ from amulett_gym.evaluation.results import in_words, number, pretty, span, summa
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 
-FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 180.0}}
+FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 135.0}}
 """A device on which eq. 6 fails now and then, and constant:10 never."""
 
 FILES = {"results.json", "scenarios.csv", "report.html", "cost.png", "trade_off.png", "responses.png", "schedule.png"}
@@ -254,10 +254,12 @@ def test_what_was_never_reached_is_null_with_a_count():
 
 
 def test_the_verdict_names_the_cheapest_and_its_interval(results):
-    cost = summarise(results)["policies"]["constant:10"]["cost"]["ratio_to_eq6"]
+    policies = summarise(results)["policies"]
+    name = min(policies, key=lambda policy: policies[policy]["cost"]["mean"])
+    cost = policies[name]["cost"]["ratio_to_eq6"]
     interval = f"{number(cost['mean'])} [{number(cost['low'])}, {number(cost['high'])}]"
     assert verdict(results).startswith(
-        f"constant:10 costs least in 6 held-out scenarios of steps on the testbed: {interval}"
+        f"{name} costs least in 6 held-out scenarios of steps on the testbed: {interval}"
     )
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from amulett_gym.config import load_profile
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.trajectory import record
 
@@ -64,7 +65,7 @@ def test_selection_is_the_same_for_flexion_and_extension(agonist, biceps, tricep
 def test_commands_are_continuous_where_the_agonist_switches(base, wiring, law):
     motion = run(device(base, loop={"wiring": wiring}), BACK_AND_FORTH, 3.0, tension_law=law)
     switched = np.flatnonzero(np.diff(motion["agonist"])) + 1
-    assert len(switched) == motion["switch_count"][-1] >= 4
+    assert len(switched) == motion["switch_count"][-1] >= 3
     increment = np.diff(motion["position_output"], prepend=np.nan)[switched]
     shares = {"biceps": np.ones(len(switched)), "triceps": np.ones(len(switched))}
     if wiring == "tension_only":  # the antagonist does not even follow the position controller
@@ -125,7 +126,10 @@ def test_position_only_control_turns_both_drives_alike_20_deg_apart_from_slack(b
     np.testing.assert_allclose(
         motion["command_biceps"] - np.radians(20.0), motion["position_output"], rtol=0, atol=1e-12
     )
-    assert motion["force_biceps"][0] == pytest.approx(motion["force_triceps"][0]) == pytest.approx(6.2, abs=0.1)
+    assert motion["force_biceps"][0] == pytest.approx(motion["force_triceps"][0])
+    profile = load_profile(base)
+    stretched = np.radians(20.0) * profile.plant.drive_pulley_radius
+    assert motion["force_biceps"][0] == pytest.approx(build_tables(profile.spring).force_at(stretched), abs=1e-4)
     assert motion["tension_setpoint"] == pytest.approx(motion["force_triceps"][0])
 
 
@@ -223,9 +227,10 @@ def test_tension_integral_rests_where_the_spring_is_at_its_end(base):
 
 
 def test_commands_stay_within_the_drives_limits():
-    motion = run(device("testbed", drives={"command_limit_deg": 150.0}), BACK_AND_FORTH, 3.0)
+    limits = {"command_limit_deg": 150.0, "rate_limit_deg": 300.0}
+    motion = run(device("testbed", drives=limits), BACK_AND_FORTH, 3.0)
     for drive in ("biceps", "triceps"):
         assert np.abs(motion[f"command_{drive}"]).max() <= np.radians(150.0)
     assert motion["command_biceps"].max() == np.radians(150.0)
     rate = np.diff(motion["drive_biceps"]) / motion.control_period
-    assert np.abs(rate).max() <= np.radians(720.0) * (1 + 1e-9)
+    assert np.abs(rate).max() == pytest.approx(np.radians(300.0))

@@ -12,11 +12,11 @@ from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.paper.claims import CLAIMS, WITH_TENSION, check, check_claims, claims_content
 from amulett_gym.paper.hypotheses import answer_hypotheses, hypotheses_content
-from amulett_gym.paper.motion import UNITS, observe, play
-from amulett_gym.paper.reproduction import MEASUREMENT_TIME, Reproduction, apply_readings, paper_step, reproduce
+from amulett_gym.paper.motion import UNITS, observe
+from amulett_gym.paper.reproduction import MEASUREMENT_TIME, Reproduction, apply_readings, reproduce
+from amulett_gym.paper.runs import paper_step
 from amulett_gym.paper.statements import Within, judge, our_numbers, paper_numbers, ratio, value
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
-from amulett_gym.tasks.scenario import Move
 from amulett_gym.tasks.suites import START
 
 CONTRADICTED = {
@@ -170,18 +170,6 @@ def test_overshoot_and_stiffness_are_those_that_the_environment_reports(reproduc
     assert overshoot == pytest.approx(episode.metrics["overshoot"], abs=1e-6)
     resting = observed["stiffness_near", device, "tension-10", None]
     assert resting == pytest.approx(episode.metrics["resting_stiffness"], rel=0.01)
-
-
-def test_what_a_switch_does_is_found_for_every_switch():
-    profile = load_profile({"base": "testbed", "name": "switching", "loop": {"agonist": "switching"}})
-    moves = [Move(time=START, angle_deg=45.0), Move(time=START + 1.5, angle_deg=0.0)]
-    scenario = paper_step(profile, "tension-10").model_copy(update={"moves": moves})
-    motion = play(profile, "tension-10", "text", scenario, 3.0, follow_switches=True)
-    switches = (motion.path["agonist"][1:] != motion.path["agonist"][:-1]).sum()
-    assert motion.deviations.size == switches > 0
-    assert motion.deviations.max() > 0.0
-    fixed = profile.model_copy(update={"loop": profile.loop.model_copy(update={"agonist": "biceps"})})
-    assert play(fixed, "tension-10", "text", scenario, 3.0, follow_switches=True).deviations.size == 0
 
 
 def test_a_device_that_fails_is_not_observed(reproduction):

@@ -172,7 +172,7 @@ def test_switching_is_on_in_figure_9_whatever_the_other_figures_take(switching):
 
 def test_a_device_that_fails_is_followed_up_to_there():
     weak = device("testbed", plant={"angle_limit_deg": 30.0})
-    trajectory = follow(start(weak, "tension-10", there_and_back(weak, "tension-10")), 10.0)
+    trajectory = follow(start(weak, "tension-10", [there_and_back(weak, "tension-10")]), 10.0)
     assert MOVES_FROM < trajectory["time"][-1] < 10.0
     assert np.degrees(trajectory["angle"][-1]) > 30.0
     assert np.degrees(trajectory["angle"][-2]) < 30.0

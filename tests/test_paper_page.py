@@ -105,7 +105,7 @@ def test_sections_appear_only_with_what_they_show(page, reproduction, answers):
     assert len(rows_of(full, "Cross-check")) == len(rows)
     assert rows_of(full, "Which parameters")[0][:4] == ["R_1/R_2", "0.287", "0.250", "0.310"]
     assert rows_of(full, "Which parameters")[1][5] == "not determined"
-    assert rows_of(full, "Which spring laws") == [["geometric", "12.3", "20 of 40"]]
+    assert rows_of(full, "Which spring laws") == [["geometric", "0.900", "12.3", "20 of 40", "1.70"]]
     assert "<strong>Figure 5b.</strong> a &lt; b" in full
     assert "<i>width" not in full and "&lt;i&gt;width" in full
     assert full.count("<svg") == 1

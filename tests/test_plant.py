@@ -38,8 +38,7 @@ def test_eq_2_and_3_by_hand():
     assert inertia(masses, arms) == pytest.approx(3 * 0.09 / 12 + 0.18 + 0.01)
 
 
-def test_profiles_share_one_arm_with_the_identified_inertia():
-    assert arm_torques(load_profile("simulation"))[0] == pytest.approx(0.0035, abs=2e-6)
+def test_profiles_share_one_arm():
     assert arm_torques(load_profile("testbed")) == arm_torques(load_profile("simulation"))
 
 
@@ -121,7 +120,7 @@ def friction(profile, scenario):
 
 
 def test_a_payload_does_not_multiply_friction():
-    loaded = {"payload": {"mass": 0.2, "arm": 0.143}}
+    loaded = {"payload": {"mass": 0.4, "arm": 0.143}}
     nominal, bare = friction(device(), {})
     assert nominal == pytest.approx(2 * decay_rate(10.0))
     slowed, heavy = friction(device(), loaded)
@@ -143,7 +142,7 @@ def test_friction_follows_the_preload(preload):
 def test_small_motion_rings_as_a_damped_oscillator():
     # Drives held: J x'' + 2 delta J x' + R_2^2 (f'_1 + f'_2) x = 0 about the posture at rest.
     profile = device(loop={**HELD_DRIVES, "substeps": 4})
-    push = {"time": 0.0, "duration": 0.05, "torque": 1e-3}
+    push = {"time": 0.0, "duration": 0.05, "torque": 2e-3}
     motion = run(profile, {"pushes": [push]}, 0.6)
     tables = build_tables(profile.spring)
     stiffness = 2 * 0.04**2 * tables.stiffness_at(tables.deflection_at(10.0))
@@ -153,7 +152,7 @@ def test_small_motion_rings_as_a_damped_oscillator():
     def step_response(time):
         time = np.maximum(time, 0.0)
         ringing = np.exp(-delta * time) * (np.cos(omega * time) + delta / omega * np.sin(omega * time))
-        return 1e-3 / stiffness * (1 - ringing)
+        return 2e-3 / stiffness * (1 - ringing)
 
     expected = step_response(motion["time"]) - step_response(motion["time"] - 0.05)
     assert np.abs(expected).max() > 1e-4

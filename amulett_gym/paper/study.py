@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from amulett_gym.config import Profile, load_profile
+from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text, write_json, write_text
 from amulett_gym.model.spring import build_tables
@@ -156,6 +156,7 @@ def study(
     run({"ensemble": {"seed": recipe.seeds[0], **walk}})
     members = stages["ensemble"][:: max(len(stages["ensemble"]) // CHOICES, 1)]
     members += [fit["parameters"] for fit in fits if fit["cost"] <= limit]
+    members = [{name: float(f"{value:.6g}") for name, value in member.items()} for member in members]
     progressive = [member for member in members if stiffening(devices(member)["testbed"]) >= STIFFENING]
     run({"chosen": {"members": progressive or members}})
     content = _content(recipe, readings, stages)
@@ -285,7 +286,7 @@ def _inputs(call: Mapping[str, Any], readings: Readings) -> dict[str, Any]:
     middle = devices(unpack(np.full(len(PARAMETERS), 0.5)))
     long = {
         "call": call,
-        "devices": {name: profile.model_dump() for name, profile in middle.items()},
+        "devices": {name: _bare(profile.model_dump()) for name, profile in middle.items()},
         "parameters": [asdict(free) for free in PARAMETERS],
         "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, SIMULATED],
     }
@@ -339,7 +340,7 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
             {
                 "name": free.name,
                 "unit": free.unit,
-                "value": float(f"{chosen['parameters'][free.name]:.6g}"),
+                "value": chosen["parameters"][free.name],
                 "low": float(f"{low[free.name]:.3g}"),
                 "high": float(f"{high[free.name]:.3g}"),
                 "bounds": [free.low, free.high],
@@ -386,15 +387,15 @@ def stiffening(profile: Profile) -> float:
 
 def same_device(profile: Profile, other: Profile) -> bool:
     """Say whether two profiles describe the same device, whatever their names and sources."""
+    return bool(_bare(profile.model_dump()) == _bare(other.model_dump()))
 
-    def bare(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {
-                key: bare(item) for key, item in value.items() if key not in ("name", "base", "description", "sources")
-            }
-        return value
 
-    return bool(bare(load_profile(profile).model_dump()) == bare(load_profile(other).model_dump()))
+def _bare(value: Any) -> Any:
+    """Return a profile's content without what only explains it."""
+    if isinstance(value, dict):
+        words = ("name", "base", "description", "sources")
+        return {key: _bare(item) for key, item in value.items() if key not in words}
+    return value
 
 
 def in_words(content: Mapping[str, Any]) -> str:
