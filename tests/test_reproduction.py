@@ -97,12 +97,14 @@ def test_one_repetition_is_what_the_environment_records(device, configuration):
     assert ours.position_ise[0] == pytest.approx(np.trapezoid(error[first:] ** 2, dx=dt), rel=1e-6)
     antagonist = np.where(path["agonist"] > 0, path["force_triceps"], path["force_biceps"])
     tension_ise = np.sum((path["tension_setpoint"] - antagonist)[first + 1 :] ** 2) * dt
-    assert ours.tension_ise["true"][0] == pytest.approx(tension_ise, rel=1e-5)  # the environment's action is a float32
-    assert ours.tension_ise["estimated"][0] == pytest.approx(episode.metrics["tension_ise_estimated"], rel=1e-6)
+    # The environment's action is a float32: 10 N become 10.0000004 N, and a quantised reading may fall otherwise.
+    close = 1e-5 if device == "simulation" else 5e-3
+    assert ours.tension_ise["true"][0] == pytest.approx(tension_ise, rel=close)
+    assert ours.tension_ise["estimated"][0] == pytest.approx(episode.metrics["tension_ise_estimated"], rel=close)
     for drive in ("biceps", "triceps"):
         speed = np.diff(np.degrees(path[f"command_{drive}"])[first:]) / dt
-        assert ours.isav[drive, "with"][0] == pytest.approx(np.sum(speed**2) * dt, rel=1e-5)
-        assert ours.isav[drive, "without"][0] == pytest.approx(episode.metrics[f"effort_{drive}"], rel=1e-5)
+        assert ours.isav[drive, "with"][0] == pytest.approx(np.sum(speed**2) * dt, rel=close)
+        assert ours.isav[drive, "without"][0] == pytest.approx(episode.metrics[f"effort_{drive}"], rel=close)
     inside = np.abs(path["angle"] - np.radians(45.0)) <= np.radians(2.0)
     assert ours.rise_time["first-entry"][0] == pytest.approx((np.argmax(inside) - first) * dt)
     last_outside = np.flatnonzero(~inside)[-1]

@@ -268,8 +268,8 @@ class ScalingEnv(TensionEnv):
     | 0   | scaling factor f_sigma of eq. 6 | -1 (0.4)  | 1 (1.5)   | 1    |
 
     The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
-    `Amulett/Tension-v0`, in which the same action means the same tension. The springs of the shipped profiles saturate
-    at 14 N. `action_range=(low, high)` sets another range of factors.
+    `Amulett/Tension-v0`, in which the same action means the same tension. `action_range=(low, high)` sets another range
+    of factors.
 
     ## Observation Space
 

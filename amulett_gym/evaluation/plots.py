@@ -368,7 +368,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
 
 @_styled
 def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
-    """Draw position ISE against both drives' ISAV, as ratios to eq. 6 with their intervals: lower left is better.
+    """Draw position ISE against both drives' effort, as ratios to eq. 6 with their intervals: lower left is better.
 
     Parameters
     ----------

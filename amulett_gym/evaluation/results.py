@@ -137,7 +137,7 @@ def table(summary: Summary) -> str:
         "cost",
         "ratio to eq6 [95 %]",
         "pos. ISE [deg2 s]",
-        "ISAV [deg2/s]",
+        "effort [deg2/s]",
         "tens. ISE [N2 s]",
         "rise [s] (risen)",
         "rest [N m/rad]",
