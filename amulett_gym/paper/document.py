@@ -166,8 +166,8 @@ def _claims(claims: Sequence[CheckedClaim]) -> str:
     tried = [item for item in claims if item.paper is not None]
     borne_out = [item for item in tried if not item.contradicted]
     return (
-        f"### Claims of sections 3 to 5\n\n{hold} of {len(claims)} hold on our devices. The paper's own tables contradict "
-        f"{len(tried) - len(borne_out)} of the {len(tried)} that are about them; of the others "
+        f"### Claims of sections 3 to 5\n\n{hold} of {len(claims)} hold on our devices. The paper's own tables "
+        f"contradict {len(tried) - len(borne_out)} of the {len(tried)} that are about them; of the others "
         f"{sum(item.ours.holds is True for item in borne_out)} of {len(borne_out)} hold on ours. "
         "`reproduction.html` and `claims.csv` have them one by one, with numbers."
     )

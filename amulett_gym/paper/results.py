@@ -72,8 +72,6 @@ def note(reproduction: Reproduction, index: int) -> str:
     else:
         verb = "would explain it" if nearest.explained else "comes nearest, and does not explain it either"
         parts.append(f"{_reading(key)} alone {verb} (ratio {_number(nearest.ratio)})")
-    if cell.metric == "isav" and cell.drive == "biceps" and reproduction.readings.wiring == "sum":
-        parts.append("as section 2.2 is written, both drives receive the jump at the setpoint step")
     return "; ".join(parts)
 
 
