@@ -24,7 +24,7 @@ class EnvSettings(Group):
     profile: str | dict[str, Any] = Field(default="testbed", description="shipped profile, YAML file or mapping")
     suite: str = "steps"
     tension_range: list[float] = Field(
-        default=[5.0, 13.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
+        default=[4.0, 8.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
     )
     agent_period: Positive = Field(default=0.02, description="time an action is held [s]")
     max_episode_steps: int = Field(default=500, ge=1)
@@ -90,7 +90,7 @@ class PpoSettings(Group):
     reward_scale: Positive = Field(
         default=10.0, description="fixed factor on what PPO sees: a step of eq. 6 costs 0.002, a whole episode 1"
     )
-    initial_std: Positive = Field(default=0.2, description="of the exploration, in the action's unit")
+    initial_std: Positive = Field(default=0.3, description="of the exploration, in the action's unit")
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
     sde_sample_freq: int = Field(default=8, ge=-1, description="steps between two draws of it; -1: once a rollout")
 
