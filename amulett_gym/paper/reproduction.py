@@ -23,9 +23,9 @@ from amulett_gym.tasks.suites import START
 MEASUREMENT_TIME = 5.0
 """T of eqs. 7 and 8 [s], which the paper does not print.
 
-By then the simulation is at rest: a longer T changes none of its numbers. On the testbed the noise never rests. With 3 to
-5 s the same numbers are explained; 20 s change its position ISEs by up to 7 %, double tension ISEs and ISAVs, and let an
-arm at 5 N, the floor of the estimation, leave the margin again. The paper's slowest step settles in 2.4 s.
+By then the simulation is at rest: a longer T changes none of its numbers. On the testbed the noise never rests. With 3
+to 5 s the same numbers are explained; 20 s change its position ISEs by up to 7 %, double tension ISEs and ISAVs, and
+let an arm at 5 N, the floor of the estimation, leave the margin again. The paper's slowest step settles in 2.4 s.
 """
 
 _TO_DEGREES = float(np.degrees(1.0))
