@@ -367,7 +367,9 @@ INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real 
     real decay = decay_rate(p, preload);
     if (p->damping_keeps_torque) decay *= p->inertia / c->inertia[i];
     real external = push + obstacle_torque(c, i, angle, velocity);
-    real torque = (force_biceps - force_triceps) * p->joint_radius - c->static_torque[i] * sine(angle) + external;
+    real weight = all(0.0);
+    if (any(c->static_torque[i] != 0.0)) weight = c->static_torque[i] * sine(angle);
+    real torque = (force_biceps - force_triceps) * p->joint_radius - weight + external;
     return torque / c->inertia[i] - 2.0 * decay * velocity;
 }
 

@@ -69,9 +69,11 @@ def test_race_gives_ratios_to_the_reference(tmp_path):
 
 def test_work_counts_what_a_tick_does():
     profile = load_profile("testbed")
-    work = count_work(mixed_simulation("testbed", 3), ticks=4)
+    simulation = mixed_simulation("testbed", 3)
+    simulation.scenarios["static_torque"][0, 0] = 0.05  # the others lie horizontally: nobody needs their sine
+    work = count_work(simulation, ticks=4)
     accelerations = 4 * profile.loop.substeps
-    assert work["exp"] == work["sin"] == accelerations
+    assert work["exp"] == 3 * work["sin"] == accelerations
     assert work["floor"] == 3  # two sliders and the encoder are quantised
     assert work["sqrt"] == 2  # one estimated force each
     assert work["table row"] >= 2 * accelerations + 6  # two springs; the sensors' tables and the forces at the end

@@ -73,7 +73,8 @@ def joint_acceleration(
     joint_radius : float
         R_2 [m].
     """
-    torque = (force_biceps - force_triceps) * joint_radius - static_torque * math.sin(joint) + external
+    weight = static_torque * math.sin(joint) if static_torque != 0.0 else 0.0  # a sine is dear
+    torque = (force_biceps - force_triceps) * joint_radius - weight + external
     return torque / inertia - 2.0 * decay * velocity
 
 

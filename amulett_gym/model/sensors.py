@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
 from amulett_gym.compiled import compiled
 
@@ -10,9 +10,7 @@ from amulett_gym.compiled import compiled
 @compiled
 def quantise(value: float, resolution: float) -> float:
     """Round `value` to a multiple of `resolution`; a resolution of 0 leaves it as it is."""
-    if resolution <= 0.0:
-        return value
-    return math.floor(value / resolution + 0.5) * resolution
+    return np.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value  # math.floor: by an integer
 
 
 @compiled

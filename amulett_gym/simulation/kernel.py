@@ -2,7 +2,14 @@
 
 The microcontroller senses at the end of a tick what it will act on in the next one, so that an agent between two ticks
 sees exactly what the loop sees. Every function takes the parameters `p`, a block of scenarios `c`, a block of states
-`s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`).
+`s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`); `m` is the block's motion
+within the tick.
+
+A tick is a handful of stages, each a loop over the block's lanes that the compiler can turn into SIMD instructions.
+That asks three things of what is written here: where lanes differ, both values are computed and one is chosen; what
+takes each lane another number of turns stands in a stage of its own; and no stage is too long (control and departure in
+one loop cost a fifth of the speed). A lane's arithmetic is the same wherever it is done, so the bits depend neither on
+the device's neighbours nor on their number.
 """
 
 from __future__ import annotations
@@ -11,7 +18,7 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled
+from amulett_gym.compiled import compiled, compiled_lanes
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
@@ -25,9 +32,10 @@ from amulett_gym.simulation.layout import (
     ANGLE_LIMIT,
     CLAMP,
     EQ6,
-    HOLD,
     IGNORE,
     LANES,
+    MAX_PUSHES,
+    MOTION_BLOCK,
     NOT_FINITE,
     RUNNING,
     VELOCITY_LIMIT,
@@ -43,16 +51,133 @@ TIME_SLACK = 1e-9  # [s]; a time that is a multiple of the control period must n
 def advance(p, c_blocks, s_blocks, num_devices, ticks):
     """Advance all devices by a number of control ticks; a device that failed stands still."""
     parameters = p[0]
+    m = np.empty(1, dtype=MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
         c, s = c_blocks[block], s_blocks[block]
+        lanes = min(LANES, num_devices - block * LANES)
         for _ in range(ticks):
-            for i in range(min(LANES, num_devices - block * LANES)):
-                if s.failure[i] == RUNNING:
-                    start_counting(parameters, c, s, i)
-                    control(parameters, s, i)
-                    move(parameters, c, s, i)
-                    sense(parameters, c, s, i)
-                    track_step(parameters, s, i)
+            first = 0
+            while first < lanes:
+                end = next_failed(s, first, lanes)
+                # Unsigned: an index that might be negative would have to be checked, lane by lane.
+                tick(parameters, c, s, m, np.uint64(first), np.uint64(end))
+                first = end + 1
+
+
+@compiled
+def next_failed(s, first, lanes):
+    """Return the next lane whose device has failed, or the number of lanes."""
+    for i in range(first, lanes):
+        if s.failure[i] != RUNNING:
+            return i
+    return lanes
+
+
+@compiled_lanes
+def tick(p, c, s, m, first, end):
+    """Advance the devices in the lanes from `first` to before `end` by one control tick."""
+    act(p, c, s, first, end)
+    depart(p, c, s, m, first, end)
+    h = p.control_period / p.substeps  # of the classical Runge-Kutta method
+    for _ in range(p.substeps):
+        evaluate(p, c, s, m, first, end, 0.0, 1.0)
+        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0)
+        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0)
+        evaluate(p, c, s, m, first, end, h, 1.0)
+        step(m, first, end, h)
+    sense(p, c, s, m, first, end)
+    begin_due_moves(p, c, s, first, end)
+    follow_moves(p, c, s, first, end)
+
+
+@compiled_lanes
+def act(p, c, s, first, end):
+    """Stage 1: command the drives by what was sensed."""
+    for i in range(first, end):
+        start_counting(p, c, s, i)
+        control(p, s, i)
+
+
+@compiled_lanes
+def depart(p, c, s, m, first, end):
+    """Stage 2: note where drives and arm start from, and what pushes the arm; commands and pushes are held."""
+    for i in range(first, end):
+        time = s.tick[i] * p.control_period
+        push = 0.0
+        for k in range(MAX_PUSHES):
+            elapsed = time - c.push_time[k, i] + TIME_SLACK
+            acts = k < c.push_count[i] and elapsed >= 0.0 and elapsed < c.push_duration[k, i]
+            push += choose(acts, c.push_torque[k, i], 0.0)
+        ideal = p.inverse_lag == 0.0
+        m.push[i] = push
+        m.angle[i], m.velocity[i] = s.angle[i], s.velocity[i]
+        m.biceps[i] = s.command_biceps[i] if ideal else s.drive_biceps[i]
+        m.triceps[i] = s.command_triceps[i] if ideal else s.drive_triceps[i]
+        clear_rates(m, i)
+
+
+@compiled_lanes
+def evaluate(p, c, s, m, first, end, reach, weight):
+    """Stage 3: evaluate the rates of change `reach` [s] along those evaluated last, and add them to the step's sum."""
+    for i in range(first, end):
+        x, v = m.angle[i] + reach * m.angle_rate[i], m.velocity[i] + reach * m.velocity_rate[i]
+        a, b = m.biceps[i] + reach * m.biceps_rate[i], m.triceps[i] + reach * m.triceps_rate[i]
+        m.angle_rate[i] = v
+        m.velocity_rate[i] = acceleration(p, c, i, x, v, a, b, m.push[i])
+        m.biceps_rate[i] = drive_rate(s.command_biceps[i], a, p.inverse_lag, p.rate_limit)
+        m.triceps_rate[i] = drive_rate(s.command_triceps[i], b, p.inverse_lag, p.rate_limit)
+        m.angle_sum[i] += weight * m.angle_rate[i]
+        m.velocity_sum[i] += weight * m.velocity_rate[i]
+        m.biceps_sum[i] += weight * m.biceps_rate[i]
+        m.triceps_sum[i] += weight * m.triceps_rate[i]
+
+
+@compiled_lanes
+def step(m, first, end, h):
+    """Stage 4: go a step of `h` [s] with the weighted mean of the four evaluations' rates."""
+    for i in range(first, end):
+        m.angle[i] += h * m.angle_sum[i] / 6.0
+        m.velocity[i] += h * m.velocity_sum[i] / 6.0
+        m.biceps[i] += h * m.biceps_sum[i] / 6.0
+        m.triceps[i] += h * m.triceps_sum[i] / 6.0
+        clear_rates(m, i)
+
+
+@compiled_lanes
+def sense(p, c, s, m, first, end):
+    """Stage 5: arrive where the motion led, and read the sensors there, for the next tick."""
+    for i in range(first, end):
+        arrive(p, c, s, m, i)
+        s.tick[i] += 1
+        last_angle = s.measured_angle[i]
+        read_sensors(p, c, s, i)
+        s.measured_velocity[i] = filtered_derivative(
+            s.measured_velocity[i], s.measured_angle[i] - last_angle, 1.0, p.velocity_filter, p.control_period
+        )
+        force = choose(s.agonist[i] == BICEPS, s.estimate_triceps[i], s.estimate_biceps[i])
+        error = s.tension_setpoint[i] - force
+        s.tension_ise_estimated[i] += s.counting[i] * p.control_period * error * error
+
+
+@compiled_lanes
+def begin_due_moves(p, c, s, first, end):
+    """Stage 6: begin the setpoint's moves whose time has come."""
+    for i in range(first, end):
+        begin_moves(p, c, s, i)
+
+
+@compiled_lanes
+def follow_moves(p, c, s, first, end):
+    """Stage 7: set the position setpoint for the next tick, and judge how the arm follows it."""
+    for i in range(first, end):
+        follow_setpoint(p, c, s, i)
+        track_step(p, s, i)
+
+
+@compiled
+def choose(condition, yes, no):
+    """Return one of two values, both of which are read: a branch would keep the lanes from running together."""
+    return yes if condition else no
 
 
 @compiled
@@ -77,24 +202,22 @@ def control(p, s, i):
             p.tie_error,
         )
     switched = agonist != s.agonist[i]
-    if switched:
-        s.agonist[i] = agonist
-        s.switch_count[i] += s.counting[i]
+    s.agonist[i] = agonist
+    s.switch_count[i] += s.counting[i] if switched else 0.0
     last_position_output = s.position_output[i]
     control_position(p, s, i, error)
     biceps_share = triceps_share = 1.0
     if p.tension_loop:
-        if agonist == BICEPS:
-            triceps_share = p.antagonist_share
-        else:
-            biceps_share = p.antagonist_share
+        biceps_share = 1.0 if agonist == BICEPS else p.antagonist_share
+        triceps_share = p.antagonist_share if agonist == BICEPS else 1.0
         s.tension_setpoint[i] = choose_tension(p, s, i, error)
         control_tension(p, s, i, switched)
-        if switched:
-            # The offsets take over what the drives had before: from here each command changes by the position
-            # controller's ordinary increment only, although the tension controller starts anew on the other string.
-            s.offset_biceps[i] = s.command_biceps[i] - biceps_share * last_position_output
-            s.offset_triceps[i] = s.command_triceps[i] - triceps_share * last_position_output
+        # At a switch the offsets take over what the drives had before: from here each command changes by the position
+        # controller's ordinary increment only, although the tension controller starts anew on the other string.
+        offset_biceps = s.command_biceps[i] - biceps_share * last_position_output
+        offset_triceps = s.command_triceps[i] - triceps_share * last_position_output
+        s.offset_biceps[i] = choose(switched, offset_biceps, s.offset_biceps[i])
+        s.offset_triceps[i] = choose(switched, offset_triceps, s.offset_triceps[i])
     pull = s.tension_output[i]
     biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
     triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
@@ -110,7 +233,7 @@ def control_position(p, s, i, error):
         s.position_derivative[i], signal - s.position_signal[i], p.position_kd, p.position_filter, p.control_period
     )
     s.position_signal[i] = signal
-    command = s.command_biceps[i] if s.agonist[i] == BICEPS else s.command_triceps[i]
+    command = choose(s.agonist[i] == BICEPS, s.command_biceps[i], s.command_triceps[i])
     s.position_integral[i] = integrate(
         s.position_integral[i],
         error,
@@ -138,30 +261,28 @@ def choose_tension(p, s, i, error):
 def control_tension(p, s, i, restart):
     """Run the antagonist's tension controller; after a switch it restarts on the other string with output zero."""
     biceps_is_antagonist = s.agonist[i] == TRICEPS
-    estimate = s.estimate_biceps[i] if biceps_is_antagonist else s.estimate_triceps[i]
-    untrusted = s.untrusted_biceps[i] if biceps_is_antagonist else s.untrusted_triceps[i]
-    measured = s.measured_biceps[i] if biceps_is_antagonist else s.measured_triceps[i]
-    command = s.command_biceps[i] if biceps_is_antagonist else -s.command_triceps[i]
+    estimate = choose(biceps_is_antagonist, s.estimate_biceps[i], s.estimate_triceps[i])
+    untrusted = choose(biceps_is_antagonist, s.untrusted_biceps[i], s.untrusted_triceps[i])
+    measured = choose(biceps_is_antagonist, s.measured_biceps[i], s.measured_triceps[i])
+    command = choose(biceps_is_antagonist, s.command_biceps[i], -s.command_triceps[i])
     error = s.tension_setpoint[i] - estimate
     if untrusted and p.below_floor == IGNORE:
         error = 0.0
     signal = error if p.tension_on_error else -estimate
-    if restart:
-        s.tension_derivative[i] = 0.0
-        s.tension_integral[i] = -p.tension_kp * error
-    else:
-        s.tension_derivative[i] = filtered_derivative(
-            s.tension_derivative[i], signal - s.tension_signal[i], p.tension_kd, p.tension_filter, p.control_period
-        )
-        # No room where the drive is at its end, and none where the sensor is: above the table, below the floor.
-        s.tension_integral[i] = integrate(
-            s.tension_integral[i],
-            error,
-            p.tension_ki,
-            p.control_period,
-            command < p.command_limit and measured < p.slider_end,
-            command > -p.command_limit and not untrusted,
-        )
+    derivative = filtered_derivative(
+        s.tension_derivative[i], signal - s.tension_signal[i], p.tension_kd, p.tension_filter, p.control_period
+    )
+    # No room where the drive is at its end, and none where the sensor is: above the table, below the floor.
+    integral = integrate(
+        s.tension_integral[i],
+        error,
+        p.tension_ki,
+        p.control_period,
+        command < p.command_limit and measured < p.slider_end,
+        command > -p.command_limit and not untrusted,
+    )
+    s.tension_derivative[i] = 0.0 if restart else derivative
+    s.tension_integral[i] = -p.tension_kp * error if restart else integral
     s.tension_signal[i] = signal
     s.tension_output[i] = p.tension_kp * error + s.tension_integral[i] + s.tension_derivative[i]
 
@@ -241,42 +362,17 @@ def obstacle_torque(c, i, angle, velocity):
 
 
 @compiled
-def move(p, c, s, i):
-    """Integrate drives and arm over one control period (classical Runge-Kutta), commands and pushes held."""
-    time = s.tick[i] * p.control_period
-    push = 0.0
-    for k in range(c.push_count[i]):
-        elapsed = time - c.push_time[k, i] + TIME_SLACK
-        if 0.0 <= elapsed < c.push_duration[k, i]:
-            push += c.push_torque[k, i]
-    to_biceps, to_triceps = s.command_biceps[i], s.command_triceps[i]
-    x, v = s.angle[i], s.velocity[i]
-    a, b = s.drive_biceps[i], s.drive_triceps[i]
-    if p.inverse_lag == 0.0:
-        a, b = to_biceps, to_triceps
-    error_before = s.setpoint[i] - x
-    h = p.control_period / p.substeps
-    for _ in range(p.substeps):
-        a1 = drive_rate(to_biceps, a, p.inverse_lag, p.rate_limit)
-        b1 = drive_rate(to_triceps, b, p.inverse_lag, p.rate_limit)
-        v1 = v
-        w1 = acceleration(p, c, i, x, v1, a, b, push)
-        a2 = drive_rate(to_biceps, a + 0.5 * h * a1, p.inverse_lag, p.rate_limit)
-        b2 = drive_rate(to_triceps, b + 0.5 * h * b1, p.inverse_lag, p.rate_limit)
-        v2 = v + 0.5 * h * w1
-        w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push)
-        a3 = drive_rate(to_biceps, a + 0.5 * h * a2, p.inverse_lag, p.rate_limit)
-        b3 = drive_rate(to_triceps, b + 0.5 * h * b2, p.inverse_lag, p.rate_limit)
-        v3 = v + 0.5 * h * w2
-        w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push)
-        a4 = drive_rate(to_biceps, a + h * a3, p.inverse_lag, p.rate_limit)
-        b4 = drive_rate(to_triceps, b + h * b3, p.inverse_lag, p.rate_limit)
-        v4 = v + h * w3
-        w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push)
-        a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-        b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0
-        x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
-        v += h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0
+def clear_rates(m, i):
+    """Begin a Runge-Kutta step: nothing is evaluated yet. Adding minus zero changes no number, not even minus zero."""
+    m.angle_rate[i] = m.velocity_rate[i] = m.biceps_rate[i] = m.triceps_rate[i] = -0.0
+    m.angle_sum[i] = m.velocity_sum[i] = m.biceps_sum[i] = m.triceps_sum[i] = -0.0
+
+
+@compiled
+def arrive(p, c, s, m, i):
+    """Take over the motion's end, unless the device failed on the way, and add what the way cost."""
+    x, v, push = m.angle[i], m.velocity[i], m.push[i]
+    error_before = s.setpoint[i] - s.angle[i]
     if not (math.isfinite(x) and math.isfinite(v)):
         s.failure[i] = NOT_FINITE  # the last finite state stays, so that nothing downstream meets a NaN
         return
@@ -284,7 +380,7 @@ def move(p, c, s, i):
         s.failure[i] = ANGLE_LIMIT
     elif abs(v) > p.velocity_limit:
         s.failure[i] = VELOCITY_LIMIT
-    s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, a, b
+    s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
     feel_strings(p, s, i)
@@ -296,7 +392,8 @@ def move(p, c, s, i):
     if push != 0.0 and s.counting[i] > 0.0:
         s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
     # At the end of the tick only: an ideal drive lets the force jump at its beginning.
-    tension_error = s.tension_setpoint[i] - (s.force_triceps[i] if s.agonist[i] == BICEPS else s.force_biceps[i])
+    force = choose(s.agonist[i] == BICEPS, s.force_triceps[i], s.force_biceps[i])
+    tension_error = s.tension_setpoint[i] - force
     s.tension_ise[i] += counted * tension_error * tension_error
 
 
@@ -317,21 +414,6 @@ def joint_stiffness(p, s, i):
     scale = p.inverse_max_deflection
     slopes = look_up_slope(p.force_table, biceps * scale) + look_up_slope(p.force_table, triceps * scale)
     return slopes * scale * p.joint_radius * p.joint_radius
-
-
-@compiled
-def sense(p, c, s, i):
-    """Read the sensors and the setpoint at the end of the tick, for the next one."""
-    s.tick[i] += 1
-    last_angle = s.measured_angle[i]
-    read_sensors(p, c, s, i)
-    s.measured_velocity[i] = filtered_derivative(
-        s.measured_velocity[i], s.measured_angle[i] - last_angle, 1.0, p.velocity_filter, p.control_period
-    )
-    force = s.estimate_triceps[i] if s.agonist[i] == BICEPS else s.estimate_biceps[i]
-    error = s.tension_setpoint[i] - force
-    s.tension_ise_estimated[i] += s.counting[i] * p.control_period * error * error
-    read_setpoint(p, c, s, i)
 
 
 @compiled
@@ -372,13 +454,8 @@ def sensor_noise(deviation, key, counter):
 @compiled
 def trust(p, estimate, last):
     """Return the force estimate after the treatment of those below the floor (Figure 5b)."""
-    if estimate >= p.force_floor:
-        return estimate
-    if p.below_floor == CLAMP:
-        return p.force_floor
-    if p.below_floor == HOLD:
-        return last
-    return estimate
+    distrusted = estimate if p.below_floor == IGNORE else (p.force_floor if p.below_floor == CLAMP else last)
+    return estimate if estimate >= p.force_floor else distrusted
 
 
 @compiled
@@ -388,14 +465,20 @@ def low_pass(p, last, force):
 
 
 @compiled
-def read_setpoint(p, c, s, i):
-    """Set the position setpoint [rad] for the present time, and note where a setpoint step begins."""
+def begin_moves(p, c, s, i):
+    """Begin the setpoint's moves whose time has come, and note where a setpoint step begins."""
     time = s.tick[i] * p.control_period
     while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
         s.move[i] += 1
         start = c.move_angle[s.move[i] - 1, i] if s.move[i] > 0 else c.initial_angle[i]
         change = c.move_angle[s.move[i], i] - start
         begin_step(s, i, time, c.move_angle[s.move[i], i], change if time >= c.measure_from[i] - TIME_SLACK else 0.0)
+
+
+@compiled
+def follow_setpoint(p, c, s, i):
+    """Set the position setpoint [rad] for the present time."""
+    time = s.tick[i] * p.control_period
     k = s.move[i]
     if k < 0:
         return
@@ -468,7 +551,8 @@ def settle(p, c_blocks, s_blocks, devices):
         s.tension_signal[i] = s.tension_setpoint[i] - estimate
         if not parameters.tension_on_error:
             s.tension_signal[i] = -estimate
-        read_setpoint(parameters, c, s, i)
+        begin_moves(parameters, c, s, i)
+        follow_setpoint(parameters, c, s, i)
 
 
 @compiled

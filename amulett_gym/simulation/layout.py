@@ -210,12 +210,19 @@ _STATE_FIELDS: list[tuple[str, str]] = [
 ]
 
 
+_MOVING = ("angle", "velocity", "biceps", "triceps")
+
+
 def _blocked(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     return np.dtype([(name, kind, (*(shape[0] if shape else ()), LANES)) for name, kind, *shape in fields], align=True)
 
 
 STATE_BLOCK = _blocked(_STATE_FIELDS)
 SCENARIO_BLOCK = _blocked(_SCENARIO_FIELDS)
+MOTION_BLOCK = _blocked(
+    [(name, "f8") for name in ("push", *(f"{name}{part}" for part in ("", "_rate", "_sum") for name in _MOVING))]
+)
+"""A block's motion within a tick: the push, and what moves, with its last evaluated and its summed rate of change."""
 STATE_NAMES = tuple(name for name, _ in _STATE_FIELDS)
 
 
