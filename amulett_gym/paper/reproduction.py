@@ -51,8 +51,8 @@ class Readings:
         Which drive is the agonist of the steps, which all flex: the biceps throughout, since section 3.5 alone shows
         "movements with enabled switching"; or the one whose spring is deflected more.
     floor : {"clamp", "hold", "ignore"}
-        What replaces estimated forces below 5 N on the testbed. ``hold`` is the nearest to the words. With either, noise
-        lets the tension at a setpoint of 5 N run down; with ``hold`` about twice as fast.
+        What replaces estimated forces below 5 N on the testbed. ``hold`` is the nearest to the words. With either,
+        noise lets the tension at a setpoint of 5 N run down; with ``hold`` about twice as fast.
     derivative_on : {"error", "measurement"}
         What the controllers differentiate.
     rise_time : {"settling", "first-entry"}
