@@ -11,7 +11,7 @@ from amulett_gym.files import read_text, write_text
 from amulett_gym.paper.claims import CheckedClaim
 from amulett_gym.paper.evidence import Evidence
 from amulett_gym.paper.hypotheses import Answer
-from amulett_gym.paper.reproduction import Reproduction, Row
+from amulett_gym.paper.reproduction import Reproduction, Row, explained
 from amulett_gym.paper.statements import NAMES
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
 
@@ -74,9 +74,9 @@ def _rows(reproduction: Reproduction) -> str:
         for configuration in CONFIGURATIONS:
             cells = [numbers[device, configuration, metric, drive] for metric, drive, _ in _COLUMNS]
             body.append([device, NAMES[configuration], *map(_cell, cells)])
-    explained = sum(row.explained for row in reproduction.rows)
+    total = sum(row.explained for row in reproduction.rows)
     return (
-        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {explained} of {len(reproduction.rows)} "
+        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {total} of {len(reproduction.rows)} "
         f"numbers are explained.\n\n{_table(['device', 'configuration', *(title for *_, title in _COLUMNS)], body)}"
     )
 
@@ -90,7 +90,7 @@ def _cell(row: Row) -> str:
 
 def _readings(reproduction: Reproduction, identification: Mapping[str, Any]) -> str:
     def counts(rows: Sequence[Row]) -> list[str]:
-        return [str(sum(row.explained for row in rows if row.cell.table == table)) for table in (2, 3, 4, 5)]
+        return [str(count) for count, _ in explained(rows).values()]
 
     refitted = {(entry["reading"], entry["choice"]): entry for entry in identification["readings_refitted"]}
     body = [["as taken", *counts(reproduction.rows), str(identification["explained"]), f"{identification['cost']:.1f}"]]

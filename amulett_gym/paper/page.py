@@ -12,8 +12,8 @@ from amulett_gym import __version__
 from amulett_gym.evaluation.results import number, pretty
 from amulett_gym.paper.claims import CheckedClaim
 from amulett_gym.paper.hypotheses import Answer
-from amulett_gym.paper.reproduction import BOUNDS, MEASUREMENT_TIME, SAME, Reproduction, Row
-from amulett_gym.paper.results import STATUS, note
+from amulett_gym.paper.reproduction import BOUNDS, MEASUREMENT_TIME, Reproduction, Row, explained, moved
+from amulett_gym.paper.results import STATUS, by_table, note
 from amulett_gym.paper.statements import METRICS, NAMES
 from amulett_gym.paper.tables import PROTOCOL
 
@@ -105,15 +105,10 @@ def render(
 
 
 def _verdict(rows: Sequence[Row], claims: Sequence[CheckedClaim]) -> str:
-    counts = ", ".join(
-        f"{sum(row.explained for row in those)} of {len(those)} of Table {table}"
-        for table in _TABLES
-        for those in [_of_table(rows, table)]
-    )
     borne_out = [item for item in claims if item.paper is not None and item.paper.holds]
     return (
-        f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: {counts}. "
-        f"Of {len(claims)} claims of sections 3 to 5, {sum(item.ours.holds is True for item in claims)} hold on our "
+        f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: "
+        f"{by_table(rows)}. Of {len(claims)} claims of sections 3 to 5, {sum(item.ours.holds is True for item in claims)} hold on our "
         f"devices; of the {len(borne_out)} that the paper's own tables bear out, "
         f"{sum(item.ours.holds is True for item in borne_out)} do."
     )
@@ -166,28 +161,24 @@ def _readings(reproduction: Reproduction, found: Mapping[str, Any]) -> list[dict
     """Return a line for each reading; what explains as much when everything is fitted again, where that is known."""
     refitted = {(item["reading"], item["choice"]): item["explained"] for item in found.get("readings_refitted", ())}
     taken = {"name": "as taken", "choice": "", "nearer": "", "farther": "", "refitted": found.get("explained", "")}
-    lines: list[dict[str, Any]] = [{**taken, "explained": _explained(reproduction.rows)}]
+    lines: list[dict[str, Any]] = [{**taken, "explained": _counts(reproduction.rows)}]
     for (name, choice), rows in reproduction.alternatives.items():
-        moved = [row.distance - default.distance for row, default in zip(rows, reproduction.rows, strict=True)]
+        moves = moved(rows, reproduction.rows)
         lines.append(
             {
                 "name": _READINGS.get(name, name),
                 "choice": choice,
-                "explained": _explained(rows),
-                "nearer": sum(distance < -SAME for distance in moved),
-                "farther": sum(distance > SAME for distance in moved),
+                "explained": _counts(rows),
+                "nearer": moves.count("nearer"),
+                "farther": moves.count("farther"),
                 "refitted": refitted.get((name, choice), ""),
             }
         )
     return lines
 
 
-def _explained(rows: Sequence[Row]) -> list[int]:
-    return [sum(row.explained for row in _of_table(rows, table)) for table in _TABLES]
-
-
-def _of_table(rows: Sequence[Row], table: int) -> list[Row]:
-    return [row for row in rows if row.cell.table == table]
+def _counts(rows: Sequence[Row]) -> list[int]:
+    return [count for count, _ in explained(rows).values()]
 
 
 def _place(row: Row) -> str:

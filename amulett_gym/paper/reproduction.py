@@ -7,7 +7,7 @@ tried alone, so that it shows which reading explains which row better. Nothing i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -329,6 +329,19 @@ def compare(responses: Mapping[tuple[str, str], Response], readings: Readings) -
     return tuple(_row(cell, responses[cell.profile, cell.configuration], readings) for cell in TABLES_2_TO_5)
 
 
+def explained(rows: Iterable[Row]) -> dict[int, tuple[int, int]]:
+    """Return how many rows of each table are explained, and how many there are, by the table's number."""
+    tables: dict[int, list[bool]] = {}
+    for row in rows:
+        tables.setdefault(row.cell.table, []).append(row.explained)
+    return {table: (sum(flags), len(flags)) for table, flags in tables.items()}
+
+
+def moved(rows: Iterable[Row], taken: Iterable[Row]) -> list[str]:
+    """Return for each row whether it is ``nearer`` to the paper than as taken, ``farther`` from it, or the ``same``."""
+    return [_moved(row, default) for row, default in zip(rows, taken, strict=True)]
+
+
 def best_reading(reproduction: Reproduction, index: int) -> tuple[tuple[str, str] | None, Row]:
     """Return the alternative that brings a row nearest to the paper, None for the default readings, and that row.
 
@@ -339,6 +352,12 @@ def best_reading(reproduction: Reproduction, index: int) -> tuple[tuple[str, str
         if rows[index].distance < best[1].distance - SAME:
             best = key, rows[index]
     return best
+
+
+def _moved(row: Row, default: Row) -> str:
+    if row.distance < default.distance - SAME:
+        return "nearer"
+    return "farther" if row.distance > default.distance + SAME else "same"
 
 
 def _row(cell: Cell, response: Response, readings: Readings) -> Row:

@@ -13,7 +13,15 @@ from amulett_gym import __version__
 from amulett_gym.paper.claims import claims_content
 from amulett_gym.paper.evidence import Evidence
 from amulett_gym.paper.hypotheses import hypotheses_content
-from amulett_gym.paper.reproduction import BOUNDS, MEASUREMENT_TIME, SAME, Reproduction, Row, best_reading
+from amulett_gym.paper.reproduction import (
+    BOUNDS,
+    MEASUREMENT_TIME,
+    Reproduction,
+    Row,
+    best_reading,
+    explained,
+    moved,
+)
 from amulett_gym.paper.tables import DEVICES, PROTOCOL
 from amulett_gym.tasks.suites import START
 
@@ -86,7 +94,7 @@ def in_words(evidence: Evidence) -> str:
         f"{rows_table(reproduction)}\n\n"
         "Readings, each alone: numbers explained, and how many come nearer to the paper or go farther from it\n"
         f"{readings_table(reproduction)}\n\n"
-        f"{_explained(reproduction.rows)}\n"
+        f"Explained: {by_table(reproduction.rows)}.\n"
         f"The testbed's numbers are means of {PROTOCOL.repetitions_testbed} repetitions with sensor noise, +- their "
         f"standard deviation; T is {MEASUREMENT_TIME:g} s. Table 2 is compared with the {taken.rise_time} time.\n"
         f"Fitted to three configurations, the model explains {sum(predicted)} of {len(predicted)} numbers of the one "
@@ -128,9 +136,8 @@ def readings_table(reproduction: Reproduction) -> str:
         ["as taken: " + ", ".join(asdict(reproduction.readings).values()), *_counts(reproduction.rows), "", ""]
     )
     for key, rows in reproduction.alternatives.items():
-        moved = [_moved(row, default) for row, default in zip(rows, reproduction.rows, strict=True)]
-        counts = [str(moved.count("nearer")), str(moved.count("farther"))]
-        lines.append([_reading(key), *_counts(rows), *counts])
+        moves = moved(rows, reproduction.rows)
+        lines.append([_reading(key), *_counts(rows), str(moves.count("nearer")), str(moves.count("farther"))])
     return _aligned(lines, right=(1, 2, 3, 4, 5, 6))
 
 
@@ -147,9 +154,9 @@ def rows_content(evidence: Evidence, result: Mapping[str, Any]) -> list[dict[str
 def readings_content(reproduction: Reproduction) -> list[dict[str, Any]]:
     """Return every row under every reading."""
     return [
-        {"reading": name, "choice": choice, **entry(row), "than_as_taken": _moved(row, default)}
+        {"reading": name, "choice": choice, **entry(row), "than_as_taken": move}
         for (name, choice), under in {("as taken", ""): reproduction.rows, **reproduction.alternatives}.items()
-        for row, default in zip(under, reproduction.rows, strict=True)
+        for row, move in zip(under, moved(under, reproduction.rows), strict=True)
     ]
 
 
@@ -174,22 +181,13 @@ def entry(row: Row) -> dict[str, Any]:
     }
 
 
-def _moved(row: Row, default: Row) -> str:
-    if row.distance < default.distance - SAME:
-        return "nearer"
-    return "farther" if row.distance > default.distance + SAME else "same"
+def by_table(rows: Iterable[Row]) -> str:
+    """Say how many rows of each table are explained."""
+    return ", ".join(f"{count} of {size} of Table {table}" for table, (count, size) in explained(rows).items())
 
 
 def _counts(rows: Iterable[Row]) -> list[str]:
-    tables = {table: [row.explained for row in rows if row.cell.table == table] for table in (2, 3, 4, 5)}
-    return [f"{sum(explained)}/{len(explained)}" for explained in tables.values()]
-
-
-def _explained(rows: Iterable[Row]) -> str:
-    counts = [
-        f"{count.replace('/', ' of ')} of Table {table}" for table, count in zip("2345", _counts(rows), strict=True)
-    ]
-    return f"Explained: {', '.join(counts)}."
+    return [f"{count}/{size}" for count, size in explained(rows).values()]
 
 
 def _reading(key: tuple[str, str]) -> str:
