@@ -108,7 +108,8 @@ def _verdict(rows: Sequence[Row], claims: Sequence[CheckedClaim]) -> str:
     borne_out = [item for item in claims if item.paper is not None and item.paper.holds]
     return (
         f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: "
-        f"{by_table(rows)}. Of {len(claims)} claims of sections 3 to 5, {sum(item.ours.holds is True for item in claims)} hold on our "
+        f"{by_table(rows)}. "
+        f"Of {len(claims)} claims of sections 3 to 5, {sum(item.ours.holds is True for item in claims)} hold on our "
         f"devices; of the {len(borne_out)} that the paper's own tables bear out, "
         f"{sum(item.ours.holds is True for item in borne_out)} do."
     )
