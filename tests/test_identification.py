@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from amulett_gym.cli import main
 from amulett_gym.config import load_profile
+from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import build_tables
 from amulett_gym.paper import reproduction, study
@@ -180,7 +181,7 @@ def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path):
 def test_a_damaged_stage_is_named(tmp_path):
     (tmp_path / "stages").mkdir()
     (tmp_path / "stages" / "start-1.json").write_text("{")
-    with pytest.raises(study.AmulettError, match="start-1.json' is not valid JSON.*delete it"):
+    with pytest.raises(AmulettError, match="start-1.json' is not valid JSON.*delete it"):
         study.study(tmp_path, SHORT, Readings(), 1)
 
 

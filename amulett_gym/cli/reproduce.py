@@ -25,15 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
     from amulett_gym.paper.evidence import gather
-    from amulett_gym.paper.report import REPRODUCTION_MARKS, write_document, write_report
+    from amulett_gym.paper.report import REPRODUCTION_MARKS, draw, write_document, write_report
     from amulett_gym.paper.results import content, in_words
 
     out = arguments.out
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
         evidence = gather()
-        result = content(evidence) if out is None else write_report(evidence, out)
+        figures = {} if out is None and arguments.doc is None else draw(evidence)
+        result = content(evidence) if out is None else write_report(evidence, figures, out)
     if arguments.doc is not None:
-        write_document(evidence, arguments.doc)
+        write_document(evidence, figures, arguments.doc)
     if arguments.json:
         print(json.dumps(result, indent=2, allow_nan=False))
         return 0

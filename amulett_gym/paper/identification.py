@@ -222,11 +222,6 @@ def reproduced(parameters: Mapping[str, float], readings: Readings, repetitions:
     return compare(measure(devices(parameters), readings, repetitions, SIMULATED), readings)
 
 
-def fitted(row: Row, without: str | None = None) -> bool:
-    """Say whether the search looks at a row; `without` leaves out one configuration, on both devices."""
-    return row.cell.configuration != without
-
-
 def residual(row: Row) -> float:
     """Return log(ours / paper) in units of what the row may be off by: up to 1 it is explained."""
     bound = math.log(BOUNDS[row.cell.metric, row.cell.profile][1])
@@ -246,14 +241,14 @@ def cost(residuals: Sequence[float], weights: Sequence[float] | None = None) -> 
 
 
 def objective(readings: Readings, without: str | None = None) -> Callable[[Values], float]:
-    """Return the cost as a function of the search vector."""
+    """Return the cost as a function of the search vector; `without` leaves out one configuration, on both devices."""
 
     def value(vector: Values) -> float:
         try:
             rows = reproduced(unpack(vector), readings)
         except AmulettError:  # springs too weak for a starting posture, a potentiometer that does not reach
             return cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
-        seen = [row for row in rows if fitted(row, without)]
+        seen = [row for row in rows if row.cell.configuration != without]
         return cost([residual(row) for row in seen], [WEIGHTS[row.cell.metric] for row in seen])
 
     return value

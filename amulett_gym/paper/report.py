@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from matplotlib.figure import Figure
 
 from amulett_gym.evaluation.plots import save_figure
 from amulett_gym.files import write_json, write_text
@@ -17,7 +20,12 @@ REPRODUCTION_MARKS = ("reproduction.json", "rows.csv", "readings.csv")
 """Files by which a reproduction's folder is recognised."""
 
 
-def write_report(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
+def draw(evidence: Evidence) -> dict[str, Figure]:
+    """Return the paper's figures on our devices, by the names of `figures.CAPTIONS`."""
+    return paper_figures(evidence.reproduction.profiles, evidence.reproduction.readings)
+
+
+def write_report(evidence: Evidence, figures: Mapping[str, Figure], folder: str | Path) -> dict[str, Any]:
     """Write ``reproduction.json``, CSV files, the figures and ``reproduction.html`` into a folder.
 
     Everything is made before the first file is written, and each file is written whole or not at all.
@@ -25,6 +33,8 @@ def write_report(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
     Parameters
     ----------
     evidence : Evidence
+    figures : mapping of str to Figure
+        From `draw`.
     folder : str or Path
         ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
         ``claims.csv`` the paper's claims.
@@ -41,7 +51,6 @@ def write_report(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
     """
     folder, reproduction = Path(folder), evidence.reproduction
     result = content(evidence)
-    figures = paper_figures(reproduction.profiles, reproduction.readings)
     identification = {**evidence.identification, "cross_check": result["cross_check"]}
     page = render(reproduction, evidence.claims, evidence.hypotheses, figures, identification, CAPTIONS)
     write_text(folder / "rows.csv", as_csv(rows_content(evidence, result)))
@@ -54,16 +63,23 @@ def write_report(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
     return result
 
 
-def write_document(evidence: Evidence, path: str | Path) -> None:
+def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str | Path) -> None:
     """Renew the generated part of a document, and its figures in the folder ``images`` beside it.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    figures : mapping of str to Figure
+        From `draw`.
+    path : str or Path
 
     Raises
     ------
     AmulettError
         If a file cannot be read or written, or the document has no place for what is generated.
     """
-    path, reproduction = Path(path), evidence.reproduction
+    path = Path(path)
     text = document.block(evidence, {f"images/{name}.png": caption for name, caption in CAPTIONS.items()})
     document.update(path, text)
-    for name, figure in paper_figures(reproduction.profiles, reproduction.readings).items():
+    for name, figure in figures.items():
         save_figure(figure, path.parent / "images" / f"{name}.png")

@@ -181,16 +181,11 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
     spread = {entry["name"]: entry for entry in content["spread"]}
     changes = profile_changes({name: entry["value"] for name, entry in spread.items()})[device]
 
-    def source(*names: str) -> str:
-        parts = []
-        for name in names:
-            entry = spread[name]
-            unit = f" {entry['unit']}" if entry["unit"] else ""
-            known = "" if entry["determined"] else ", hardly determined"
-            parts.append(
-                f"{name.split('.')[-1]} {entry['value']:.4g}{unit} ({entry['low']:.3g} to {entry['high']:.3g}{known})"
-            )
-        return "identified: " + "; ".join(parts)
+    def source(name: str) -> str:
+        entry = spread[name]
+        value = f"{entry['value']:.4g} {entry['unit']}".rstrip()
+        known = "" if entry["determined"] else ", hardly determined"
+        return f"identified: {name.split('.')[-1]} {value} ({entry['low']:.3g} to {entry['high']:.3g}{known})"
 
     sources: dict[str, dict[str, str]] = {
         "plant": {
