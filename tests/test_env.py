@@ -310,9 +310,48 @@ def test_a_refused_first_scenario_starts_no_episode():
         env.step(MID)
 
 
+@pytest.mark.parametrize("seed", [0, 2**32 - 1, 2**64 - 2, 2**200])
+def test_device_i_plays_what_the_single_environment_plays_with_the_seed_plus_i(seed):
+    single, vector = gym.make(SCALING), gym.make_vec(SCALING, num_envs=5, max_episode_steps=20)
+    played, _ = vector.reset(seed=seed)
+    ended = [vector.step(np.zeros((5, 1)))[0] for _ in range(21)][-1]  # the last step started the next episodes
+    for i in range(5):
+        assert np.array_equal(single.reset(seed=seed + i)[0], played[i])
+        assert np.array_equal(single.reset()[0], ended[i])
+    assert len(np.unique(played, axis=0)) == len(np.unique(ended, axis=0)) == 5
+
+
 def test_numpy_seeds_are_seeds():
     vector = gym.make_vec(SCALING, num_envs=2)
     assert np.array_equal(vector.reset(seed=np.array([4, 9]))[0], vector.reset(seed=[4, 9])[0])
+    assert np.array_equal(vector.reset(seed=np.int64(4))[0], vector.reset(seed=4)[0])
+
+
+def test_devices_without_a_seed_go_on_or_are_seeded_by_np_random():
+    vector = gym.make_vec(SCALING, num_envs=3)
+    vector.np_random = np.random.default_rng(1)
+    first, _ = vector.reset(seed=[None, 7, None])
+    assert np.array_equal(gym.make(SCALING).reset(seed=7)[0], first[1])
+    assert len(np.unique(first, axis=0)) == 3
+    second, _ = vector.reset(seed=[7, None, None])
+    single = gym.make(SCALING)
+    assert np.array_equal(single.reset(seed=7)[0], second[0])
+    assert np.array_equal(single.reset()[0], second[1])
+    other = gym.make_vec(SCALING, num_envs=3)
+    other.np_random = np.random.default_rng(1)
+    assert np.array_equal(other.reset()[0][0], first[0])
+
+
+@pytest.mark.parametrize("seed", [-1, 1.0, True, "7"])
+def test_seeds_that_gymnasium_refuses_are_refused(seed):
+    single, vector = gym.make(SCALING).unwrapped, gym.make_vec(SCALING, num_envs=2)
+    with pytest.raises(gym.error.Error, match="Seed must be"):
+        single.reset(seed=seed)
+    for seeds in (seed, [0, seed], np.array([seed, seed])):
+        with pytest.raises(gym.error.Error, match="Seed must be"):
+            vector.reset(seed=seeds)
+    with pytest.raises(gym.error.ResetNeeded):
+        vector.step(np.zeros((2, 1)))
 
 
 def test_law_inside_the_loop_is_no_policy():

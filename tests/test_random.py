@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amulett_gym.simulation.random import derive_keys, noise, normal, random_bits, uniform
+from amulett_gym.simulation.random import derive_keys, keys_from_seeds, noise, normal, random_bits, uniform
 
 words = st.integers(min_value=0, max_value=2**64 - 1).map(np.uint64)
 
@@ -66,3 +66,15 @@ def test_derived_keys_of_different_episodes_and_streams_differ(key):
     derived = derive_keys(keys, np.arange(64, dtype=np.uint64))
     assert np.unique(derived).size == 64
     assert key not in derived
+
+
+seeds = st.integers(min_value=0, max_value=2**64 - 1) | st.integers(min_value=2**64 - 3, max_value=2**300)
+
+
+@given(st.lists(seeds, unique=True))
+def test_seeds_of_any_size_give_keys_of_their_own(listed):
+    numbers = np.array(listed, dtype=object)
+    keys = keys_from_seeds(numbers)
+    assert np.unique(keys).size == len(listed)
+    for i in range(len(listed)):
+        assert keys_from_seeds(numbers[i : i + 1])[0] == keys[i]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
@@ -28,6 +31,7 @@ TENSION_RANGE = (4.0, 15.0)
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
+Seeds = NDArray[np.object_]
 
 
 class Episodes:
@@ -40,6 +44,8 @@ class Episodes:
     simulation : Simulation
     tension_range : tuple of float
         Tension setpoint at action -1 and +1 [N].
+    started : ndarray of bool, shape (N,)
+        Which devices have started an episode.
     """
 
     def __init__(
@@ -86,6 +92,7 @@ class Episodes:
         self._all = np.arange(num_devices)
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
+        self.started = np.zeros(num_devices, dtype=bool)
         self._max_force = simulation.max_force
         self._scenarios = empty_rows(num_devices, self.profile)
 
@@ -94,12 +101,27 @@ class Episodes:
         """Time between two actions [s]."""
         return int(self._settings["ticks"][0]) * self.simulation.control_period
 
-    def set_keys(self, devices: NDArray[np.int64] | np.int64, keys: Keys | np.uint64) -> None:
-        """Seed devices: their next episode is the first one of the new key."""
-        self._keys[devices] = keys
-        self._episodes[devices] = 0
+    def seed(self, devices: NDArray[np.int64], seeds: Seeds, generator: np.random.Generator) -> None:
+        """Choose the given devices' next episodes.
 
-    def next_episode(self, devices: NDArray[np.int64] | np.int64) -> None:
+        A device's first episode after a seed comes from that seed, alone or in any batch. Without a seed it is the next
+        one; a device that has started none yet is seeded by `generator`.
+
+        Parameters
+        ----------
+        devices : ndarray of int
+        seeds : ndarray of object, shape (len(devices),)
+            Whole numbers or None, see :func:`device_seeds`.
+        generator : numpy.random.Generator
+        """
+        seeded = np.not_equal(seeds, None)
+        new = ~seeded & ~self.started[devices]
+        self._episodes[devices] += np.uint64(1)
+        self._episodes[devices[seeded | new]] = 0
+        self._keys[devices[seeded]] = keys_from_seeds(seeds[seeded])
+        self._keys[devices[new]] = generator.integers(0, 2**64, size=np.count_nonzero(new), dtype=np.uint64)
+
+    def next_episode(self, devices: NDArray[np.int64]) -> None:
         """Move devices on to the next episode of their key."""
         self._episodes[devices] += np.uint64(1)
 
@@ -118,6 +140,7 @@ class Episodes:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)
         self._scenarios[devices] = rows
+        self.started[devices] = True
         return self.observe(devices)
 
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
@@ -171,6 +194,7 @@ class Episodes:
             "keys": self._keys.copy(),
             "episodes": self._episodes.copy(),
             "scenarios": self._scenarios.copy(),
+            "started": self.started.copy(),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
@@ -179,6 +203,7 @@ class Episodes:
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
         self._scenarios[...] = state["scenarios"]
+        self.started[...] = state["started"]
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys
@@ -188,6 +213,35 @@ class Episodes:
         drawn = np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
         return rows
+
+
+def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: int) -> Seeds:
+    """Return each device's seed, or None for those that have none: ``seed + i`` or ``seed[i]`` for device i.
+
+    Raises
+    ------
+    AmulettError
+        If there are not as many seeds as devices.
+    gymnasium.error.Error
+        If a seed is no whole number of at least 0, as Gymnasium raises it.
+    """
+    if seed is None:
+        return np.full(count, None)
+    if isinstance(seed, np.ndarray):
+        seed = seed.tolist()
+    listed = seed if isinstance(seed, Sequence) else [seed]
+    for kind in set(map(type, listed)):
+        if kind is bool or not issubclass(kind, int | np.integer | None):
+            raise gym.error.Error(f"Seed must be a python integer, actual type: {kind}")
+    seeds = np.array([None if one is None else operator.index(one) for one in listed], dtype=object)
+    given = seeds[np.not_equal(seeds, None)]
+    if (given < 0).any():
+        raise gym.error.Error(f"Seed must be greater or equal to zero, actual value: {given.min()}")
+    if not isinstance(seed, Sequence):
+        return seeds + np.arange(count, dtype=object)
+    if len(seeds) != count:
+        raise AmulettError(f"{len(seeds)} seeds were given for {count} devices")
+    return seeds
 
 
 def check_number(name: str, value: Any) -> float:

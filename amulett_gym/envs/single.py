@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
-from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range
+from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.transition import (
     FIRST_METRIC,
@@ -104,7 +104,6 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.action_space = Box(-1.0, 1.0, (1,), np.float32)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(round(1 / agent_period), 1)}
-        self._seeded = False
         self._renderer: Any = None
 
     @staticmethod
@@ -134,7 +133,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Parameters
         ----------
         seed : int, optional
-            Seeds `np_random`, which draws the key that scenarios and noise of this and all later episodes come from.
+            A whole number of at least 0. Scenarios and noise of this and all later episodes come from it; `np_random`,
+            which it seeds as well, is asked only if there never was a seed.
         options : dict, optional
             ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON file to play in the place of a drawn one.
 
@@ -147,18 +147,17 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         ------
         AmulettError
             If an option is unknown or the scenario is wrong.
+        gymnasium.error.Error
+            If the seed is no whole number of at least 0.
         """
         super().reset(seed=seed)
+        seeds = device_seeds(seed, 1)
         for option in options or {}:
             if option not in RESET_OPTIONS:
                 raise unknown("reset option", str(option), RESET_OPTIONS)
         scenario = (options or {}).get("scenario")
-        if seed is not None or not self._seeded:
-            self.episodes.set_keys(_DEVICE, draw_key(self.np_random))
-        else:
-            self.episodes.next_episode(_DEVICE)
+        self.episodes.seed(_DEVICE, seeds, self.np_random)
         observation = self.episodes.start(_DEVICE, None if scenario is None else [scenario])[0]
-        self._seeded = True
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
@@ -190,7 +189,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        if not self._seeded:
+        if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
         actions = np.asarray(action, dtype=np.float64)
         if actions.shape != (1,):
@@ -223,14 +222,12 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return {
             "episodes": self.episodes.get_state(),
             "np_random": self.np_random.bit_generator.state,
-            "seeded": self._seeded,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot taken by `get_state`."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
-        self._seeded = state["seeded"]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
@@ -371,8 +368,3 @@ class ScalingEnv(TensionEnv):
         low, high = check_range("action_range", action_range)
         nominal = profile.variable_stiffness.nominal_tension
         return low * nominal, high * nominal
-
-
-def draw_key(generator: np.random.Generator) -> NDArray[np.uint64]:
-    """Draw the 64-bit key of one device, shape (1,)."""
-    return generator.integers(0, 2**64, size=1, dtype=np.uint64)

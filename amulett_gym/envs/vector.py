@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile
-from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes
+from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes, device_seeds
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv, draw_key
+from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.layout import FAILURES, RUNNING, Control
@@ -106,7 +104,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
         self._devices = np.arange(num_envs)
-        self._seeded = np.zeros(num_envs, dtype=bool)
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._renderers: list[Any] = []
@@ -134,7 +131,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Parameters
         ----------
         seed : int or sequence of int, optional
-            Device i is seeded with ``seed + i``, or with ``seed[i]``.
+            Device i is seeded with ``seed + i``, or with ``seed[i]`` unless that is None.
         options : dict, optional
             ``"reset_mask"``: ndarray of bool, shape (num_envs,), the devices to reset.
             ``"scenario"``: one scenario for all devices that are reset, or a list with one for each of them.
@@ -147,24 +144,28 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Raises
         ------
         AmulettError
-            If an option is unknown, or the mask, the seeds or a scenario is wrong.
+            If an option is unknown, or the mask, the number of seeds or a scenario is wrong.
+        gymnasium.error.Error
+            If a seed is no whole number of at least 0.
         """
         for option in options or {}:
             if option not in RESET_OPTIONS:
                 raise unknown("reset option", str(option), RESET_OPTIONS)
         mask = self._mask(options)
         devices = self._devices[mask]
-        self._seed(mask, seed)
+        seeds = device_seeds(seed, self.num_envs)[mask]
         scenarios = (options or {}).get("scenario")
         if scenarios is not None:
             scenarios = list(scenarios) if isinstance(scenarios, list | tuple) else [scenarios] * devices.size
             if len(scenarios) != devices.size:
                 raise AmulettError(f"{len(scenarios)} scenarios were given for the {devices.size} devices to reset")
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=int(seed))
+        self.episodes.seed(devices, seeds, self.np_random)
         self._steps[mask] = 0
         self._ended[mask] = False
         observations = self.episodes.observe()
         observations[mask] = self.episodes.start(devices, scenarios)
-        self._seeded |= mask
         self._clear_renderers(devices)
         return observations, self._info(self.episodes.report())
 
@@ -185,7 +186,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        if not self._seeded.all():
+        if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
         actions = np.asarray(actions, dtype=np.float64)
         if actions.shape != (self.num_envs, 1):
@@ -226,7 +227,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return {
             "episodes": self.episodes.get_state(),
             "np_random": self.np_random.bit_generator.state,
-            "seeded": self._seeded.copy(),
             "steps": self._steps.copy(),
             "ended": self._ended.copy(),
         }
@@ -235,7 +235,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """Go back to a snapshot taken by `get_state`."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
-        self._seeded[...], self._steps[...] = state["seeded"], state["steps"]
+        self._steps[...] = state["steps"]
         self._ended = state["ended"].copy()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -252,25 +252,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
             raise AmulettError(f"reset_mask has to be an ndarray of bool, shape ({self.num_envs},); it is {mask!r}")
         return mask
-
-    def _seed(self, mask: NDArray[np.bool_], seed: int | Sequence[int | None] | None) -> None:
-        """Give a key to each device of the mask that is seeded now or has none; move on the others' episodes."""
-        seeds: list[int | None]
-        if seed is None or isinstance(seed, int | np.integer):
-            super().reset(seed=None if seed is None else int(seed))
-            seeds = [None if seed is None else int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = [None if one is None else operator.index(one) for one in seed]
-            if len(seeds) != self.num_envs:
-                raise AmulettError(f"{len(seeds)} seeds were given for {self.num_envs} devices")
-        for device in self._devices[mask]:
-            seed_of_device = seeds[device]
-            if seed_of_device is not None:
-                self.episodes.set_keys(device, draw_key(seeding.np_random(seed_of_device)[0])[0])
-            elif not self._seeded[device]:
-                self.episodes.set_keys(device, draw_key(self.np_random)[0])
-            else:
-                self.episodes.next_episode(device)
 
     @staticmethod
     def _info(report: NDArray[np.float64]) -> dict[str, Any]:

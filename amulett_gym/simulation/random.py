@@ -19,6 +19,8 @@ _MIX_2 = np.uint64(0x94D049BB133111EB)
 _30, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
 _11, _16, _32, _48 = np.uint64(11), np.uint64(16), np.uint64(32), np.uint64(48)
 _LOW = np.uint64(0xFFFF)
+_WORD = 2**64 - 1
+_SEED_STREAM = 0x5EED
 
 # The sum of four uniform 16-bit integers: mean and standard deviation.
 _MEAN = 2.0 * (2.0**16 - 1.0)
@@ -85,3 +87,18 @@ def derive_keys(keys: NDArray[np.uint64], counters: NDArray[np.uint64] | int) ->
     derived = np.empty_like(keys)
     _derive(keys, np.broadcast_to(np.asarray(counters, dtype=np.uint64), keys.shape).copy(), derived)
     return derived
+
+
+def keys_from_seeds(seeds: NDArray[np.object_]) -> NDArray[np.uint64]:
+    """Return one key for each seed, a whole number of at least 0 and of any size.
+
+    Seeds below 2**64 that differ give keys that differ: mixing is one to one. Further words of a larger seed are mixed
+    in one after the other.
+    """
+    keys = derive_keys((seeds & _WORD).astype(np.uint64), _SEED_STREAM)
+    rest = seeds >> 64
+    while rest.any():
+        more = rest != 0
+        keys[more] = derive_keys(keys[more] ^ (rest[more] & _WORD).astype(np.uint64), _SEED_STREAM)
+        rest = rest >> 64
+    return keys
