@@ -7,6 +7,7 @@ import math
 import pickle
 import subprocess
 import sys
+import tracemalloc
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +20,7 @@ from amulett_gym.envs.reward import COST_CAP
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
+from amulett_gym.simulation.layout import LANES, SCENARIO_BLOCK, STATE_BLOCK
 from amulett_gym.tasks.suites import suite_names
 
 SCALING, TENSION = amulett_gym.ENV_IDS
@@ -227,6 +229,33 @@ def test_eq6_from_outside_at_control_rate_equals_the_built_in_law():
         # The observation is float32, the loop float64.
         assert theirs["joint_angle"] == pytest.approx(ours["joint_angle"], abs=2e-3)
         assert theirs["tension_setpoint"] == pytest.approx(ours["tension_setpoint"], abs=2e-4)
+
+
+def test_scenarios_of_a_batch_are_those_of_the_single_environments():
+    vector, single = gym.make_vec(SCALING, num_envs=9, suite="hold-push"), gym.make(SCALING, suite="hold-push")
+    for scenarios in (lambda: vector.unwrapped.scenarios, lambda: single.unwrapped.scenario):
+        with pytest.raises(gym.error.ResetNeeded):
+            scenarios()
+    vector.reset(seed=3)
+    for i, scenario in enumerate(vector.unwrapped.scenarios):
+        single.reset(seed=3 + i)
+        assert single.unwrapped.scenario == scenario
+
+
+def test_a_device_takes_the_memory_of_its_state_and_its_scenario():
+    def held(num_envs: int) -> int:
+        tracemalloc.start()
+        env = gym.make_vec(SCALING, num_envs=num_envs)
+        env.reset(seed=0)
+        env.step(np.zeros((num_envs, 1), dtype=np.float32))
+        held, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return held
+
+    held(8)  # what is made once
+    per_device = (held(8192) - held(1024)) / 7168
+    blocks = (STATE_BLOCK.itemsize + SCENARIO_BLOCK.itemsize) / LANES
+    assert per_device == pytest.approx(blocks + 18, abs=2)  # a key, the number of its episode, and two flags
 
 
 def test_position_only_ignores_actions():

@@ -19,7 +19,7 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import Control
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
 DEFAULT_STEPS = 500
@@ -32,6 +32,7 @@ Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 Seeds = NDArray[np.object_]
+_NO_SEED = np.array(None)
 
 
 class Episodes:
@@ -89,12 +90,10 @@ class Episodes:
             self._settings[term] = weight / paid[term] * squared_degrees.get(term, 1.0)
         simulation = self.simulation
         self._arrays = simulation.parameters, self._settings, simulation.scenarios, simulation.states
-        self._all = np.arange(num_devices)
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
         self._max_force = simulation.max_force
-        self._scenarios = empty_rows(num_devices, self.profile)
 
     @property
     def agent_period(self) -> float:
@@ -114,7 +113,7 @@ class Episodes:
             Whole numbers or None, see :func:`device_seeds`.
         generator : numpy.random.Generator
         """
-        seeded = np.not_equal(seeds, None)
+        seeded = seeds != _NO_SEED
         new = ~seeded & ~self.started[devices]
         self._episodes[devices] += np.uint64(1)
         self._episodes[devices[seeded | new]] = 0
@@ -139,13 +138,12 @@ class Episodes:
         if scenarios is not None:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)
-        self._scenarios[devices] = rows
         self.started[devices] = True
         return self.observe(devices)
 
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
         """Return what the given devices (all if None) sense now, shape (len(devices), 13)."""
-        devices = self._all if devices is None else devices
+        devices = np.arange(self.simulation.num_devices) if devices is None else devices
         observations = np.empty((devices.size, len(transition.OBSERVATIONS)), dtype=np.float32)
         transition.observe_devices(*self._arrays, devices, observations)
         return observations
@@ -161,7 +159,7 @@ class Episodes:
         Returns
         -------
         observations : ndarray of float32, shape (N, 13)
-        report : ndarray, shape (N, 35)
+        report : ndarray, shape (N, 37)
             Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
@@ -169,23 +167,36 @@ class Episodes:
         AmulettError
             If an action is NaN.
         """
-        observations = np.empty((self._all.size, len(transition.OBSERVATIONS)), dtype=np.float32)
-        report = np.empty((self._all.size, transition.REPORT_SIZE))
+        num_devices = self.simulation.num_devices
+        observations = np.empty((num_devices, len(transition.OBSERVATIONS)), dtype=np.float32)
+        report = np.empty((num_devices, transition.REPORT_SIZE))
         not_a_number = transition.step(*self._arrays, actions, observations, report)
         if not_a_number >= 0:
             raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
         return observations, report
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
-        """Return the report of the given devices' present state (all if None), shape (len(devices), 35), no reward."""
-        devices = self._all if devices is None else devices
+        """Return the report of the given devices' present state (all if None), shape (len(devices), 37), no reward."""
+        devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
         transition.tell_devices(self.simulation.parameters, self.simulation.states, devices, report)
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:
-        """Return the packed scenario of one device's present episode."""
-        return self._scenarios[device]
+        """Return the packed scenario of one device's present episode.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If the device has started none yet.
+        """
+        if not self.started[device]:
+            raise gym.error.ResetNeeded("call reset() first: there is no scenario yet")
+        return self.simulation.read_scenarios(np.array([device]))[0]
+
+    def steps(self) -> NDArray[np.int64]:
+        """Return how many agent steps each device's episode has taken, shape (N,)."""
+        return self.simulation.read("tick") // self._settings["ticks"][0]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""
@@ -193,7 +204,6 @@ class Episodes:
             "simulation": self.simulation.get_state(),
             "keys": self._keys.copy(),
             "episodes": self._episodes.copy(),
-            "scenarios": self._scenarios.copy(),
             "started": self.started.copy(),
         }
 
@@ -202,7 +212,6 @@ class Episodes:
         self.simulation.set_state(state["simulation"])
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
-        self._scenarios[...] = state["scenarios"]
         self.started[...] = state["started"]
 
     def _packed(
@@ -234,7 +243,7 @@ def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: 
         if kind is bool or not issubclass(kind, int | np.integer | None):
             raise gym.error.Error(f"Seed must be a python integer, actual type: {kind}")
     seeds = np.array([None if one is None else operator.index(one) for one in listed], dtype=object)
-    given = seeds[np.not_equal(seeds, None)]
+    given = seeds[seeds != _NO_SEED]
     if (given < 0).any():
         raise gym.error.Error(f"Seed must be greater or equal to zero, actual value: {given.min()}")
     if not isinstance(seed, Sequence):

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -101,10 +102,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             failure_horizon,
         )
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
-        self.observation_space = batch_space(single.observation_space, num_envs)
-        self.action_space = batch_space(single.action_space, num_envs)
-        self._devices = np.arange(num_envs)
-        self._steps = np.zeros(num_envs, dtype=np.int64)
+        self.observation_space = _batched(single.observation_space, num_envs)
+        self.action_space = _batched(single.action_space, num_envs)
         self._ended = np.zeros(num_envs, dtype=bool)
         self._renderers: list[Any] = []
 
@@ -152,7 +151,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             if option not in RESET_OPTIONS:
                 raise unknown("reset option", str(option), RESET_OPTIONS)
         mask = self._mask(options)
-        devices = self._devices[mask]
+        devices = np.flatnonzero(mask)
         seeds = device_seeds(seed, self.num_envs)[mask]
         scenarios = (options or {}).get("scenario")
         if scenarios is not None:
@@ -162,7 +161,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if isinstance(seed, int | np.integer):
             super().reset(seed=int(seed))
         self.episodes.seed(devices, seeds, self.np_random)
-        self._steps[mask] = 0
         self._ended[mask] = False
         observations = self.episodes.observe()
         observations[mask] = self.episodes.start(devices, scenarios)
@@ -191,17 +189,15 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         actions = np.asarray(actions, dtype=np.float64)
         if actions.shape != (self.num_envs, 1):
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
-        again = self._devices[self._ended]
+        again = np.flatnonzero(self._ended)
         observations, report = self.episodes.step(actions[:, 0])
-        self._steps += 1
         if again.size:
             self.episodes.next_episode(again)
             observations[again] = self.episodes.start(again)
             report[again] = self.episodes.report(again)
-            self._steps[again] = 0
             self._clear_renderers(again)
         terminated = report[:, FIRST_READING] != RUNNING
-        truncated = ~terminated & (self._steps >= self.max_episode_steps)
+        truncated = ~terminated & (self.episodes.steps() >= self.max_episode_steps)
         self._ended = terminated | truncated
         return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
 
@@ -213,7 +209,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         from amulett_gym.envs.rendering import Renderer, frame_of
 
         if not self._renderers:
-            self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in self._devices]
+            self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(self.num_envs)]
         return tuple(renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -227,7 +223,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return {
             "episodes": self.episodes.get_state(),
             "np_random": self.np_random.bit_generator.state,
-            "steps": self._steps.copy(),
             "ended": self._ended.copy(),
         }
 
@@ -235,7 +230,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """Go back to a snapshot taken by `get_state`."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
-        self._steps[...] = state["steps"]
         self._ended = state["ended"].copy()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -256,7 +250,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     @staticmethod
     def _info(report: NDArray[np.float64]) -> dict[str, Any]:
         info: dict[str, Any] = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
-        info["failure"] = _FAILURES[info["failure"].astype(np.int64)]
+        failures = info["failure"].astype(np.int64)
+        info["failure"] = _FAILURES[failures] if failures.any() else np.zeros(failures.size, dtype=_FAILURES.dtype)
         info["reward_terms"] = dict(zip(TERMS, report.T[FIRST_TERM:FIRST_READING], strict=True))
         info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True))
         return info
@@ -266,3 +261,12 @@ class ScalingVectorEnv(TensionVectorEnv):
     """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and its single environment."""
 
     _single = ScalingEnv
+
+
+def _batched(space: Space[Any], count: int) -> Space[Any]:
+    """Return the space of a batch. Its bounds are views of one row: repeated, they would fill 140 bytes a device."""
+    batched = batch_space(space, count)
+    for name in ("low", "high", "bounded_below", "bounded_above"):
+        row = getattr(space, name)
+        setattr(batched, name, np.broadcast_to(row, (count, *row.shape)))
+    return batched

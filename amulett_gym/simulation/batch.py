@@ -16,7 +16,6 @@ from amulett_gym.simulation.layout import (
     SCENARIO,
     SCENARIO_BLOCK,
     STATE_BLOCK,
-    STATE_NAMES,
     TENSION_LAWS,
     Control,
     pack_parameters,
@@ -60,8 +59,6 @@ class Simulation:
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
         self.states = np.zeros(num_blocks, dtype=STATE_BLOCK)
-        devices = np.arange(num_devices)
-        self._block, self._lane = devices // LANES, devices % LANES
 
     @property
     def control_period(self) -> float:
@@ -90,11 +87,9 @@ class Simulation:
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios)
-        block, lane = self._block[devices], self._lane[devices]
-        for name in SCENARIO.names or ():
-            self.scenarios[name][block, ..., lane] = scenarios[name]
-        for name in STATE_NAMES:
-            self.states[name][block, lane] = 0
+        block, lane = np.divmod(devices, LANES)
+        _words(self.scenarios)[block, :, lane] = np.ascontiguousarray(scenarios).view(np.int64).reshape(block.size, -1)
+        _words(self.states)[block, :, lane] = 0
         self.states["law"][block, lane] = self._law
         kernel.settle(self.parameters, self.scenarios, self.states, devices)
 
@@ -108,7 +103,8 @@ class Simulation:
         """
         if not np.isfinite(tension).all():
             raise AmulettError(f"the tension command is {tension!r}; it has to be finite")
-        self.states["tension_command"][self._block, self._lane] = tension
+        block, lane = np.divmod(np.arange(self.num_devices), LANES)
+        self.states["tension_command"][block, lane] = tension
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""
@@ -117,6 +113,11 @@ class Simulation:
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
         return self.states[name].reshape(-1)[: self.num_devices].copy()
+
+    def read_scenarios(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
+        """Return a copy of the given devices' scenarios, `SCENARIO` records of shape (len(devices),)."""
+        block, lane = np.divmod(devices, LANES)
+        return np.ascontiguousarray(_words(self.scenarios)[block, :, lane]).view(SCENARIO)[:, 0]
 
     def get_state(self) -> dict[str, NDArray[np.void]]:
         """Return a snapshot of everything that an episode changes."""
@@ -163,3 +164,8 @@ class Simulation:
                 f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
                 f"command_limit_deg is {np.degrees(p['command_limit']):.1f}"
             )
+
+
+def _words(blocks: NDArray[np.void]) -> NDArray[np.int64]:
+    """View blocks as 64-bit words, shape (blocks, words of a device, LANES); each field is one of them, or several."""
+    return blocks.view(np.int64).reshape(blocks.size, -1, LANES)
