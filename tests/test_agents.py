@@ -390,7 +390,7 @@ def test_a_time_limit_ends_a_run(tmp_path):
 def test_the_time_limit_begins_when_the_kernel_is_compiled(tmp_path, monkeypatch):
     clock = iter(range(10_000_000))
     config = load_train_config(None, [*SMALL, "total_steps=64", "max_seconds=1000000"])
-    monkeypatch.setattr("amulett_agents.training._warm_up", lambda _: [next(clock) for _ in range(5_000_000)])
+    monkeypatch.setattr("amulett_agents.training.warm_up", lambda _: [next(clock) for _ in range(5_000_000)])
     monkeypatch.setattr("amulett_agents.training.time.monotonic", lambda: float(next(clock)))
     assert train(config, tmp_path / "run", progress=False).steps == 512
 

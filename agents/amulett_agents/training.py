@@ -118,7 +118,7 @@ def train(
         try:
             model = make_model(config)
             validation = make_validation_env(config)
-            _warm_up(config)
+            warm_up(config)
             _prepare(out, config, command)
             model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
             run = _Run(config, out, validation, command, progress)
@@ -268,7 +268,7 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) ->
     return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}
 
 
-def _warm_up(config: TrainConfig) -> None:
+def warm_up(config: TrainConfig) -> None:
     """Let the kernel compile before the clock starts: a time budget is for learning."""
     keywords = {"num_envs": 2, "max_episode_steps": 1, **config.env.keywords()}
     env = gym.make_vec(config.env.id, split="validation", **keywords)

@@ -1,55 +1,287 @@
-"""`amulett bench`: steps a second, beside Gymnasium's own environments in the same run."""
+"""`amulett bench`: how fast kernel, environments and learning are, beside others in the same run."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
+import os
 import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
-HELP = "measure the environments' speed beside Gymnasium's own"
+from amulett_gym.errors import AmulettError
+
+HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
 EXAMPLES = """  amulett bench
-  amulett bench --devices 4096 --turns 15 --json
+  amulett bench --c --ppo --peers --json bench.json
+  amulett bench --time-to-beat --seeds 3 --out runs/bench
+  amulett bench --scale --out runs/bench --doc docs/performance.md
 """
+
+Data = dict[str, Any]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    sections = parser.add_argument_group("measured on request, besides kernel and environments")
+    sections.add_argument("--c", action="store_true", help="the kernel beside the same tick in C (from a checkout)")
+    sections.add_argument("--ppo", action="store_true", help="PPO beside the same PPO on a null environment")
+    sections.add_argument(
+        "--time-to-beat", action="store_true", help="training time until PPO beats eq. 6, and the best constant, too"
+    )
+    sections.add_argument("--scale", action="store_true", help="from 1 to 65,536 devices; memory; an hour simulated")
+    sections.add_argument("--peers", action="store_true", help="MuJoCo, MyoSuite, gym-electric-motor, if installed")
     parser.add_argument("--devices", type=int, default=1024, help="devices in the vector environments (default: 1024)")
     parser.add_argument("--turns", type=int, default=7, help="interleaved turns that each one takes (default: 7)")
     parser.add_argument("--seed", type=int, default=0, help="of scenarios and actions (default: 0)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--config", metavar="FILE", help="recipe of --ppo and --time-to-beat (default: the tuned one)")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="change keys of that recipe, for example num_envs=1024",
+    )
+    parser.add_argument("--seeds", type=int, default=10, help="training runs of --time-to-beat (default: 10)")
+    parser.add_argument("--limit", type=float, default=120.0, help="longest of these runs [s] (default: 120)")
+    parser.add_argument(
+        "--simulated", type=float, default=3600.0, help="time that --scale's long run simulates [s] (default: 3600)"
+    )
+    parser.add_argument(
+        "--json", metavar="FILE", help="write the numbers as JSON; - for standard output, and no tables"
+    )
+    parser.add_argument("--doc", metavar="FILE.md", help="renew what the document says of the measured sections")
+    parser.add_argument("--out", metavar="DIR", help="folder for figures (--scale, --time-to-beat)")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Race all contestants and print their speeds and ratios."""
-    from dataclasses import asdict
+    """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
+    _check(arguments)
+    from amulett_gym.evaluation import performance
+    from amulett_gym.files import write_json
 
-    from tqdm import tqdm
+    asked = [name for name in performance.SECTIONS if name == "speed" or getattr(arguments, name.replace("-", "_"))]
+    config = _recipe(arguments) if {"ppo", "time-to-beat"} & set(asked) else None
+    if "c" in asked:
+        yardstick()  # refused before anything is measured
+    data: Data = {}
+    interrupted = False
+    quiet = arguments.json == "-"
+    try:
+        for section in asked:
+            try:
+                _MEASURE[section](arguments, data, config)
+            finally:
+                for table in performance.tables(section, data):
+                    _say(quiet, table.text() + "\n")
+    except KeyboardInterrupt:
+        interrupted = True
+        print("amulett: interrupted; what was measured until then is kept", file=sys.stderr)
+    if quiet:
+        print(json.dumps(data, indent=2, allow_nan=False))
+    elif arguments.json is not None:
+        write_json(arguments.json, data)
+    if arguments.out is not None:
+        from amulett_gym.evaluation.performance_figures import draw
 
-    from amulett_gym.errors import AmulettError
-    from amulett_gym.evaluation.speed import contestants, race
+        for path in draw(data, arguments.out):
+            _say(quiet, f"Written: {path}")
+    if arguments.doc is not None:
+        found = {section: performance.tables(section, data) for section in asked}
+        texts = {
+            section: "\n\n".join([f"`{_command()}` on {machine()}", *(table.markdown() for table in made)])
+            for section, made in found.items()
+            if made
+        }
+        performance.update(arguments.doc, texts)
+        _say(quiet, f"Renewed: {arguments.doc}")
+    return 130 if interrupted else 0
 
-    for option, smallest in (("devices", 1), ("turns", 1), ("seed", 0)):
+
+def machine() -> str:
+    """Say what was measured on: processor, cores, Python and numba."""
+    import platform
+    from importlib.metadata import version
+
+    names = [platform.machine()]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")][:1] or names
+    except OSError:
+        pass
+    return f"{names[0]}, {os.cpu_count()} cores, Python {platform.python_version()}, numba {version('numba')}."
+
+
+def yardstick() -> Any:
+    """Return the module that races the kernel against C.
+
+    Raises
+    ------
+    AmulettError
+        If amulett-gym does not run from a checkout, whose ``benchmarks/`` is not installed, or there is no compiler.
+    """
+    from importlib import import_module
+
+    import amulett_gym
+
+    root = Path(amulett_gym.__file__).resolve().parent.parent
+    if not (root / "benchmarks" / "yardstick.py").is_file():
+        raise AmulettError("--c needs the folder benchmarks of a checkout, which an installed package does not hold")
+    sys.path.insert(0, str(root))
+    try:
+        module = import_module("benchmarks.yardstick")
+    finally:
+        sys.path.remove(str(root))
+    if module.find_compiler() is None:
+        raise AmulettError(f"--c: {module.NO_COMPILER}")
+    return module
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    for option, smallest in (("devices", 1), ("turns", 1), ("seed", 0), ("seeds", 1)):
         if getattr(arguments, option) < smallest:
             raise AmulettError(f"--{option} is {getattr(arguments, option)}; it has to be at least {smallest}")
+    for option in ("limit", "simulated"):
+        if not 0 < getattr(arguments, option) < math.inf:
+            raise AmulettError(f"--{option} is {getattr(arguments, option)}; it has to be a positive number of seconds")
+    for option in ("json", "out", "doc"):
+        if getattr(arguments, option) == "":
+            raise AmulettError(f"--{option} is empty; it has to name a file or folder")
+    if arguments.doc is not None:
+        from amulett_gym.evaluation.performance import update
+
+        update(arguments.doc, {})  # a document that cannot be written is refused before anything is measured
+
+
+def _recipe(arguments: argparse.Namespace) -> Any:
+    """Return the checked recipe; torch is not imported yet."""
+    from amulett_gym.cli.train import check_installed
+
+    check_installed()
+    from amulett_agents import load_train_config
+
+    return load_train_config(arguments.config, arguments.overrides)
+
+
+def _speed(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    from amulett_gym.evaluation.speed import PROFILES, contestants, race
+
     entrants = contestants(arguments.devices, arguments.seed)
-    quiet = not sys.stderr.isatty()
-    with tqdm(total=arguments.turns * len(entrants), desc="turns", leave=False, disable=quiet) as bar:
+    with _bar(arguments.turns * len(entrants), "turns") as bar:
         speeds = {speed.name: speed for speed in race(entrants, arguments.turns, watch=bar.update)}
-    pendulum = speeds["Pendulum-v1, single"]
-    cartpole = speeds[f"CartPole-v1, vector of {arguments.devices}"]
-    ratios = {
-        name: speed.steps_per_second / (cartpole if "vector" in name else pendulum).steps_per_second
-        for name, speed in speeds.items()
+    references = {
+        "single": speeds["Pendulum-v1, single"],
+        "vector": speeds[f"CartPole-v1, vector of {arguments.devices}"],
     }
-    if arguments.json:
-        print(json.dumps({name: {**asdict(speed), "ratio": ratios[name]} for name, speed in speeds.items()}, indent=2))
-        return 0
-    print(f"{'':32}{'agent steps/s':>14}{'slowest':>13}{'fastest':>13}{'ticks/s':>14}{'ratio':>8}")
+    rows = {}
     for name, speed in speeds.items():
-        print(
-            f"{name:32}{speed.steps_per_second:14,.0f}{speed.slowest:13,.0f}{speed.fastest:13,.0f}"
-            f"{speed.ticks_per_second:14,.0f}{ratios[name]:8.2f}"
+        kind = next((kind for kind in references if kind in name), None)
+        ratio = None if kind is None else speed.steps_per_second / references[kind].steps_per_second
+        rows[name] = {**speed.numbers(), "ratio": ratio}
+    data["devices"] = arguments.devices
+    data["kernel_ticks_per_s"] = {
+        profile: speeds[f"kernel of {arguments.devices}, {profile}"].ticks_per_second for profile in reversed(PROFILES)
+    }
+    data["vector_steps_per_s"] = speeds[f"vector of {arguments.devices}, testbed"].steps_per_second
+    data["single_step_us"] = 1e6 / speeds["single, testbed"].steps_per_second
+    data["environments"] = rows
+
+
+def _c(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    import tempfile
+
+    from amulett_gym.simulation.kernel import advance
+
+    module = yardstick()
+    names = {"scalar": "c_ticks_per_s", "simd": "c_limit_ticks_per_s"}
+    with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder, _bar(len(module.PROFILES), "C") as bar:
+        builds = {name: module.build(name, Path(folder)) for name in names}
+        found: Data = {key: {} for key in ("kernel_ticks_per_s", *names.values(), "ratio_to_c", "ratio_to_c_spread")}
+        for profile in module.PROFILES:
+            speeds = module.race({module.KERNEL: advance, **builds}, profile, arguments.devices, arguments.turns)
+            found["kernel_ticks_per_s"][profile] = 1e6 * speeds[module.KERNEL].rate[0]
+            for name, key in names.items():
+                found[key][profile] = 1e6 * speeds[name].rate[0]
+            median, least, most = speeds[module.KERNEL].ratio
+            found["ratio_to_c"][profile], found["ratio_to_c_spread"][profile] = median, [least, most]
+            bar.update()
+    data.update(found, c_devices=arguments.devices)
+
+
+def _ppo(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    from amulett_agents.benchmark import ppo_throughput
+
+    with _bar(2 * arguments.turns, "PPO") as bar:
+        data["ppo"] = ppo_throughput(config, arguments.turns, watch=bar.update)
+
+
+def _time_to_beat(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    from amulett_agents.benchmark import Referee, describe_beats, from_the_middle, time_to_beat
+
+    config = from_the_middle(config)
+    referee = Referee(config)
+    runs: list[Any] = []
+    for seed in range(arguments.seed, arguments.seed + arguments.seeds):
+        with _bar(None, f"seed {seed}") as bar:
+            runs.append(
+                time_to_beat(config.model_copy(update={"seed": seed}), referee, arguments.limit, watch=bar.update)
+            )
+        data.update(describe_beats(config, referee, runs, arguments.limit))
+
+
+def _scale(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    from amulett_gym.evaluation import scale
+
+    found: Data = data.setdefault("scale", {})
+    turns = min(arguments.turns, 3)
+    found["memory_per_device"] = scale.memory_per_device(seed=arguments.seed)
+    with _bar(turns * len(scale.SIZES), "sizes") as bar:
+        found["device_step_ns"] = scale.cost_by_size(
+            sizes=scale.SIZES, seed=arguments.seed, turns=turns, watch=bar.update
         )
-    print("medians of interleaved turns; ratio: to Pendulum-v1 (single), to CartPole-v1 (vector); 1.3 or less is a tie")
-    return 0
+    with _bar(scale.SLICES, "long run") as bar:
+        found["long_run"] = scale.long_run(
+            devices=arguments.devices, seconds=arguments.simulated, seed=arguments.seed, watch=bar.update
+        )
+
+
+def _peers(arguments: argparse.Namespace, data: Data, config: Any) -> None:
+    from amulett_gym.evaluation import peers
+    from amulett_gym.evaluation.speed import PROFILES, race, single
+
+    ours = [single(profile, arguments.seed) for profile in PROFILES]
+    theirs, absent = peers.enter(seed=arguments.seed)
+    with _bar(arguments.turns * (len(ours) + len(theirs)), "peers") as bar:
+        speeds = race([*ours, *theirs], arguments.turns, watch=bar.update)
+    data["peers"] = peers.compare(speeds[: len(ours)], speeds[len(ours) :], absent)
+
+
+_MEASURE: dict[str, Callable[[argparse.Namespace, Data, Any], None]] = {
+    "speed": _speed,
+    "c": _c,
+    "ppo": _ppo,
+    "time-to-beat": _time_to_beat,
+    "scale": _scale,
+    "peers": _peers,
+}
+
+
+def _bar(total: int | None, what: str) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=total, desc=what, leave=False, disable=not sys.stderr.isatty())
+
+
+def _say(quiet: bool, message: str) -> None:
+    if not quiet:
+        print(message, flush=True)
+
+
+def _command() -> str:
+    import shlex
+
+    return shlex.join(["amulett", *sys.argv[1:]])
