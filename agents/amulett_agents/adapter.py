@@ -80,7 +80,7 @@ class SB3VecEnv(VecEnv):
         observations, info = self.venv.reset(seed=seeds, options=self._common_options())  # type: ignore[arg-type]
         self._terms = {name: np.zeros(self.num_envs) for name in info["reward_terms"]}
         self._returns[:], self._lengths[:] = 0.0, 0
-        self.reset_infos = [pick(info, device) for device in range(self.num_envs)]
+        self.reset_infos = pick(info, np.arange(self.num_envs))
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -100,23 +100,17 @@ class SB3VecEnv(VecEnv):
         self._lengths += 1
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        finished = np.flatnonzero(dones).tolist()
-        if finished:
-            seconds = round(time.monotonic() - self._started, 6)
-            for device in finished:
-                episode = {"r": float(self._returns[device]), "l": int(self._lengths[device]), "t": seconds}
-                infos[device] = pick(info, device) | {
-                    "terminal_observation": observations[device].copy(),
-                    "TimeLimit.truncated": bool(truncated[device] and not terminated[device]),
-                    "episode": episode,
-                    "episode_terms": {name: float(term[device]) for name, term in self._terms.items()},
-                }
-            for term in self._terms.values():
-                term[dones] = 0.0
-            self._returns[dones], self._lengths[dones] = 0.0, 0
+        if dones.any():
+            finished = np.flatnonzero(dones)
+            for device, ending in zip(finished.tolist(), self._endings(finished, info), strict=True):
+                ending["terminal_observation"] = observations[device].copy()
+                ending["TimeLimit.truncated"] = bool(truncated[device] and not terminated[device])
+                infos[device] = ending
+            for total in (self._returns, self._lengths, *self._terms.values()):
+                total[dones] = 0
             observations, info = self.venv.reset(options={"reset_mask": dones})
-            for device in finished:
-                self.reset_infos[device] = pick(info, device)
+            for device, beginning in zip(finished.tolist(), pick(info, finished), strict=True):
+                self.reset_infos[device] = beginning
         return observations, rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
@@ -154,6 +148,15 @@ class SB3VecEnv(VecEnv):
         """Tell that no device is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
+    def _endings(self, finished: NDArray[np.int64], info: dict[str, Any]) -> list[dict[str, Any]]:
+        """Return what finished devices' infos tell of their episodes."""
+        seconds = round(time.monotonic() - self._started, 6)
+        episode = {"r": self._returns, "l": self._lengths}
+        summed = pick({"episode": episode, "episode_terms": self._terms}, finished)
+        for sums in summed:
+            sums["episode"]["t"] = seconds
+        return [last | sums for last, sums in zip(pick(info, finished), summed, strict=True)]
+
     def _common_options(self) -> dict[str, Any] | None:
         """Return the options given by SB3's `set_options`, as the vector environment takes them."""
         given = [options for options in self._options if options]
@@ -164,8 +167,7 @@ class SB3VecEnv(VecEnv):
         return {"scenario": [options["scenario"] for options in given]}
 
 
-def pick(info: dict[str, Any], device: int) -> dict[str, Any]:
-    """Return one device's part of a vector environment's info, with Python numbers as in the single environment's."""
-    return {
-        key: pick(value, device) if isinstance(value, dict) else value[device].item() for key, value in info.items()
-    }
+def pick(info: dict[str, Any], devices: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Return the given devices' parts of a vector environment's info, with Python numbers as the single one's has."""
+    columns = [pick(value, devices) if isinstance(value, dict) else value[devices].tolist() for value in info.values()]
+    return [dict(zip(info, row, strict=True)) for row in zip(*columns, strict=True)]
