@@ -85,7 +85,7 @@ def normal(keys: NDArray[np.uint64], counters: NDArray[np.uint64], count: int) -
 def derive_keys(keys: NDArray[np.uint64], counters: NDArray[np.uint64] | int) -> NDArray[np.uint64]:
     """Return one new key for each key and counter: for the episodes of a device, and the streams of an episode."""
     derived = np.empty_like(keys)
-    _derive(keys, np.broadcast_to(np.asarray(counters, dtype=np.uint64), keys.shape).copy(), derived)
+    _derive(keys, np.full(keys.shape, counters, dtype=np.uint64), derived)
     return derived
 
 

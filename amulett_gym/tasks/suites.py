@@ -15,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.compiled import compiled
 from amulett_gym.config import Profile
 from amulett_gym.errors import unknown
 from amulett_gym.model.spring import build_tables
@@ -106,44 +107,51 @@ def _paper_step(rows: Rows, draws: Draws, spare_torque: float) -> None:
 
 def _steps(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Random setpoint steps of 10 to 60 deg in flexion and extension, every 1 to 2.5 s."""
-    _random_moves(rows, draws, dwell=(1.0, 2.5), duration=(0.0, 0.0))
+    _random_moves(rows, draws, (1.0, 2.5), (0.0, 0.0))
 
 
 def _reach(rows: Rows, draws: Draws, spare_torque: float) -> None:
     """Minimum-jerk reaches of 10 to 60 deg in 0.5 to 1.5 s, with 0.3 to 1 s between them."""
-    _random_moves(rows, draws, dwell=(0.3, 1.0), duration=(0.5, 1.5))
+    _random_moves(rows, draws, (0.3, 1.0), (0.5, 1.5))
 
 
-def _hold_push(rows: Rows, draws: Draws, spare_torque: float) -> None:
-    """Hold a posture of 15 to 75 deg against four torque pulses of 0.1 to 0.5 s in either direction."""
-    rows["initial_angle"] = np.radians(_between(draws[:, 0], 15.0, 75.0, 2))
-    rows["push_count"] = MAX_PUSHES
-    spare = np.maximum(spare_torque - np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])), 0.0)
-    for k in range(MAX_PUSHES):
-        when, how_long, how_strong, direction = draws[:, 4 * k + 4 : 4 * k + 8].T
-        rows["push_time"][:, k] = _between(when, 2.4 * k + START, 2.4 * k + START + 1.0, 3)
-        rows["push_duration"][:, k] = _between(how_long, 0.1, 0.5, 3)
-        sign = np.where(direction < 0.5, -1.0, 1.0)
-        rows["push_torque"][:, k] = sign * _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
-
-
+@compiled
 def _random_moves(rows: Rows, draws: Draws, dwell: tuple[float, float], duration: tuple[float, float]) -> None:
     low, high = WORKSPACE_DEG
-    angle = _between(draws[:, 0], low, high, 2)
-    rows["initial_angle"] = np.radians(angle)
-    rows["move_count"] = MAX_MOVES
-    time = np.full(len(rows), START)
-    for k in range(MAX_MOVES):
-        how_far, direction, how_long, pause = draws[:, 4 * k + 4 : 4 * k + 8].T
-        far = _between(how_far, 10.0, 60.0, 2)
-        flex = np.where(direction < 0.5, angle + far <= high, angle - far < low)
-        # A move that would leave the workspace one way goes the other way; one that fits neither way goes to an end.
-        angle = np.round(np.clip(np.where(flex, angle + far, angle - far), low, high), 2)
-        length = _between(how_long, *duration, 3)
-        rows["move_time"][:, k] = time
-        rows["move_angle"][:, k] = np.radians(angle)
-        rows["move_duration"][:, k] = length
-        time = np.round(time + length + _between(pause, *dwell, 3), 3)
+    for i in range(rows.size):
+        row, draw = rows[i], draws[i]
+        angle = _between(draw[0], low, high, 2)
+        row.initial_angle = np.radians(angle)
+        row.move_count = MAX_MOVES
+        time = START
+        for k in range(MAX_MOVES):
+            how_far, direction, how_long, pause = draw[4 * k + 4], draw[4 * k + 5], draw[4 * k + 6], draw[4 * k + 7]
+            far = _between(how_far, 10.0, 60.0, 2)
+            flex = angle + far <= high if direction < 0.5 else angle - far < low
+            # A move that would leave the workspace one way goes the other; one that fits neither way goes to an end.
+            angle = _rounded(min(max(angle + far if flex else angle - far, low), high), 2)
+            length = _between(how_long, duration[0], duration[1], 3)
+            row.move_time[k] = time
+            row.move_angle[k] = np.radians(angle)
+            row.move_duration[k] = length
+            time = _rounded(time + length + _between(pause, dwell[0], dwell[1], 3), 3)
+
+
+@compiled
+def _hold_push(rows: Rows, draws: Draws, spare_torque: float) -> None:
+    """Hold a posture of 15 to 75 deg against four torque pulses of 0.1 to 0.5 s in either direction."""
+    for i in range(rows.size):
+        row, draw = rows[i], draws[i]
+        row.initial_angle = np.radians(_between(draw[0], 15.0, 75.0, 2))
+        row.push_count = MAX_PUSHES
+        spare = max(spare_torque - abs(row.static_torque * np.sin(row.initial_angle)), 0.0)
+        for k in range(MAX_PUSHES):
+            when, how_long, how_strong, direction = draw[4 * k + 4], draw[4 * k + 5], draw[4 * k + 6], draw[4 * k + 7]
+            begin = START + 2.4 * k
+            row.push_time[k] = _between(when, begin, begin + 1.0, 3)
+            row.push_duration[k] = _between(how_long, 0.1, 0.5, 3)
+            torque = _between(how_strong, 0.2 * spare, 0.7 * spare, 4)
+            row.push_torque[k] = -torque if direction < 0.5 else torque
 
 
 def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
@@ -153,9 +161,16 @@ def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> 
     rows["initial_tension"] = np.where(room > 0, np.minimum(rows["initial_tension"], room), rows["initial_tension"])
 
 
-def _between(draw: Draws, low: float | Draws, high: float | Draws, digits: int) -> Draws:
-    """Scale uniform draws to [low, high], rounded: scenarios are data that people read, and replay exactly."""
-    return np.round(low + draw * (high - low), digits)
+@compiled
+def _between(draw: float, low: float, high: float, digits: int) -> float:
+    """Scale a uniform draw to [low, high], rounded: scenarios are data that people read, and replay exactly."""
+    return _rounded(low + draw * (high - low), digits)
+
+
+@compiled
+def _rounded(number: float, digits: int) -> float:
+    scale = 10.0**digits
+    return np.rint(number * scale) / scale
 
 
 _SUITES: dict[str, Callable[[Rows, Draws, float], None]] = {
