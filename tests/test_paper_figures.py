@@ -15,16 +15,19 @@ from amulett_gym.evaluation.signals import acting, force_feedback, switch_rows
 from amulett_gym.paper.figures import (
     CAPTIONS,
     damping_curves,
+    estimation_in_words,
     force_estimation,
     paper_figures,
     position_only_steps,
+    remarks,
     scaling_curves,
+    slack_in_words,
     undamped_below,
     variable_stiffness_step,
 )
 from amulett_gym.paper.reproduction import Readings
 from amulett_gym.paper.runs import HOLD, MOVES_FROM, follow, start, there_and_back
-from amulett_gym.paper.switching import SWITCH_WINDOW, switching_numbers, switching_run
+from amulett_gym.paper.switching import SWITCH_WINDOW, switching_run
 from amulett_gym.paper.tables import DEVICES, PROTOCOL
 from tests.helpers import EXACT_SENSORS, device
 
@@ -127,20 +130,26 @@ def test_the_feedback_is_the_antagonists_estimate_at_the_moment_a_tick_begins(sw
 
 
 def test_both_drives_are_the_agonist_in_movements_both_ways(switching):
-    assert {switch.agonist for switch in switching.switches} == {1, -1}
-    times = switching.trajectory["time"][switch_rows(switching.trajectory)]
+    trajectory = switching.trajectory
+    assert set(np.unique(trajectory["agonist"])) == {1, -1}
+    times = trajectory["time"][switch_rows(trajectory)]
     assert [switch.time for switch in switching.switches] == times.tolist()
 
 
 def test_at_a_switch_the_commands_change_by_the_position_controllers_increment_and_no_more(switching):
-    for switch in switching.switches:
-        assert switch.command_steps == pytest.approx([switch.position_output_step] * 2, abs=1e-9)
+    trajectory = switching.trajectory
+    for row in switch_rows(trajectory):
+        output, biceps, triceps = (
+            trajectory[name][row + 1] - trajectory[name][row]
+            for name in ("position_output", "command_biceps", "command_triceps")
+        )
+        assert (biceps, triceps) == pytest.approx((output, output), abs=1e-11)
 
 
 def test_a_switch_makes_the_feedback_jump_by_the_difference_of_both_estimates(switching):
     trajectory, feedback = switching.trajectory, force_feedback(switching.trajectory)
     for row, switch in zip(switch_rows(trajectory), switching.switches, strict=True):
-        other = "biceps" if switch.agonist > 0 else "triceps"
+        other = "biceps" if trajectory["agonist"][row + 1] > 0 else "triceps"
         assert switch.force_jump == pytest.approx(feedback[row] - trajectory[f"estimate_{other}"][row])
 
 
@@ -151,8 +160,8 @@ def test_what_a_switch_changes_begins_at_the_switch(switching):
         assert without["time"][-1] - switch.time == pytest.approx(SWITCH_WINDOW)
         for name in ("angle", "velocity", "estimate_biceps", "estimate_triceps", "command_biceps", "setpoint"):
             assert without[name][0] == trajectory[name][row]
-        assert (without["agonist"] == -switch.agonist).all()
-        assert (trajectory["agonist"][row + 1 :] != -switch.agonist).any()
+        assert (without["agonist"] == trajectory["agonist"][row]).all()
+        assert trajectory["agonist"][row + 1] == -trajectory["agonist"][row]
         angle = np.degrees(trajectory["angle"][row : row + len(without)])
         assert switch.deviation == pytest.approx(np.abs(angle - np.degrees(without["angle"])).max())
 
@@ -166,8 +175,52 @@ def test_the_position_has_no_peak_at_a_switch(switching):
 
 def test_switching_is_on_in_figure_9_whatever_the_other_figures_take(switching):
     for agonist in ("biceps", "switching"):
-        numbers = switching_numbers(TESTBED, replace(READINGS, agonist=agonist))
-        assert [switch.force_jump for switch in numbers] == [switch.force_jump for switch in switching.switches]
+        again = switching_run(TESTBED, replace(READINGS, agonist=agonist)).switches
+        assert [switch.force_jump for switch in again] == [switch.force_jump for switch in switching.switches]
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_figure_8_shows_the_true_force_beside_the_estimate(name, figures):
+    trajectory = variable_stiffness_step(load_profile(name), READINGS)
+    panel = figures["figure_8_variable_stiffness"].axes[2 + DEVICES.index(name)]
+    drawn = {line.get_label(): line.get_ydata() for line in panel.lines}
+    np.testing.assert_array_equal(drawn["true force"], trajectory["force_triceps"])
+    np.testing.assert_array_equal(drawn["triceps' string, estimated"], force_feedback(trajectory))
+    assert figures["figure_8_variable_stiffness"].axes[2].get_ylabel() == "string force [N]"
+
+
+def test_the_remark_on_figure_8_says_whether_the_string_goes_slack_and_what_the_estimate_says_then():
+    trajectory = variable_stiffness_step(load_profile("simulation"), READINGS)
+    time = trajectory["time"]
+    after = (time >= 0.5) & (time < 0.6)
+    slack = np.where(after, 0.0, 10.0)
+    estimate = force_feedback(trajectory)[after]
+
+    def said(force):
+        signals = {**trajectory.signals, "force_biceps": force, "force_triceps": force}
+        return slack_in_words("simulation", replace(trajectory, signals=signals))
+
+    assert "goes slack" in said(slack)
+    assert f"for 0.1 s, and the filtered estimate does not fall below {estimate.min():.2g} N" in said(slack)
+    assert f"the true force falls to 2 N, where the estimate is {estimate[0]:.2g} N" in said(slack + 2.0)
+
+
+@pytest.mark.parametrize(("choice", "words"), [("clamp", "clamped to it"), ("hold", "the last one above it")])
+def test_figure_5b_says_what_becomes_of_estimates_below_the_floor(choice, words):
+    profiles, readings = {name: load_profile(name) for name in DEVICES}, replace(READINGS, floor=choice)
+    assert words in remarks(profiles, readings)["figure_5b_force_estimation"]
+    legend = paper_figures(profiles, readings)["figure_5b_force_estimation"].legends[0]
+    assert any(f"below {FLOOR:g} N" in text.get_text() and words in text.get_text() for text in legend.get_texts())
+
+
+def test_the_remark_on_figure_5b_says_whether_the_error_grows_at_low_forces_as_the_papers():
+    shape = {"stiffness": 1000.0, "half_width": 0.01, "max_deflection": 0.0095}
+    said = {}
+    for name, free_length in (("linear", 0.0), ("cubic", 0.01)):
+        testbed = device("testbed", spring={**shape, "free_length": free_length}, sensors={"force_floor": 1.0})
+        said[name] = estimation_in_words(testbed)
+    assert "So does ours" in said["linear"]
+    assert "Ours does not" in said["cubic"]
 
 
 def test_a_device_that_fails_is_followed_up_to_there():

@@ -12,6 +12,7 @@ HELP = "run what the paper measured, and compare Tables 2-5 with ours"
 EXAMPLES = """  amulett reproduce --out runs/reproduction
   amulett reproduce --json
   amulett reproduce --doc docs/reproduction.md
+  amulett reproduce --study runs/identify --out runs/mine
 """
 
 
@@ -19,18 +20,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
     parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
+    parser.add_argument(
+        "--study",
+        metavar="DIR",
+        help="devices that `amulett identify` wrote to a folder, in the place of the shipped ones",
+    )
     parser.add_argument("--json", action="store_true", help="print the content of reproduction.json and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
+    from amulett_gym.paper.document import check
     from amulett_gym.paper.evidence import gather
+    from amulett_gym.paper.own_study import read_study
     from amulett_gym.paper.report import REPRODUCTION_MARKS, draw, write_document, write_report
     from amulett_gym.paper.results import content, in_words
 
     out = arguments.out
+    study = None if arguments.study is None else read_study(arguments.study)
+    if arguments.doc is not None:
+        check(arguments.doc)
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
-        evidence = gather()
+        evidence = gather(study)
         figures = {} if out is None and arguments.doc is None else draw(evidence)
         result = content(evidence) if out is None else write_report(evidence, figures, out)
     if arguments.doc is not None:

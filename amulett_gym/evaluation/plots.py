@@ -226,8 +226,13 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
     figure = Figure(figsize=(WIDTH, 0.8 + 3.0 * rows), layout="constrained")
     grid = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2] * rows)
     reference = trajectories.get(YARDSTICK)
-    top_angle = max(float(np.degrees(trajectories[name]["angle"]).max()) for name in names)
-    top_tension = max(float(_antagonist_tension(trajectories[name]).max()) for name in names)
+    angles = np.degrees(
+        np.concatenate([path[signal] for path in trajectories.values() for signal in ("angle", "setpoint")])
+    )
+    room = 0.05 * max(float(np.ptp(angles)), 1.0)
+    tensions = [
+        s.max() for path in trajectories.values() for s in (_antagonist_tension(path), path["tension_setpoint"])
+    ]
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
         angle, tension = grid[2 * row, column], grid[2 * row + 1, column]
@@ -240,9 +245,9 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
         angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
         tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
         tension.plot(time, trajectory["tension_setpoint"], color=SETPOINT, linestyle="--", linewidth=0.9)
-        angle.set_ylim(top=top_angle + 5.0)
+        angle.set_ylim(angles.min() - room, angles.max() + room)
         angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
-        tension.set_ylim(0.0, 1.05 * top_tension)
+        tension.set_ylim(0.0, 1.05 * max(tensions))
         for panel, text in ((angle, "joint angle [deg]"), (tension, "antagonist's\ntension [N]")):
             panel.sharey(grid[0 if panel is angle else 1, 0])
             if column == 0:
@@ -459,7 +464,7 @@ def curves_figure(
 
 @_styled
 def force_estimation_figure(
-    deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float
+    deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float, below: str
 ) -> Figure:
     """Draw what single sensor readings make of a string's force, and how far they are off (Figure 5b).
 
@@ -474,7 +479,9 @@ def force_estimation_figure(
     rms : ndarray, shape (n,)
         Root mean square of the error over the readings [N].
     floor : float
-        Estimates below this are not used [N]; shaded.
+        Estimates below this are not trusted [N]; shaded.
+    below : str
+        What becomes of those, for the legend.
     """
     figure = Figure(figsize=(PRINT_WIDTH, 4.0), layout="constrained")
     grid = figure.add_gridspec(2, 2)
@@ -506,9 +513,9 @@ def force_estimation_figure(
         Line2D([], [], color=BLACK, label="true force"),
         Line2D([], [], color=RED, marker="o", markersize=3.2, linewidth=0, label="estimate from a single reading"),
         Line2D([], [], color=BLUE, linewidth=1.1, label="rms error of all readings"),
-        Patch(color="#ececec", label=f"below {floor:g} N: not used"),
+        Patch(color="#ececec", label=below),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    figure.legend(handles=handles[: 4 if floor > 0.0 else 3], loc="outside lower center", ncols=4)
     return figure
 
 
@@ -524,6 +531,8 @@ class Tracked:
     title : str
     shows_switches : bool
         Whether lines mark the switches of the agonist, and the string that is not fed back is drawn too.
+    true_force : ndarray, optional
+        True force of the antagonist's string, to be drawn beside the estimate that is fed back [N].
     without : sequence of Trajectory
         What the device would have done without a switch, for the angle's panel.
     """
@@ -532,6 +541,7 @@ class Tracked:
     span: tuple[float, float] | None = None
     title: str = ""
     shows_switches: bool = False
+    true_force: NDArray[np.float64] | None = None
     without: Sequence[Trajectory] = ()
 
 
@@ -564,6 +574,8 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
             angle.plot(other["time"], degrees, color=RED, linestyle=":", linewidth=1.2, label="without that switch")
         setpoint = acting(trajectory, "tension_setpoint")
         _draw_setpoint(tension, time, setpoint, (1.0 - tension_margin) * setpoint, (1.0 + tension_margin) * setpoint)
+        if column.true_force is not None:
+            tension.plot(time, column.true_force, color=INDIGO, linewidth=0.8, label="true force", zorder=1.8)
         _draw_feedback(tension, trajectory, column.shows_switches)
         if column.shows_switches:
             for moment in time[switch_rows(trajectory)]:
@@ -575,7 +587,8 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
         angle.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10], prune="upper"))
         tension.set_xlabel("time [s]")
     grid[0, 0].set_ylabel("joint angle [deg]")
-    grid[1, 0].set_ylabel("estimated force [N]")
+    true = any(column.true_force is not None for column in columns)
+    grid[1, 0].set_ylabel("string force [N]" if true else "estimated force [N]")
     figure.align_ylabels(grid[:, 0])
     handles: dict[str, Any] = {}
     for panel in grid.flat:
@@ -629,7 +642,7 @@ def _draw_feedback(panel: Any, trajectory: Trajectory, both: bool) -> None:
         fed_back = acting_agonist == agonist
         if fed_back.any():
             force = np.where(fed_back, feedback, np.nan)
-            label = f"{string}, fed back" if both else f"{string}' string"
+            label = f"{string}, fed back" if both else f"{string}' string, estimated"
             panel.plot(time, force, color=colour, linestyle=style, label=label)
         if both:
             force = trajectory[f"estimate_{string}"]

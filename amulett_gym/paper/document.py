@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,13 +12,18 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text, write_text
 from amulett_gym.paper.claims import CheckedClaim
 from amulett_gym.paper.evidence import Evidence
+from amulett_gym.paper.figures import with_remark
 from amulett_gym.paper.hypotheses import Answer
 from amulett_gym.paper.reproduction import Reproduction, Row, explained
+from amulett_gym.paper.results import bounds_in_words, cost_in_words, determined_in_words, search_varies, status
 from amulett_gym.paper.statements import NAMES
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
 
 BEGIN = "<!-- Written by `amulett reproduce --doc`; edit around it. -->"
 END = "<!-- End of what is written. -->"
+
+IMAGES = "images"
+"""Folder of a document's figures, beside it."""
 
 _COLUMNS = (
     ("rise_time", None, "rise time [s]"),
@@ -34,9 +41,10 @@ def block(evidence: Evidence, figures: Mapping[str, str]) -> str:
     ----------
     evidence : Evidence
     figures : mapping of str to str
-        File of each figure, relative to the document, and its caption.
+        File of each figure, relative to the document, and its caption; what the figure shows on these devices is added.
     """
     parts = [
+        *([] if evidence.folder is None else [status(evidence)]),
         _rows(evidence.reproduction),
         _readings(evidence.reproduction, evidence.identification),
         _predicted(evidence.predicted),
@@ -45,9 +53,33 @@ def block(evidence: Evidence, figures: Mapping[str, str]) -> str:
         _hypotheses(evidence.hypotheses),
         _claims(evidence.claims),
         "### Figures",
-        *[f"![{Path(file).stem}]({file})\n\n*{caption}*" for file, caption in figures.items()],
+        *[
+            f"![{Path(file).stem}]({file})\n\n*{with_remark(caption, evidence.remarks.get(Path(file).stem))}*"
+            for file, caption in figures.items()
+        ],
     ]
     return "\n\n".join(parts)
+
+
+def check(path: str | Path) -> None:
+    """Refuse a document that could not be renewed, before any work.
+
+    Raises
+    ------
+    AmulettError
+        If the file or the figures beside it cannot be written, or it has not both marks once, in their order.
+    """
+    _around(path)
+    if not os.access(path, os.W_OK):
+        raise AmulettError(f"cannot write document '{path}': it is read-only")
+    folder = Path(path).parent
+    for place in (folder, folder / IMAGES):
+        if place.exists():
+            try:
+                with tempfile.TemporaryFile(dir=place):
+                    pass
+            except OSError as error:
+                raise AmulettError(f"cannot write to '{place}': {error.strerror or error}") from error
 
 
 def update(path: str | Path, text: str) -> None:
@@ -58,11 +90,17 @@ def update(path: str | Path, text: str) -> None:
     AmulettError
         If the file cannot be read or written, or has not both marks once, in their order.
     """
+    before, after = _around(path)
+    write_text(path, f"{before}{BEGIN}\n\n{text}\n\n{after}")
+
+
+def _around(path: str | Path) -> tuple[str, str]:
+    """Return what is before a document's first mark, and what follows from its second one on."""
     document = read_text(path, "document")
     begin, end = document.find(BEGIN), document.find(END)
     if begin < 0 or end < begin or document.count(BEGIN) != 1 or document.count(END) != 1:
         raise AmulettError(f"document '{path}' has to hold the line '{BEGIN}' once, and after it '{END}' once")
-    write_text(path, f"{document[:begin]}{BEGIN}\n\n{text}\n\n{document[end:]}")
+    return document[:begin], document[end:]
 
 
 def _rows(reproduction: Reproduction) -> str:
@@ -75,9 +113,10 @@ def _rows(reproduction: Reproduction) -> str:
             cells = [numbers[device, configuration, metric, drive] for metric, drive, _ in _COLUMNS]
             body.append([device, NAMES[configuration], *map(_cell, cells)])
     total = sum(row.explained for row in reproduction.rows)
+    titles = ["device", "configuration", *(title for *_, title in _COLUMNS)]
     return (
-        f"### Tables 2-5\n\nPaper / ours (ratio); **bold**: not explained. {total} of {len(reproduction.rows)} "
-        f"numbers are explained.\n\n{_table(['device', 'configuration', *(title for *_, title in _COLUMNS)], body)}"
+        f"### Tables 2-5\n\n{bounds_in_words()} {total} of {len(reproduction.rows)} are. In the table: paper / ours "
+        f"(ratio); **bold**: not explained.\n\n{_table(titles, body)}"
     )
 
 
@@ -106,7 +145,10 @@ def _readings(reproduction: Reproduction, identification: Mapping[str, Any]) -> 
         "all, fitted again",
         "cost of that fit",
     ]
-    return f"### Readings\n\nNumbers explained, of 8, 8, 8 and 16.\n\n{_table(titles, body)}"
+    return (
+        f"### Readings\n\nNumbers explained, of 8, 8, 8 and 16. {cost_in_words()}\n\n{_table(titles, body)}\n\n"
+        f"{search_varies(identification)}"
+    )
 
 
 def _predicted(predicted: Mapping[str, Sequence[Row]]) -> str:
@@ -138,7 +180,7 @@ def _spread(identification: Mapping[str, Any]) -> str:
         for entry in identification["spread"]
     ]
     titles = ["parameter", "value", "as good", "searched", "determined"]
-    return f"### What the tables determine\n\n{_table(titles, body)}"
+    return f"### What the tables determine\n\n{determined_in_words(identification)}\n\n{_table(titles, body)}"
 
 
 def _springs(identification: Mapping[str, Any]) -> str:
@@ -157,8 +199,15 @@ def _springs(identification: Mapping[str, Any]) -> str:
 
 
 def _hypotheses(hypotheses: Sequence[Answer]) -> str:
-    body = [[str(item.number), item.hypothesis, f"**{item.verdict}**", item.paper] for item in hypotheses]
-    return f"### Hypotheses of section 1.2\n\n{_table(['', 'hypothesis', 'ours', 'the paper'], body)}"
+    truth = {True: "yes", False: "**no**", None: "open"}
+    parts = ["### Hypotheses of section 1.2"]
+    for answer in hypotheses:
+        body = [[f"{item.case}: {item.question}", truth[item.holds], item.words] for item in answer.criteria]
+        parts.append(
+            f'**{answer.number}. {answer.verdict.capitalize()}.** "{answer.hypothesis}." The paper: {answer.paper}'
+        )
+        parts.append(_table(["on our devices", "", "numbers"], body))
+    return "\n\n".join(parts)
 
 
 def _claims(claims: Sequence[CheckedClaim]) -> str:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from amulett_gym.paper.claims import CheckedClaim, check_claims
+from amulett_gym.paper.figures import remarks
 from amulett_gym.paper.hypotheses import Answer, answer_hypotheses
 from amulett_gym.paper.motion import observe
+from amulett_gym.paper.own_study import OwnStudy
 from amulett_gym.paper.reproduction import Reproduction, Row, reproduce
 from amulett_gym.paper.statements import our_numbers
 from amulett_gym.paper.study import cross_check, shipped
@@ -26,6 +28,10 @@ class Evidence:
         What the fits to three configurations predict for the fourth (`study.cross_check`).
     claims : tuple of CheckedClaim
     hypotheses : tuple of Answer
+    remarks : dict of str to str
+        What the figures show on these devices, by the figures' names (`figures.remarks`).
+    folder : str or None
+        Of the study that the devices come from; None for the shipped one.
     """
 
     reproduction: Reproduction
@@ -33,12 +39,25 @@ class Evidence:
     predicted: dict[str, tuple[Row, ...]]
     claims: tuple[CheckedClaim, ...]
     hypotheses: tuple[Answer, ...]
+    remarks: dict[str, str]
+    folder: str | None = None
 
 
-def gather() -> Evidence:
-    """Run the paper's protocol on the shipped devices, and try its claims and hypotheses."""
-    reproduction = reproduce()
-    identification = shipped()
+def gather(study: OwnStudy | None = None) -> Evidence:
+    """Run the paper's protocol, and try its claims and hypotheses.
+
+    Parameters
+    ----------
+    study : OwnStudy, optional
+        Devices, and how they came about, in the place of the shipped ones (`own_study.read_study`).
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+    reproduction = reproduce(None if study is None else study.profiles)
+    identification = shipped() if study is None else study.identification
     observed = observe(reproduction)
     return Evidence(
         reproduction,
@@ -46,4 +65,6 @@ def gather() -> Evidence:
         cross_check(identification, reproduction.readings),
         check_claims(reproduction, observed),
         answer_hypotheses({**our_numbers(reproduction), **observed}),
+        remarks(reproduction.profiles, reproduction.readings),
+        None if study is None else study.folder,
     )

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.config import Damping, Profile, VariableStiffness
+from amulett_gym.control.agonist import BICEPS
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.evaluation.signals import force_feedback
+from amulett_gym.evaluation.signals import acting, force_feedback
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.sensors import read_slider
 from amulett_gym.model.spring import build_tables, estimate_force, look_up
@@ -36,16 +37,26 @@ CAPTIONS = {
     "figure_3_damping": "Decay rate over preload, clipped at zero: the form that is used, and the other one. Points: "
     "the tension setpoints of 5 and 10 N.",
     "figure_5b_force_estimation": "True string force, and the force estimated from single readings of the testbed's "
-    "potentiometers; right, their error over the true force. Estimates below the floor (shaded) are not used.",
+    "potentiometers, before filter and floor; right, their error over the true force.",
     "figure_6_scaling_factor": "String tension scaling factor of eq. 6, as its text describes it and as it is printed.",
     "figure_7_position_only": "The first three steps without tension control, on the testbed. Force: the estimate for "
     "the antagonist's string; its setpoint is its mean over the first two seconds. Dashed: error margins.",
-    "figure_8_variable_stiffness": "Step response with variable stiffness: (a) simulation, (b) testbed. Force: the "
-    "estimate for the antagonist's string. Dashed: error margins.",
+    "figure_8_variable_stiffness": "Step response with variable stiffness: (a) simulation, (b) testbed. Force, of "
+    "the antagonist's string: the estimate that is fed back, and thin what is true. Dashed: error margins.",
     "figure_9_switching": "Steps with tension control and a switching agonist, on the testbed. The force fed back "
     "(thick) switches between the strings. Right: the second step, and the angle had each switch not happened.",
 }
-"""Name -> what it shows: the figures that `paper_figures` returns, in its order."""
+"""Name -> what it shows: the figures that `paper_figures` returns, in its order. `remarks` say what one sees there."""
+
+SLACK = 0.1
+"""A string of less true force counts as slack [N]."""
+
+BELOW_FLOOR = {
+    "clamp": "clamped to it",
+    "hold": "replaced by the last one above it",
+    "ignore": "no error to the controller",
+}
+"""What a device does with estimates below the floor (`Sensors.below_floor`), in words."""
 
 READINGS = 200
 """Single readings of the potentiometer at each deflection of Figure 5b."""
@@ -112,6 +123,68 @@ def force_estimation(profile: Profile, points: int = 300) -> ForceEstimation:
     return ForceEstimation(deflection, np.array([tables.force_at(stretch) for stretch in deflection]), estimate)
 
 
+def remarks(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, str]:
+    """Say what figures show on these devices that no caption can know, by the names of `CAPTIONS`.
+
+    Parameters
+    ----------
+    profiles : mapping of str to Profile
+        The devices, by `tables.DEVICES`.
+    readings : Readings
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a starting posture.
+    """
+    steps = {name: variable_stiffness_step(profiles[name], readings) for name in DEVICES}
+    return {
+        "figure_5b_force_estimation": estimation_in_words(apply_readings(profiles["testbed"], readings)),
+        "figure_8_variable_stiffness": " ".join(slack_in_words(name, steps[name]) for name in DEVICES),
+    }
+
+
+def with_remark(caption: str, remark: str | None) -> str:
+    """Return a caption, followed by what the figure shows on these devices if there is such a remark."""
+    return " ".join(filter(None, [caption, remark]))
+
+
+def slack_in_words(name: str, trajectory: Trajectory) -> str:
+    """Say whether the antagonist's string goes slack after a device's step, and what its estimate says of that."""
+    stepped = trajectory["time"] >= START
+    force, estimate = antagonist_force(trajectory)[stepped], force_feedback(trajectory)[stepped]
+    where = {"simulation": "In the simulation", "testbed": "On the testbed"}[name]
+    if (slack := force < SLACK).any():
+        time = trajectory.control_period * np.count_nonzero(slack)
+        return (
+            f"{where} the antagonist goes slack far from the setpoint: the true force is below {SLACK:g} N for "
+            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then."
+        )
+    least = int(np.argmin(force))
+    return f"{where} the true force falls to {force[least]:.2g} N, where the estimate is {estimate[least]:.2g} N."
+
+
+def estimation_in_words(profile: Profile) -> str:
+    """Say what a device does with estimates below its floor, and whether its error grows there as the paper's does."""
+    data, floor = force_estimation(profile), profile.sensors.force_floor
+    below = data.force < floor
+    if not below.any() or below.all():
+        return "There is no floor below which estimates are not trusted."
+    error, at_floor = data.error, float(np.interp(floor, data.force, data.error))
+    low, high = error[below].mean(), error[~below].mean()
+    end = data.force[-1]
+    grows = (
+        f"So does ours: {low:.2g} N below the floor, {high:.2g} N above"
+        if low > high
+        else f"Ours does not: it is {low:.2g} N below the floor and {high:.2g} N above, and grows only relative to the "
+        f"force, from {100.0 * error[-1] / end:.2g} % at {end:.3g} N to {100.0 * at_floor / floor:.2g} % at {floor:g} N"
+    )
+    return (
+        f"Estimates below the floor of {floor:g} N (shaded) are {BELOW_FLOOR[profile.sensors.below_floor]}. The "
+        f"paper's error grows at low forces. {grows}."
+    )
+
+
 def scaling_curves(law: VariableStiffness, error_deg: Values) -> dict[str, Values]:
     """Return f_sigma at position errors [deg] by both forms of eq. 6; the printed one is clipped at 1."""
     forms = {"text": scaling_factor, "printed": scaling_factor_printed}
@@ -146,6 +219,12 @@ def variable_stiffness_step(profile: Profile, readings: Readings) -> Trajectory:
     return follow(start(device, "variable", [scenario], readings.eq6), START + HOLD)
 
 
+def antagonist_force(trajectory: Trajectory) -> Values:
+    """Return the true force of the string whose estimate is fed back [N], shape (ticks + 1,)."""
+    biceps_is_agonist = acting(trajectory, "agonist") == BICEPS
+    return np.where(biceps_is_agonist, trajectory["force_triceps"], trajectory["force_biceps"])
+
+
 def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, Figure]:
     """Run what the paper's figures show, and draw them.
 
@@ -173,15 +252,18 @@ def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[s
     switching = switching_run(testbed, readings)
     return {
         "figure_3_damping": _draw_damping(testbed.damping, readings.damping),
-        "figure_5b_force_estimation": _draw_estimation(testbed),
+        "figure_5b_force_estimation": _draw_estimation(apply_readings(testbed, readings)),
         "figure_6_scaling_factor": _draw_scaling(testbed.variable_stiffness, readings.eq6),
         "figure_7_position_only": plots.tracking_figure(
             [plots.Tracked(position_only_steps(testbed, readings))], **margins
         ),
         "figure_8_variable_stiffness": plots.tracking_figure(
             [
-                plots.Tracked(responses["simulation"], (START - 0.1, START + 0.9), "(a) simulation"),
-                plots.Tracked(responses["testbed"], (0.0, START + HOLD), "(b) testbed"),
+                plots.Tracked(responses[name], span, title, true_force=antagonist_force(responses[name]))
+                for name, span, title in (
+                    ("simulation", (START - 0.1, START + 0.9), "(a) simulation"),
+                    ("testbed", (0.0, START + HOLD), "(b) testbed"),
+                )
             ],
             **margins,
         ),
@@ -218,9 +300,10 @@ def _draw_damping(damping: Damping, used: str) -> Figure:
 def _draw_estimation(profile: Profile) -> Figure:
     from amulett_gym.evaluation import plots
 
-    data = force_estimation(profile)
+    data, sensors = force_estimation(profile), profile.sensors
+    below = f"below {sensors.force_floor:g} N: {BELOW_FLOOR[sensors.below_floor]}"
     return plots.force_estimation_figure(
-        1000.0 * data.deflection, data.force, data.estimate, data.error, PROTOCOL.force_floor
+        1000.0 * data.deflection, data.force, data.estimate, data.error, sensors.force_floor, below
     )
 
 

@@ -22,14 +22,17 @@ class Criterion:
 
     Attributes
     ----------
+    case : str
+        Device, configuration or both that it is about.
     question : str
-        What has to be the case.
+        What has to be the case there.
     holds : bool or None
         None if a number is missing.
     words : str
         The numbers that say so.
     """
 
+    case: str
     question: str
     holds: bool | None
     words: str
@@ -73,7 +76,8 @@ def answer_hypotheses(numbers: Numbers) -> tuple[Answer, ...]:
             "reduced",
             [
                 _criterion(
-                    f"{device}, {NAMES[configuration]}: both are reduced by more than 1 %",
+                    f"{device}, {NAMES[configuration]}",
+                    "both are reduced by more than 1 %",
                     [
                         Within(
                             ratio(_key(metric, device, configuration), _key(metric, device, PLAIN), METRICS[metric]),
@@ -116,7 +120,8 @@ def hypotheses_content(answers: Sequence[Answer]) -> list[dict[str, Any]]:
             "hypothesis": answer.hypothesis,
             "verdict": answer.verdict,
             "criteria": [
-                {"question": item.question, "holds": item.holds, "numbers": item.words} for item in answer.criteria
+                {"question": f"{item.case}: {item.question}", "holds": item.holds, "numbers": item.words}
+                for item in answer.criteria
             ],
             "paper": answer.paper,
         }
@@ -136,13 +141,15 @@ def _stiffness_criteria(device: str, numbers: Numbers) -> list[Criterion]:
 
     return [
         _criterion(
-            f"{device}: with variable stiffness the joint is over 5 % softer far from the setpoint (error above "
-            "d_offset) than near it (within 2 deg)",
+            device,
+            "with variable stiffness the joint is over 5 % softer far from the setpoint (error above d_offset) than "
+            "near it (within 2 deg)",
             [Within(softening(VARIABLE), high=0.95)],
             numbers,
         ),
         _criterion(
-            f"{device}: that is eq. 6's doing: at constant tensions the joint softens less, by 5 % or more",
+            device,
+            "that is eq. 6's doing: at constant tensions the joint softens less, by 5 % or more",
             [
                 Within(softening(VARIABLE), high=bound(softening(other), lambda softened: 0.95 * softened))
                 for other in (FIVE, TEN)
@@ -150,8 +157,9 @@ def _stiffness_criteria(device: str, numbers: Numbers) -> list[Criterion]:
             numbers,
         ),
         _criterion(
-            f"{device}: it is controlled: the antagonist's tension is within 25 % of eq. 6's {_MINIMUM:g} N far from "
-            f"the setpoint, and of its {_NOMINAL:g} N near it",
+            device,
+            f"it is controlled: the antagonist's tension is within 25 % of eq. 6's {_MINIMUM:g} N far from the "
+            f"setpoint, and of its {_NOMINAL:g} N near it",
             [
                 Within(tension("far"), 0.75 * _MINIMUM, 1.25 * _MINIMUM),
                 Within(tension("near"), 0.75 * _NOMINAL, 1.25 * _NOMINAL),
@@ -168,14 +176,15 @@ def _switching_criteria(configuration: str, numbers: Numbers) -> list[Criterion]
     ise = [_key(f"{kind}_ise", TESTBED, configuration) for kind in ("switching", "fixed")]
     return [
         _criterion(
-            f"{name}: the agonist switches, and position ISE is less than 5 % larger than with the biceps as agonist "
-            "throughout",
+            name,
+            "the agonist switches, and position ISE is less than 5 % larger than with the biceps as agonist throughout",
             [switched, Within(ratio(ise[0], ise[1], "position ISE"), high=1.05)],
             numbers,
         ),
         _criterion(
-            f"{name}: no switch moves the joint by more than the error margin of 2 deg away from where it would be "
-            "without that switch",
+            name,
+            "no switch moves the joint by more than the error margin of 2 deg away from where it would be without that "
+            "switch",
             [
                 switched,
                 Within(
@@ -188,9 +197,9 @@ def _switching_criteria(configuration: str, numbers: Numbers) -> list[Criterion]
     ]
 
 
-def _criterion(question: str, statements: Sequence[Within], numbers: Numbers) -> Criterion:
+def _criterion(case: str, question: str, statements: Sequence[Within], numbers: Numbers) -> Criterion:
     verdict = judge(statements, numbers)
-    return Criterion(question, verdict.holds, verdict.words)
+    return Criterion(case, question, verdict.holds, verdict.words)
 
 
 def _answer(number: int, hypothesis: str, criteria: Sequence[Criterion], paper: str) -> Answer:

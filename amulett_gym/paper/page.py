@@ -8,14 +8,25 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup, escape
+
 from amulett_gym import __version__
 from amulett_gym.evaluation.results import number, pretty
 from amulett_gym.paper.claims import CheckedClaim
-from amulett_gym.paper.hypotheses import Answer
-from amulett_gym.paper.reproduction import BOUNDS, MEASUREMENT_TIME, Reproduction, Row, explained, moved
-from amulett_gym.paper.results import STATUS, by_table, note
+from amulett_gym.paper.evidence import Evidence
+from amulett_gym.paper.figures import CAPTIONS, with_remark
+from amulett_gym.paper.reproduction import MEASUREMENT_TIME, Reproduction, Row, best_reading, explained, moved
+from amulett_gym.paper.results import (
+    bounds_in_words,
+    by_table,
+    cost_in_words,
+    determined_in_words,
+    search_varies,
+    status,
+    within,
+)
 from amulett_gym.paper.statements import METRICS, NAMES
-from amulett_gym.paper.tables import PROTOCOL
+from amulett_gym.paper.tables import DEVICES, PROTOCOL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,52 +50,37 @@ _READINGS = {
 """Readings in words; one that is not here goes by its name."""
 
 
-def render(
-    reproduction: Reproduction,
-    claims: Sequence[CheckedClaim],
-    hypotheses: Sequence[Answer],
-    figures: Mapping[str, Figure],
-    identification: Mapping[str, Any] | None = None,
-    captions: Mapping[str, str] | None = None,
-) -> str:
+def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
     """Return a reproduction as one HTML page with inline figures, styles and no script.
 
     Parameters
     ----------
-    reproduction : Reproduction
-    claims : sequence of CheckedClaim
-        From `claims.check_claims`.
-    hypotheses : sequence of Answer
-        From `hypotheses.answer_hypotheses`.
+    evidence : Evidence
     figures : mapping of str to Figure
-        By names like ``figure_5b_force_estimation``; may be empty.
-    identification : mapping, optional
-        How the parameters came about. All of its entries are optional, and each makes a section: ``cross_check``, rows
-        as in ``reproduction.json`` with the configuration that was ``left_out`` of the fit; ``spread``, one
-        ``{"name", "unit", "value", "low", "high", "determined", "source"}`` a parameter; ``springs``, one
-        ``{"law", "length_ratio", "cost", "met", "of", "stiffening"}`` a spring law; ``readings_refitted``, one
-        ``{"reading", "choice", "explained"}`` a reading, beside the ``explained`` of the readings taken.
-    captions : mapping of str to str, optional
-        What the figures show, by the same names.
+        By the names of `figures.CAPTIONS`; may be empty.
     """
     from amulett_gym.evaluation.plots import figure_svg
     from amulett_gym.evaluation.report import fill_page
 
-    found = identification or {}
+    reproduction, claims, found = evidence.reproduction, evidence.claims, evidence.identification
     printed = [item for item in claims if item.paper is not None]
     return fill_page(
         "paper/reproduction.html.j2",
         verdict=_verdict(reproduction.rows, claims),
-        status=STATUS,
-        bounds=_bounds(),
+        status=status(evidence),
+        bounds=bounds_in_words(),
         tables=[_table(reproduction, table) for table in _TABLES],
         repetitions=PROTOCOL.repetitions_testbed,
         rise_time=reproduction.readings.rise_time,
         readings=_readings(reproduction, found),
+        cost=cost_in_words(),
+        search_varies=search_varies(found),
         taken={_READINGS.get(name, name): choice for name, choice in asdict(reproduction.readings).items()},
-        cross_check=[_row_in_words(row) for row in found.get("cross_check", ())],
-        spread=[_numbers_in_words(item, ("value", "low", "high")) for item in found.get("spread", ())],
-        springs=[_numbers_in_words(item, ("length_ratio", "cost", "stiffening")) for item in found.get("springs", ())],
+        devices=DEVICES,
+        predicted=[_prediction(left_out, rows) for left_out, rows in evidence.predicted.items()],
+        determined=determined_in_words(found),
+        spread=[_spread(item) for item in found["spread"]],
+        springs=[_numbers_in_words(item, ("length_ratio", "cost", "stiffening")) for item in found["springs"]],
         claims=claims,
         counts={
             "hold": sum(item.ours.holds is True for item in claims),
@@ -93,13 +89,19 @@ def render(
             "printed": len(printed),
             "contradicted": sum(item.contradicted for item in claims),
         },
-        hypotheses=hypotheses,
+        hypotheses=evidence.hypotheses,
         figures=[
-            {"svg": figure_svg(figure, name), "title": _title(name), "caption": (captions or {}).get(name, "")}
+            {
+                "id": _title(name).lower().replace(" ", "-"),
+                "svg": figure_svg(figure, name),
+                "title": _title(name),
+                "caption": with_remark(CAPTIONS.get(name, ""), evidence.remarks.get(name)),
+            }
             for name, figure in figures.items()
         ],
         words=_words,
         measurement_time=f"{MEASUREMENT_TIME:g}",
+        study=evidence.folder,
         versions={package: version(package) for package in ("numba", "numpy")} | {"amulett-gym": __version__},
     )
 
@@ -115,23 +117,13 @@ def _verdict(rows: Sequence[Row], claims: Sequence[CheckedClaim]) -> str:
     )
 
 
-def _bounds() -> list[str]:
-    """Return within which ratios a number is explained, devices with the same bounds together."""
-    devices: dict[tuple[str, tuple[float, float]], list[str]] = {}
-    for (metric, device), ratios in BOUNDS.items():
-        devices.setdefault((metric, ratios), []).append(device)
-    return [
-        f"{low:.3g} to {high:.3g} ({METRICS[metric]}, {' and '.join(names)})"
-        for (metric, (low, high)), names in devices.items()
-    ]
-
-
 def _table(reproduction: Reproduction, table: int) -> dict[str, Any]:
     indices = [index for index, row in enumerate(reproduction.rows) if row.cell.table == table]
     rows = [reproduction.rows[index] for index in indices]
     return {
         "number": table,
         "metric": METRICS[_TABLES[table]],
+        "bounds": {device: within(_TABLES[table], device) for device in DEVICES},
         "unit": _unit(rows[0].cell.unit),
         "our_unit": _unit(rows[0].unit),
         "drives": any(row.cell.drive for row in rows),
@@ -143,72 +135,91 @@ def _table(reproduction: Reproduction, table: int) -> dict[str, Any]:
         ],
         "rows": [
             {
-                "device": row.cell.profile,
-                "configuration": NAMES[row.cell.configuration],
-                "drive": row.cell.drive,
-                "paper": pretty(f"{row.cell.value:g}"),
-                "ours": pretty(number(row.ours, 4)),
+                **_row(row),
                 "spread": "" if row.spread is None else pretty(number(row.spread, 2)),
-                "ratio": pretty(number(row.ratio)),
-                "explained": row.explained,
-                "note": _words(note(reproduction, index)),
+                "nearest": "" if row.explained else _nearest(reproduction, index),
             }
             for index, row in zip(indices, rows, strict=True)
         ],
     }
 
 
+def _row(row: Row) -> dict[str, Any]:
+    return {
+        "table": row.cell.table,
+        "device": row.cell.profile,
+        "configuration": NAMES[row.cell.configuration],
+        "drive": row.cell.drive or "",
+        "paper": pretty(f"{row.cell.value:g}"),
+        "ours": pretty(number(row.ours, 4)),
+        "unit": _unit(row.unit),
+        "ratio": pretty(number(row.ratio)),
+        "explained": row.explained,
+        "trouble": _words(row.trouble),
+    }
+
+
+def _nearest(reproduction: Reproduction, index: int) -> str:
+    """Return the reading under which a row comes nearest to the paper, its ratio then, and whether that explains it."""
+    key, nearest = best_reading(reproduction, index)
+    if key is None:
+        return "as taken"
+    verdict = "explained" if nearest.explained else "not explained either"
+    return f"{_READINGS.get(key[0], key[0])}: `{key[1]}` (×{pretty(number(nearest.ratio))}, {verdict})"
+
+
 def _readings(reproduction: Reproduction, found: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a line for each reading; what explains as much when everything is fitted again, where that is known."""
-    refitted = {(item["reading"], item["choice"]): item["explained"] for item in found.get("readings_refitted", ())}
-    taken = {"name": "as taken", "choice": "", "nearer": "", "farther": "", "refitted": found.get("explained", "")}
-    lines: list[dict[str, Any]] = [{**taken, "explained": _counts(reproduction.rows)}]
-    for (name, choice), rows in reproduction.alternatives.items():
+    """Return a line for each reading, with what it explains when everything is fitted again, and that fit's cost."""
+    refitted = {(item["reading"], item["choice"]): item for item in found["readings_refitted"]}
+
+    def line(name: str, choice: str, rows: Sequence[Row], again: Mapping[str, Any]) -> dict[str, Any]:
         moves = moved(rows, reproduction.rows)
-        lines.append(
-            {
-                "name": _READINGS.get(name, name),
-                "choice": choice,
-                "explained": _counts(rows),
-                "nearer": moves.count("nearer"),
-                "farther": moves.count("farther"),
-                "refitted": refitted.get((name, choice), ""),
-            }
-        )
-    return lines
+        return {
+            "name": _READINGS.get(name, name),
+            "choice": choice,
+            "explained": [count for count, _ in explained(rows).values()],
+            "nearer": moves.count("nearer"),
+            "farther": moves.count("farther"),
+            "refitted": again["explained"],
+            "cost": f"{again['cost']:.1f}",
+        }
+
+    taken = {**line("as taken", "", reproduction.rows, found), "nearer": "", "farther": ""}
+    others = reproduction.alternatives.items()
+    return [taken, *(line(name, choice, rows, refitted[name, choice]) for (name, choice), rows in others)]
 
 
-def _counts(rows: Sequence[Row]) -> list[int]:
-    return [count for count, _ in explained(rows).values()]
+def _prediction(left_out: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Return what the cross-check says about one configuration, by device, and all rows of it."""
+    ratios = {device: [pretty(number(row.ratio)) for row in rows if row.cell.profile == device] for device in DEVICES}
+    return {
+        "left_out": NAMES[left_out],
+        "explained": sum(row.explained for row in rows),
+        "ratios": {device: ", ".join(words) for device, words in ratios.items()},
+        "rows": [_row(row) for row in rows],
+    }
+
+
+def _spread(item: Mapping[str, Any]) -> dict[str, Any]:
+    low, high = item["bounds"]
+    return {
+        **_numbers_in_words(item, ("value", "low", "high")),
+        "searched": f"{pretty(number(low, 2))} to {pretty(number(high, 2))}",
+    }
 
 
 def _place(row: Row) -> str:
     return " ".join(filter(None, [row.cell.profile, NAMES[row.cell.configuration], row.cell.drive]))
 
 
-def _row_in_words(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row of the cross-check as the page shows it."""
-    return {
-        "left_out": NAMES.get(row["left_out"], row["left_out"]),
-        "table": f"Table {row['table']}",
-        "device": row["profile"],
-        "configuration": NAMES.get(row["configuration"], row["configuration"]),
-        "drive": row.get("drive") or "",
-        "paper": pretty(f"{row['paper']:g}"),
-        "ours": pretty(number(row["ours"], 4)),
-        "unit": _unit(row.get("unit", "")),
-        "ratio": pretty(number(row["ratio"])),
-        "explained": row["explained"],
-    }
-
-
 def _numbers_in_words(item: Mapping[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     return {**item, **{key: pretty(number(item[key])) for key in keys}}
 
 
-def _words(text: str) -> str:
-    """Return a text with numbers as people write them, which do not part from their units at the end of a line."""
-    return re.sub(r"(?<=[\d⁰¹²³⁴-⁹]) (?=%|N|deg|s\b)", "\N{NO-BREAK SPACE}", pretty(text))
+def _words(text: str) -> Markup:
+    """Return a text as HTML: numbers as people write them, which keep their units beside them, and `code` as code."""
+    together = re.sub(r"(?<=[\d⁰¹²³⁴-⁹]) (?=%|N|deg|s\b)", "\N{NO-BREAK SPACE}", pretty(text))
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(together))))
 
 
 def _unit(unit: str) -> str:

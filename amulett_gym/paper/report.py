@@ -16,8 +16,8 @@ from amulett_gym.paper.figures import CAPTIONS, paper_figures
 from amulett_gym.paper.page import render
 from amulett_gym.paper.results import as_csv, content, readings_content, rows_content
 
-REPRODUCTION_MARKS = ("reproduction.json", "rows.csv", "readings.csv")
-"""Files by which a reproduction's folder is recognised."""
+REPRODUCTION_MARKS = ("reproduction.json",)
+"""The file by which a reproduction's folder is recognised: the first that is written."""
 
 
 def draw(evidence: Evidence) -> dict[str, Figure]:
@@ -28,7 +28,8 @@ def draw(evidence: Evidence) -> dict[str, Figure]:
 def write_report(evidence: Evidence, figures: Mapping[str, Figure], folder: str | Path) -> dict[str, Any]:
     """Write ``reproduction.json``, CSV files, the figures and ``reproduction.html`` into a folder.
 
-    Everything is made before the first file is written, and each file is written whole or not at all.
+    Everything but the figures' files is made before the first file is written, and each is written whole or not at all.
+    A folder in which only some have been written, because the process was killed, is recognised and can be used again.
 
     Parameters
     ----------
@@ -51,20 +52,19 @@ def write_report(evidence: Evidence, figures: Mapping[str, Figure], folder: str 
     """
     folder, reproduction = Path(folder), evidence.reproduction
     result = content(evidence)
-    identification = {**evidence.identification, "cross_check": result["cross_check"]}
-    page = render(reproduction, evidence.claims, evidence.hypotheses, figures, identification, CAPTIONS)
+    page = render(evidence, figures)
+    write_json(folder / "reproduction.json", result)
     write_text(folder / "rows.csv", as_csv(rows_content(evidence, result)))
     write_text(folder / "readings.csv", as_csv(readings_content(reproduction)))
     write_text(folder / "claims.csv", as_csv(result["claims"]))
     for name, figure in figures.items():
         save_figure(figure, folder / f"{name}.png")
     write_text(folder / "reproduction.html", page)
-    write_json(folder / "reproduction.json", result)
     return result
 
 
 def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str | Path) -> None:
-    """Renew the generated part of a document, and its figures in the folder ``images`` beside it.
+    """Renew the generated part of a document, and its figures in a folder beside it (`document.IMAGES`).
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str 
         If a file cannot be read or written, or the document has no place for what is generated.
     """
     path = Path(path)
-    text = document.block(evidence, {f"images/{name}.png": caption for name, caption in CAPTIONS.items()})
+    text = document.block(evidence, {f"{document.IMAGES}/{name}.png": caption for name, caption in CAPTIONS.items()})
     document.update(path, text)
     for name, figure in figures.items():
-        save_figure(figure, path.parent / "images" / f"{name}.png")
+        save_figure(figure, path.parent / document.IMAGES / f"{name}.png")

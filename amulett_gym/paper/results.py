@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -12,7 +13,8 @@ from typing import Any
 from amulett_gym import __version__
 from amulett_gym.paper.claims import claims_content
 from amulett_gym.paper.evidence import Evidence
-from amulett_gym.paper.hypotheses import hypotheses_content
+from amulett_gym.paper.hypotheses import Answer, hypotheses_content
+from amulett_gym.paper.identification import WEIGHTS
 from amulett_gym.paper.reproduction import (
     BOUNDS,
     MEASUREMENT_TIME,
@@ -22,6 +24,8 @@ from amulett_gym.paper.reproduction import (
     explained,
     moved,
 )
+from amulett_gym.paper.statements import METRICS
+from amulett_gym.paper.study import DETERMINED
 from amulett_gym.paper.tables import DEVICES, PROTOCOL
 from amulett_gym.tasks.suites import START
 
@@ -29,6 +33,7 @@ STATUS = (
     "What the paper does not print was fitted to all rows of both devices at once (`amulett identify`), with one set "
     "of mechanical parameters and one set of readings for all rows; nothing is tuned per row."
 )
+"""How the parameters of any study came about."""
 
 _ROW_KEYS = ("table", "profile", "configuration", "metric", "drive")
 
@@ -46,7 +51,7 @@ def content(evidence: Evidence) -> dict[str, Any]:
     reproduction = evidence.reproduction
     return {
         "parameters": {
-            "status": STATUS,
+            "status": status(evidence),
             "profiles": {name: reproduction.profiles[name].model_dump() for name in DEVICES},
             "readings": asdict(reproduction.readings),
             "identified": {entry["name"]: entry["value"] for entry in evidence.identification["spread"]},
@@ -63,6 +68,65 @@ def content(evidence: Evidence) -> dict[str, Any]:
     }
 
 
+def status(evidence: Evidence) -> str:
+    """Say how the parameters came about, and by whose study if it is not the shipped one."""
+    if evidence.folder is None:
+        return STATUS
+    recipe = evidence.identification["recipe"]
+    sizes = ", ".join(f"{name} {count}" for name, count in recipe.items() if name != "seeds")
+    seeds = ", ".join(map(str, recipe["seeds"]))
+    return f"{STATUS} These are the devices of the study in {evidence.folder}: seeds {seeds}; {sizes}."
+
+
+def within(metric: str, device: str) -> str:
+    """Say how far ours may be from the paper's number for that one to count as explained."""
+    low, high = BOUNDS[metric, device]
+    if math.isclose(low + high, 2.0):
+        return f"within {100.0 * (high - 1.0):.3g} %"
+    if math.isclose(low * high, 1.0):
+        return f"within a factor of {high:.3g}"
+    return f"from {low:.3g} to {high:.3g} times the paper's"
+
+
+def bounds_in_words() -> str:
+    """Say which numbers count as explained; a bound that holds for both devices is said once."""
+    parts = []
+    for metric, name in METRICS.items():
+        bounds = {device: within(metric, device) for device in DEVICES}
+        same = len(set(bounds.values())) == 1
+        said = bounds[DEVICES[0]] if same else ", ".join(f"{words} ({device})" for device, words in bounds.items())
+        parts.append(f"{name} {said}")
+    return f"A number is explained if ours over the paper's is within its bounds: {'; '.join(parts)}."
+
+
+def cost_in_words() -> str:
+    """Say what the cost of a fit is."""
+    weights = " and ".join(f"{METRICS[metric]} {weight:g}" for metric, weight in WEIGHTS.items() if weight != 1.0)
+    return (
+        "The cost of a fit is a smooth count of the rows that are out of their bounds, which goes on growing a little "
+        f"for a row far off; rows weigh 1, those of {weights}."
+    )
+
+
+def determined_in_words(identification: Mapping[str, Any]) -> str:
+    """Say which parameter sets are as good as the best, and when they determine a parameter."""
+    return (
+        f"As good: sets of parameters whose cost is within {identification['ensemble']['equal_cost']:g} of the least "
+        f"one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, and touch "
+        "none of its bounds."
+    )
+
+
+def search_varies(identification: Mapping[str, Any]) -> str:
+    """Say by how much costs differ although nothing but the search's random numbers does."""
+    least = identification["ensemble"]["least_cost"]
+    above = sorted({f"{start['cost'] - least:.1f}" for start in identification["starts"]}, key=float)
+    return (
+        f"The search itself varies: its independent starts ended {' to '.join(dict.fromkeys((above[0], above[-1])))} "
+        "above the least cost that was found. Smaller differences of costs say nothing."
+    )
+
+
 def note(reproduction: Reproduction, index: int) -> str:
     """Say what a reader of one row has to know: its spread, why it is unexplained, and which reading comes nearer."""
     row = reproduction.rows[index]
@@ -72,8 +136,7 @@ def note(reproduction: Reproduction, index: int) -> str:
         parts.append(f"mean of {PROTOCOL.repetitions_testbed} repetitions, standard deviation {row.spread:.3g}")
     if row.explained:
         return "; ".join(parts)
-    low, high = BOUNDS[cell.metric, cell.profile]
-    parts.append(f"not explained: {row.trouble or f'the ratio is outside {low:.3g} to {high:.3g}'}")
+    parts.append(f"not explained: {row.trouble or f'ours is not {within(cell.metric, cell.profile)}'}")
     key, nearest = best_reading(reproduction, index)
     if key is None:
         parts.append("no other reading comes nearer")
@@ -88,19 +151,21 @@ def in_words(evidence: Evidence) -> str:
     reproduction = evidence.reproduction
     hold = sum(item.ours.holds is True for item in evidence.claims)
     predicted = [row.explained for rows in evidence.predicted.values() for row in rows]
-    answers = "; ".join(f"{answer.number} {answer.verdict}" for answer in evidence.hypotheses)
     taken = reproduction.readings
     return (
         f"{rows_table(reproduction)}\n\n"
         "Readings, each alone: numbers explained, and how many come nearer to the paper or go farther from it\n"
         f"{readings_table(reproduction)}\n\n"
+        "Hypotheses of section 1.2: criteria that hold, and the numbers that say so\n"
+        f"{hypotheses_table(evidence.hypotheses)}\n\n"
         f"Explained: {by_table(reproduction.rows)}.\n"
+        f"{bounds_in_words()}\n"
         f"The testbed's numbers are means of {PROTOCOL.repetitions_testbed} repetitions with sensor noise, +- their "
         f"standard deviation; T is {MEASUREMENT_TIME:g} s. Table 2 is compared with the {taken.rise_time} time.\n"
         f"Fitted to three configurations, the model explains {sum(predicted)} of {len(predicted)} numbers of the one "
         f"left out, over all four.\n"
-        f"Claims of sections 3 to 5: {hold} of {len(evidence.claims)} hold. Hypotheses: {answers}.\n"
-        f"{STATUS}"
+        f"Claims of sections 3 to 5: {hold} of {len(evidence.claims)} hold.\n"
+        f"{status(evidence)}"
     )
 
 
@@ -139,6 +204,19 @@ def readings_table(reproduction: Reproduction) -> str:
         moves = moved(rows, reproduction.rows)
         lines.append([_reading(key), *_counts(rows), str(moves.count("nearer")), str(moves.count("farther"))])
     return _aligned(lines, right=(1, 2, 3, 4, 5, 6))
+
+
+def hypotheses_table(answers: Sequence[Answer]) -> str:
+    """Return the hypotheses as aligned text: for each device or configuration the criteria that hold, and numbers."""
+    lines = []
+    for answer in answers:
+        title = f"{answer.number} {answer.verdict}"
+        for case in dict.fromkeys(item.case for item in answer.criteria):
+            items = [item for item in answer.criteria if item.case == case]
+            numbers = dict.fromkeys(part for item in items for part in item.words.split("; "))
+            lines.append([title, case, f"{sum(item.holds is True for item in items)}/{len(items)}", "; ".join(numbers)])
+            title = ""
+    return _aligned(lines, right=())
 
 
 def rows_content(evidence: Evidence, result: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amulett_gym.config import Profile
 from amulett_gym.evaluation.signals import ANTAGONIST, switch_rows
@@ -32,32 +31,18 @@ class Switch:
     ----------
     time : float
         When the control tick began in which the drives changed their roles [s].
-    agonist : int
-        The new one: +1 biceps, -1 triceps.
     force_jump : float
         By which the tension controller's feedback jumps: the estimated force of the string that is the antagonist from
         now on, minus that of the one that was, at the same moment [N].
-    command_steps : tuple of float
-        Changes of the biceps' and the triceps' position signal in this tick [deg].
-    position_output_step : float
-        Change of the position controller's output in this tick [deg], which both drives follow in any case.
-    angle_step, angle_step_without : float
-        Largest change of the joint angle in a tick, within `SWITCH_WINDOW` after the switch, with it and without [deg].
-        If the switch made the position peak, the first would be clearly the larger one. Within this time the agonist
-        may switch again.
     deviation : float
-        Largest difference of the joint angle from that without the switch in this time [deg].
+        Largest difference of the joint angle from that without the switch, within `SWITCH_WINDOW` after it [deg].
+        Within this time the agonist may switch again.
     without : Trajectory
         What the device does in this time if its agonist stays the one it was.
     """
 
     time: float
-    agonist: int
     force_jump: float
-    command_steps: tuple[float, float]
-    position_output_step: float
-    angle_step: float
-    angle_step_without: float
     deviation: float
     without: Trajectory = field(repr=False)
 
@@ -108,34 +93,13 @@ def switching_run(profile: Profile, readings: Readings, configuration: str = FIG
     return SwitchingRun(trajectory, tuple(switches))
 
 
-def switching_numbers(profile: Profile, readings: Readings, configuration: str = FIGURE_9) -> tuple[Switch, ...]:
-    """Return what every switch of the agonist does in these movements (see `switching_run`)."""
-    return switching_run(profile, readings, configuration).switches
-
-
 def _switch(trajectory: Trajectory, row: int, without: Trajectory) -> Switch:
     rows = min(len(without), len(trajectory) - row)
     angle, angle_without = (np.degrees(values)[:rows] for values in (trajectory["angle"][row:], without["angle"]))
-    agonist, before = int(trajectory["agonist"][row + 1]), int(trajectory["agonist"][row])
-
-    def estimate(antagonist_of: int) -> float:
-        return float(trajectory[f"estimate_{ANTAGONIST[antagonist_of]}"][row])
-
-    def step(name: str) -> float:
-        return float(np.degrees(trajectory[name][row + 1] - trajectory[name][row]))
-
+    after, before = (f"estimate_{ANTAGONIST[int(trajectory['agonist'][place])]}" for place in (row + 1, row))
     return Switch(
         time=float(trajectory["time"][row]),
-        agonist=agonist,
-        force_jump=estimate(agonist) - estimate(before),
-        command_steps=(step("command_biceps"), step("command_triceps")),
-        position_output_step=step("position_output"),
-        angle_step=_largest(np.diff(angle)),
-        angle_step_without=_largest(np.diff(angle_without)),
-        deviation=_largest(angle - angle_without),
+        force_jump=float(trajectory[after][row] - trajectory[before][row]),
+        deviation=float(np.abs(angle - angle_without).max(initial=0.0)),
         without=without,
     )
-
-
-def _largest(values: NDArray[np.float64]) -> float:
-    return float(np.abs(values).max(initial=0.0))
