@@ -21,6 +21,7 @@ from amulett_gym.evaluation.speed import Speed, kernel, race, ratios
 from benchmarks.build import find_compiler
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "performance.md"
+MEMORY = {"devices": 100, "simulation": 800.0, "arrays": 900.0, "resident": 1000.0}
 QUICK = ["bench", "--turns", "1", "--devices", "4"]
 
 
@@ -85,7 +86,7 @@ def test_wrong_options_are_refused_before_anything_is_measured(words, message, c
 
 def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
     def interrupted(arguments: Any, data: dict[str, Any], config: Any) -> None:
-        data["scale"] = {"memory_per_device": {"arrays": 800.0, "resident": None}}
+        data["scale"] = {"memory_per_device": MEMORY | {"resident": None}}
         raise KeyboardInterrupt
 
     monkeypatch.setitem(bench._MEASURE, "scale", interrupted)
@@ -94,7 +95,7 @@ def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
     assert main([*QUICK, *words]) == 130
     data = json.loads((tmp_path / "bench.json").read_text())
     assert "environments" in data
-    assert data["scale"]["memory_per_device"]["arrays"] == 800.0
+    assert data["scale"]["memory_per_device"]["arrays"] == MEMORY["arrays"]
     assert "peers" not in data
     assert "not told here" in document.read_text()
     assert "interrupted" in capsys.readouterr().err
@@ -180,7 +181,7 @@ def test_another_episode_is_not_taken_for_the_last_one():
 
 
 def test_scale_measures_memory_sizes_and_the_long_run(brief, monkeypatch, long_run, tmp_path):
-    monkeypatch.setattr(scale, "memory_per_device", lambda seed: {"arrays": 900.0, "resident": 1000.0})
+    monkeypatch.setattr(scale, "memory_per_device", lambda seed: MEMORY)
     monkeypatch.setattr(scale, "long_run", lambda **keywords: long_run)
     monkeypatch.setattr(scale, "SIZES", (1, 8))
     assert main([*QUICK, "--scale", "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0

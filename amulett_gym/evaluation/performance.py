@@ -197,12 +197,16 @@ def _scale(data: Data) -> list[Table]:
             )
         )
     if "memory_per_device" in scale:
-        resident = scale["memory_per_device"]["resident"]
+        memory = scale["memory_per_device"]
         rows = [
-            ["arrays of the environment", f"{scale['memory_per_device']['arrays']:,.0f}"],
-            ["growth of resident memory", "not told here" if resident is None else f"{resident:,.0f}"],
+            ["simulated devices: parameters, scenarios, states", f"{memory['simulation']:,.0f}"],
+            ["all arrays of the environment, Gymnasium's spaces included", f"{memory['arrays']:,.0f}"],
+            [
+                "growth of resident memory, room for what a step returns included",
+                "not told here" if memory["resident"] is None else f"{memory['resident']:,.0f}",
+            ],
         ]
-        made.append(Table("Memory of a device [bytes]", ("65,536 devices",), rows))
+        made.append(Table("Memory of a device [bytes]", (f"{memory['devices']:,} devices",), rows))
     if "long_run" in scale:
         made.append(_long_run(scale["long_run"]))
     return made

@@ -91,5 +91,5 @@ def time_to_beat_figure(found: Data) -> Figure:
     panel.set_xlim(left=0)
     panel.set_xlabel("training time [s]")
     panel.set_ylabel("cost of an episode")
-    panel.legend(loc="upper right")
+    figure.legend(loc="outside lower center", ncols=3)
     return figure

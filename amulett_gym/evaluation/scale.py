@@ -44,8 +44,10 @@ def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int 
     Returns
     -------
     dict
-        ``"arrays"``: of all arrays that the environment holds. ``"resident"``: growth of the process's resident memory
-        while the environment was made, reset and stepped twice; None where the system does not tell.
+        ``"simulation"``: of the simulated devices' arrays. ``"arrays"``: of all arrays that the environment holds,
+        Gymnasium's batched spaces included. ``"resident"``: growth of the process's resident memory while the
+        environment was made, reset and stepped twice, room for what a step returns included; None where the system
+        does not tell.
     """
     small = _made(profile, 1)
     small.reset(seed=seed)
@@ -57,6 +59,8 @@ def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int 
         env.step(np.zeros((devices, 1), dtype=np.float32))
     after = resident_bytes()
     return {
+        "devices": devices,
+        "simulation": held_bytes(env.episodes) / devices,
         "arrays": held_bytes(env) / devices,
         "resident": None if before is None or after is None else (after - before) / devices,
     }
