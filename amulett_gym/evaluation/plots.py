@@ -515,7 +515,7 @@ def force_estimation_figure(
         Line2D([], [], color=BLUE, linewidth=1.1, label="rms error of all readings"),
         Patch(color="#ececec", label=below),
     ]
-    figure.legend(handles=handles[: 4 if floor > 0.0 else 3], loc="outside lower center", ncols=4)
+    figure.legend(handles=handles[: 4 if floor > 0.0 else 3], loc="outside lower center", ncols=2)
     return figure
 
 
