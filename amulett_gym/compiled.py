@@ -6,10 +6,8 @@ No fast math and no contraction, so that a result depends neither on the batch s
 from __future__ import annotations
 
 import os
-import tempfile
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 # Intel's vector library, if numba finds it, rounds an exp in a SIMD lane otherwise than one alone.
@@ -17,17 +15,16 @@ os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 import numba
 
+try:
+    from amulett_gym.code_cache import keep_code
+except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
+
+    def keep_code(function: Any) -> None:
+        """Keep the code where numba does."""
+        function.enable_caching()
+
+
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _cache_is_writable() -> bool:
-    """Tell whether numba will find a folder for its cache: beside the source, the user's, or ``NUMBA_CACHE_DIR``."""
-    return any(os.access(folder, os.W_OK) for folder in (Path(__file__).parent, Path.home()))
-
-
-if not numba.config.CACHE_DIR and not _cache_is_writable():
-    # A folder of this process alone: a cache holds code, and a shared place could be filled by someone else.
-    numba.config.CACHE_DIR = tempfile.mkdtemp(prefix="amulett-gym-")
 
 
 def _no_alias() -> dict[str, bool]:
@@ -63,7 +60,7 @@ def compiled(function: F) -> F:
 
     Small functions called from a tick are inlined: as calls they cost a tenth of the kernel's time.
     """
-    return numba.njit(cache=True, error_model="numpy", forceinline=True)(function)
+    return _compiled(function, forceinline=True)
 
 
 def compiled_lanes(function: F) -> F:
@@ -72,4 +69,11 @@ def compiled_lanes(function: F) -> F:
     Told so, the compiler need not fear that what it writes for one lane changes what it reads for the next, and works
     on several at once. Where numba cannot be told, all results are the same and take longer.
     """
-    return numba.njit(cache=True, error_model="numpy", **_NO_ALIAS)(function)
+    return _compiled(function, **_NO_ALIAS)
+
+
+def _compiled(function: F, **options: bool) -> F:
+    dispatcher = numba.njit(error_model="numpy", **options)(function)
+    if not numba.config.DISABLE_JIT:
+        keep_code(dispatcher)
+    return dispatcher
