@@ -7,7 +7,6 @@ import math
 import pickle
 import subprocess
 import sys
-import tracemalloc
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +19,6 @@ from amulett_gym.envs.reward import COST_CAP
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
-from amulett_gym.simulation.layout import LANES, SCENARIO_BLOCK, STATE_BLOCK
 from amulett_gym.tasks.suites import suite_names
 
 SCALING, TENSION = amulett_gym.ENV_IDS
@@ -242,22 +240,6 @@ def test_scenarios_of_a_batch_are_those_of_the_single_environments():
         assert single.unwrapped.scenario == scenario
 
 
-def test_a_device_takes_the_memory_of_its_state_and_its_scenario():
-    def held(num_envs: int) -> int:
-        tracemalloc.start()
-        env = gym.make_vec(SCALING, num_envs=num_envs)
-        env.reset(seed=0)
-        env.step(np.zeros((num_envs, 1), dtype=np.float32))
-        held, _ = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return held
-
-    held(8)  # what is made once
-    per_device = (held(8192) - held(1024)) / 7168
-    blocks = (STATE_BLOCK.itemsize + SCENARIO_BLOCK.itemsize) / LANES
-    assert per_device == pytest.approx(blocks + 18, abs=2)  # a key, the number of its episode, and two flags
-
-
 def test_position_only_ignores_actions():
     first, second = (gym.make(SCALING, control="position-only").unwrapped for _ in range(2))
     for env in (first, second):
@@ -291,7 +273,7 @@ def test_scenarios_of_the_splits_differ():
         ({"reward_weights": {"effort": math.nan}}, "'effort' is nan"),
         ({"action_range": (2.0, 1.0)}, "0 < low < high"),
         ({"action_range": 3.0}, "a pair"),
-        ({"agent_period": 0.003}, "multiple of the profile's control period, 0.004 s; the nearest is 0.004 s"),
+        ({"agent_period": 0.0111}, r"multiple of the profile's control period, 0\.0\d+ s; the nearest is 0\.01\d* s"),
         ({"agent_period": -1.0}, "agent_period is -1.0"),
         ({"agent_period": math.nan}, "agent_period is nan"),
         ({"agent_period": math.inf}, "agent_period is inf"),
