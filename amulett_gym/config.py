@@ -159,6 +159,9 @@ class Loop(Sourced):
         description="the antagonist follows position plus tension controller, or the tension controller alone"
     )
     agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or one drive throughout")
+    switch_filter: NonNegative = Field(
+        description="time constant of the low-pass over the difference of both springs' deflections [s]; 0: none"
+    )
     switch_hysteresis: NonNegative = Field(
         description="the other spring has to be deflected this much more than the agonist's before they switch [m]"
     )

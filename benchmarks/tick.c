@@ -215,8 +215,7 @@ INLINE real integrate(real integral, real error, double gain, double period, mas
     return select(held, integral, integral + gain * error * period);
 }
 
-INLINE real select_agonist(Parameters p, real agonist, real deflection_biceps, real deflection_triceps, real error) {
-    real difference = deflection_biceps - deflection_triceps;
+INLINE real select_agonist(Parameters p, real agonist, real difference, real error) {
     mask tie = (absolute(difference) <= p->tie_width) & (absolute(error) >= p->tie_error) & (error != 0.0);
     real selected = select(tie, select(error > 0.0, all(BICEPS), all(TRICEPS)), agonist);
     selected = select(difference < -p->switch_hysteresis, all(TRICEPS), selected);
@@ -322,7 +321,7 @@ INLINE void control(Parameters p, States s, int64_t i) {
     real error = s->setpoint[i] - s->measured_angle[i];
     real agonist = all(p->fixed_agonist);
     if (p->fixed_agonist == 0.0)
-        agonist = select_agonist(p, s->agonist[i], s->measured_biceps[i], s->measured_triceps[i], error);
+        agonist = select_agonist(p, s->agonist[i], s->measured_difference[i], error);
     mask switched = agonist != s->agonist[i], biceps_leads = agonist == BICEPS;
     s->agonist[i] = agonist;
     s->switch_count[i] += select(switched, s->counting[i], all(0.0));
@@ -460,8 +459,8 @@ INLINE real trust(Parameters p, real estimate, real last) {
     return select(estimate >= p->force_floor, estimate, distrusted);
 }
 
-INLINE real low_pass(Parameters p, real last, real force) {
-    return last + (force - last) * p->control_period / (p->force_filter + p->control_period);
+INLINE real low_pass(Parameters p, real last, real value, double time_constant) {
+    return last + (value - last) * p->control_period / (time_constant + p->control_period);
 }
 
 INLINE real sensor_noise(double deviation, word key, word counter) {
@@ -484,12 +483,16 @@ INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
                                         sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS));
     s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps * p->inverse_max_deflection),
                                          sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS));
+    real difference = s->measured_biceps[i] - s->measured_triceps[i];
+    s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, p->switch_filter);
     real raw = estimate_force(p, s->measured_biceps[i]);
     s->untrusted_biceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trust(p, raw, s->estimate_biceps[i]));
+    real trusted = trust(p, raw, s->estimate_biceps[i]);
+    s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trusted, p->force_filter);
     raw = estimate_force(p, s->measured_triceps[i]);
     s->untrusted_triceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trust(p, raw, s->estimate_triceps[i]));
+    trusted = trust(p, raw, s->estimate_triceps[i]);
+    s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trusted, p->force_filter);
 }
 
 INLINE void begin_step(States s, int64_t i, mask begins, real time, real target, real change) {

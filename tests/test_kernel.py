@@ -241,7 +241,7 @@ def test_other_impossible_starts_are_refused_before_anything_is_written():
 TURNING = {
     "initial_angle_deg": 15.0,
     "moves": [{"time": 0.2, "angle_deg": 50.0}, {"time": 0.8, "angle_deg": 20.0, "duration": 0.2}],
-    "pushes": [{"time": 1.3, "duration": 0.1, "torque": 0.1}],
+    "pushes": [{"time": 1.3, "duration": 0.1, "torque": 0.5}],
     "obstacle": {"angle_deg": 40.0, "stiffness": 1.0, "damping": 0.01},
     "payload": {"mass": 0.02, "arm": 0.1},
 }
@@ -251,7 +251,8 @@ TURNING = {
 @pytest.mark.parametrize("base", PROFILES)
 def test_mirrored_scenario_gives_the_mirrored_motion(base, law):
     # Vertical, so that the weight makes biceps or triceps the agonist at the start: at a tie it is the biceps.
-    profile = device(base, plant={"orientation": "vertical"}, sensors=EXACT_SENSORS)
+    loop = {"switch_hysteresis": 1e-5, "tie_width": 1e-6}  # no noise to guard against
+    profile = device(base, plant={"orientation": "vertical"}, sensors=EXACT_SENSORS, loop=loop)
     flexing = run(profile, TURNING, 2.0, tension_law=law)
     extending = run(profile, mirrored(TURNING), 2.0, tension_law=law)
     assert flexing["switch_count"][-1] == extending["switch_count"][-1] > 0
@@ -380,7 +381,7 @@ def test_trajectory_is_the_simulations_own_and_its_file_has_units(tmp_path):
     write_csv(motion, tmp_path / "motion.csv")
     table = np.genfromtxt(tmp_path / "motion.csv", delimiter=",", names=True)
     assert table.dtype.names == tuple(CSV_COLUMNS) and len(table) == len(motion) == 251
-    np.testing.assert_allclose(table["time_s"], np.arange(251) * 0.004, atol=1e-9)
+    np.testing.assert_allclose(table["time_s"], np.arange(251) * profile.loop.control_period, atol=1e-9)
     np.testing.assert_allclose(table["joint_angle_deg"], np.degrees(motion["angle"]), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(table["force_biceps_N"], motion["force_biceps"], rtol=1e-9)
 

@@ -42,21 +42,21 @@ HYSTERESIS, TIE_WIDTH, TIE_ERROR = 1e-4, 2.5e-5, 0.02
 )
 def test_agonist_is_selected(agonist, difference, error, expected):
     springs = (0.002 + max(difference, 0.0), 0.002 + max(-difference, 0.0))
-    assert select_agonist(agonist, *springs, error, HYSTERESIS, TIE_WIDTH, TIE_ERROR) == expected
+    assert select_agonist(agonist, springs[0] - springs[1], error, HYSTERESIS, TIE_WIDTH, TIE_ERROR) == expected
 
 
 @given(st.lists(st.tuples(st.floats(-9e-5, 9e-5), st.floats(-0.019, 0.019)), max_size=30))
 def test_noise_within_the_hysteresis_never_switches(readings):
     agonist = BICEPS
     for difference, error in readings:
-        agonist = select_agonist(agonist, 0.002 + difference, 0.002, error, HYSTERESIS, TIE_WIDTH, TIE_ERROR)
+        agonist = select_agonist(agonist, difference, error, HYSTERESIS, TIE_WIDTH, TIE_ERROR)
     assert agonist == BICEPS
 
 
 @given(st.sampled_from([BICEPS, TRICEPS]), st.floats(0, 0.005), st.floats(0, 0.005), st.floats(-2, 2))
 def test_selection_is_the_same_for_flexion_and_extension(agonist, biceps, triceps, error):
-    chosen = select_agonist(agonist, biceps, triceps, error, HYSTERESIS, TIE_WIDTH, TIE_ERROR)
-    assert select_agonist(-agonist, triceps, biceps, -error, HYSTERESIS, TIE_WIDTH, TIE_ERROR) == -chosen
+    chosen = select_agonist(agonist, biceps - triceps, error, HYSTERESIS, TIE_WIDTH, TIE_ERROR)
+    assert select_agonist(-agonist, triceps - biceps, -error, HYSTERESIS, TIE_WIDTH, TIE_ERROR) == -chosen
 
 
 @pytest.mark.parametrize("wiring", ["sum", "tension_only"])
@@ -214,7 +214,7 @@ def test_trust_is_what_the_floor_says():
 def test_tension_integral_rests_where_the_spring_is_at_its_end(base):
     # 30 N is more than the springs can give: beyond the table the force, and the reading, are held.
     simulation = start(device(base, loop={"agonist": "biceps"}))
-    some_time = round(0.4 / simulation.control_period)
+    some_time = round(0.2 / simulation.control_period)
     simulation.command_tension(30.0)
     simulation.advance(some_time)
     assert simulation.read("force_triceps")[0] == simulation.max_force
@@ -222,8 +222,12 @@ def test_tension_integral_rests_where_the_spring_is_at_its_end(base):
     simulation.advance(some_time)
     assert simulation.read("tension_integral")[0] == wound_up
     simulation.command_tension(10.0)
-    simulation.advance(10 * some_time)
-    assert simulation.read("force_triceps")[0] == pytest.approx(10.0, abs=0.1)
+    simulation.advance(20 * some_time)
+    forces = []
+    for _ in range(50):  # the testbed's noise moves it by half a newton
+        simulation.advance(some_time // 10)
+        forces.append(simulation.read("force_triceps")[0])
+    assert np.mean(forces) == pytest.approx(10.0, abs=0.1)
 
 
 def test_commands_stay_within_the_drives_limits():

@@ -11,8 +11,7 @@ TRICEPS = -1.0
 @compiled
 def select_agonist(
     agonist: float,
-    deflection_biceps: float,
-    deflection_triceps: float,
+    difference: float,
     error: float,
     hysteresis: float,
     tie_width: float,
@@ -33,8 +32,8 @@ def select_agonist(
     ----------
     agonist : float
         The present agonist.
-    deflection_biceps, deflection_triceps : float
-        Measured deflections of the linear springs [m].
+    difference : float
+        Measured deflection of the biceps' linear springs minus that of the triceps' [m].
     error : float
         Position setpoint minus measured angle [rad].
     hysteresis, tie_width : float
@@ -42,7 +41,6 @@ def select_agonist(
     tie_error : float
         [rad].
     """
-    difference = deflection_biceps - deflection_triceps
     if difference > hysteresis:
         return BICEPS
     if difference < -hysteresis:

@@ -193,13 +193,7 @@ def control(p, s, i):
     agonist = p.fixed_agonist
     if agonist == 0.0:
         agonist = select_agonist(
-            s.agonist[i],
-            s.measured_biceps[i],
-            s.measured_triceps[i],
-            error,
-            p.switch_hysteresis,
-            p.tie_width,
-            p.tie_error,
+            s.agonist[i], s.measured_difference[i], error, p.switch_hysteresis, p.tie_width, p.tie_error
         )
     switched = agonist != s.agonist[i]
     s.agonist[i] = agonist
@@ -437,12 +431,16 @@ def read_sensors(p, c, s, i):
         p.slider_resolution,
         p.slider_travel,
     )
+    difference = s.measured_biceps[i] - s.measured_triceps[i]
+    s.measured_difference[i] = low_pass(s.measured_difference[i], difference, p.switch_filter, p.control_period)
     raw = estimate_force(p.estimate_table, s.measured_biceps[i], p.max_spring_deflection)
     s.untrusted_biceps[i] = raw < p.force_floor
-    s.estimate_biceps[i] = low_pass(p, s.estimate_biceps[i], trust(p, raw, s.estimate_biceps[i]))
+    trusted = trust(p, raw, s.estimate_biceps[i])
+    s.estimate_biceps[i] = low_pass(s.estimate_biceps[i], trusted, p.force_filter, p.control_period)
     raw = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
     s.untrusted_triceps[i] = raw < p.force_floor
-    s.estimate_triceps[i] = low_pass(p, s.estimate_triceps[i], trust(p, raw, s.estimate_triceps[i]))
+    trusted = trust(p, raw, s.estimate_triceps[i])
+    s.estimate_triceps[i] = low_pass(s.estimate_triceps[i], trusted, p.force_filter, p.control_period)
 
 
 @compiled
@@ -459,9 +457,9 @@ def trust(p, estimate, last):
 
 
 @compiled
-def low_pass(p, last, force):
-    """Return the next value of the estimated force's first-order low-pass [N]."""
-    return last + (force - last) * p.control_period / (p.force_filter + p.control_period)
+def low_pass(last, value, time_constant, period):
+    """Return the next value of a first-order low-pass, discretised by backward differences."""
+    return last + (value - last) * period / (time_constant + period)
 
 
 @compiled
@@ -592,6 +590,9 @@ def settle_strings(p, c, s, i):
         tension = s.force_triceps[i] if biceps_is_agonist else s.force_biceps[i]
     s.position_output[i] = s.position_integral[i] = output
     s.tension_setpoint[i] = s.tension_command[i] = tension
+    biceps = deflection_biceps(turn_biceps, angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection
+    triceps = deflection_triceps(turn_triceps, angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection
+    s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)
     s.estimate_biceps[i] = trust(p, s.force_biceps[i], s.force_biceps[i])
     s.estimate_triceps[i] = trust(p, s.force_triceps[i], s.force_triceps[i])
     # A tension below the floor is estimated higher than it is: the controller starts with the output zero all the same.

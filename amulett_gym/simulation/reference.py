@@ -182,12 +182,16 @@ def replay_control(
         offset = {name: pulls[name] * math.radians(loop.offset_deg) for name in other}
         position.integral = command["biceps"] - offset["biceps"]
     last_output = position.integral
+    difference = float(trajectory["measured_difference"][0])
+    weight = period / (loop.switch_filter + period)
     rows = [(command["biceps"], command["triceps"], pulls[leader])]
     for row in range(len(trajectory) - 1):
         error = float(trajectory["setpoint"][row] - trajectory["measured_angle"][row])
         stretch = {name: float(trajectory[f"measured_{name}"][row]) for name in other}
+        if row > 0:
+            difference += weight * (stretch["biceps"] - stretch["triceps"] - difference)
         before = leader
-        leader = _leader(profile, leader, stretch["biceps"] - stretch["triceps"], error)
+        leader = _leader(profile, leader, difference, error)
         follower = other[leader]
         room = command[leader] < limit, command[leader] > -limit
         output = position.update(error, -float(trajectory["measured_angle"][row]), *room)
