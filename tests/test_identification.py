@@ -1,6 +1,12 @@
 """The search finds what it is given, the same way every time, and the shipped profiles are what it found."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,7 +20,7 @@ from amulett_gym.config import load_profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import build_tables
-from amulett_gym.paper import reproduction, study
+from amulett_gym.paper import identification, reproduction, study
 from amulett_gym.paper.identification import (
     EQUAL,
     PARAMETERS,
@@ -34,6 +40,7 @@ from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
 
 ROOT = Path(__file__).parent.parent
 SHORT = study.Recipe(seeds=(1, 2), population=8, generations=1, refinement=1, steps=1)
+Explained = namedtuple("Explained", "explained")
 vectors = st.lists(st.floats(0, 1), min_size=len(PARAMETERS), max_size=len(PARAMETERS)).map(np.array)
 
 
@@ -157,9 +164,67 @@ def test_the_chosen_set_explains_most(parameters):
     assert explained > most_explained(Readings(), [worse])[0]
 
 
+def test_rows_count_before_cost_and_cost_among_as_many_rows(monkeypatch, parameters):
+    # cost, rows explained
+    made_up = {0.001: (5.0, 30), 0.002: (7.0, 33), 0.003: (6.0, 33), 0.004: (9.0, 29)}
+    monkeypatch.setattr(identification, "objective", lambda readings: lambda vector: made_up[key(vector)][0])
+    monkeypatch.setattr(identification, "devices", lambda member: member)
+    monkeypatch.setattr(identification, "measure", lambda member, readings: member)
+    monkeypatch.setattr(
+        identification, "compare", lambda member, readings: [Explained(True)] * made_up[member["inertia"]][1]
+    )
+
+    def key(vector):
+        return round(unpack(vector)["inertia"], 6)
+
+    members = [{**parameters, "inertia": inertia} for inertia in made_up]
+    assert most_explained(Readings(), members) == (33, 6.0, members[2])
+
+
+def test_the_walk_covers_what_is_as_good_evenly(monkeypatch):
+    """Without the stretch move's factor of the dimension the walkers would drift outwards or contract."""
+
+    def in_box(readings):
+        return lambda vector: float(np.abs(vector - 0.5).max() > 0.2)
+
+    monkeypatch.setattr(identification, "objective", in_box)
+    begin = 0.5 + 0.15 * np.random.default_rng(0).uniform(-1.0, 1.0, (60, len(PARAMETERS)))
+    members = ensemble(1, Readings(), begin, limit=0.5, walkers=60, steps=150)
+    places = np.array([pack(member) for member in members])
+    continuous = [k for k, free in enumerate(PARAMETERS) if not free.choices]
+    late = places[len(places) // 2 :, continuous]
+    assert np.abs(places - 0.5).max() <= 0.2 + 0.5 / 5  # `choices` are rounded to the middle of theirs
+    assert late.mean() == pytest.approx(0.5, abs=0.02)
+    assert late.std() == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
+
+
+def test_a_parameter_is_determined_if_the_sets_are_close_together_and_away_from_the_bounds():
+    middle = np.full(len(PARAMETERS), 0.5)
+    begin, end = middle.copy(), middle.copy()
+    names = [free.name for free in PARAMETERS]
+    for name, low, high in (
+        ("inertia", 0.4, 0.6),  # close together
+        ("radius_ratio", 0.3, 0.6),  # not close
+        ("max_force", 0.0, 0.1),  # close, but at the lower bound
+        ("max_deflection", 0.9, 1.0),  # and at the upper one
+    ):
+        begin[names.index(name)], end[names.index(name)] = low, high
+    found = study.spread([unpack(begin), unpack(middle), unpack(end)])
+    assert [found[name][2] for name in names[:5]] == [True, False, False, False, True]
+    assert found["inertia"][:2] == pytest.approx((unpack(begin)["inertia"], unpack(end)["inertia"]), rel=5e-3)
+
+
+def test_a_progressive_spring_is_preferred_where_there_is_one(parameters):
+    linear = {**parameters, "length_ratio": 0.0}
+    cubic = {**parameters, "length_ratio": 1.0}
+    assert study.stiffening(devices(linear)["testbed"]) == pytest.approx(1.0, abs=0.05)
+    assert study.progressive([linear, cubic]) == [cubic]
+    assert study.progressive([linear]) == [linear]
+
+
 def test_a_device_that_cannot_start_is_worse_than_any_that_can(parameters):
     value = objective(Readings())
-    weak = pack({**parameters, "max_force": 10.05, "max_deflection": 0.03, "width_ratio": 8.0})
+    weak = pack({**parameters, "max_force": 10.05, "max_deflection": 0.03, "width_ratio": 1.5})
     assert value(weak) > value(pack(parameters))
 
 
@@ -176,6 +241,50 @@ def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path):
     again = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
     assert {name for name in stages if again[name] != stages[name]} == {"chosen.json"}
     assert json.loads((tmp_path / "identification.json").read_text()) == json.loads(json.dumps(content))
+
+
+def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys):
+    study.study(tmp_path, SHORT, Readings(), 2)
+    before = (tmp_path / "identification.json").read_text()
+    other = ["identify", "--out", str(tmp_path), "--seeds", "1", "2", "--population", "8", "--generations", "2"]
+    other += ["--refinement", "1", "--steps", "1"]
+    assert main(other) == 2
+    assert "holds a study with generations 1, not 2; choose another folder, or replace it" in capsys.readouterr().err
+    assert (tmp_path / "identification.json").read_text() == before
+    assert main([*other, "--overwrite"]) == 0
+    assert json.loads((tmp_path / "recipe.json").read_text())["generations"] == 2
+
+
+def test_progress_counts_all_stages(tmp_path, capsys):
+    sizes = ["--seeds", "1", "--population", "5", "--generations", "1", "--refinement", "1", "--steps", "1"]
+    assert main(["identify", "--out", str(tmp_path), *sizes]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    total = study.stage_count(replace(SHORT, seeds=(1,)))
+    assert [line.split()[:3] for line in lines[:total]] == [[str(k), "of", str(total)] for k in range(1, total + 1)]
+
+
+@pytest.mark.skipif(not hasattr(os, "setsid"), reason="needs process groups")
+def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
+    words = [sys.executable, "-m", "amulett_gym", "identify", "--out", str(tmp_path / "study"), "--processes", "2"]
+    process = subprocess.Popen(
+        [*words, "--seeds", "1", "--population", "5", "--generations", "2"],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        # As a terminal does: a group of its own, in which everyone gets the signal.
+        preexec_fn=lambda: (os.setsid(), signal.signal(signal.SIGINT, signal.SIG_DFL)),
+    )
+    stages = tmp_path / "study" / "stages"
+    while process.poll() is None and not (stages.is_dir() and any(stages.glob("start-*.json"))):
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)  # waits for every process that holds the pipe
+    assert process.returncode == 130
+    assert "Traceback" not in stderr
+    kept = {path.name: path.read_text() for path in stages.iterdir()}
+    assert "start-1.json" in kept
+    for text in kept.values():
+        json.loads(text)
 
 
 def test_a_damaged_stage_is_named(tmp_path):

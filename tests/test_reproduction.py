@@ -193,7 +193,7 @@ def test_a_step_that_never_settles_has_no_number_and_says_why(evidence):
     assert all(row.ours is None and not row.explained for row in rows if row.cell.table == 2)
     result = content(replace(evidence, reproduction=Reproduction(devices, Readings(), rows, {})))
     assert result["rows"][0]["ours"] is None
-    assert "1 of 1 did not reach the error margin within 5 s" in result["rows"][0]["note"]
+    assert "1 of 1 did not reach the error margin within T" in result["rows"][0]["note"]
     json.dumps(result, allow_nan=False)
 
 

@@ -40,6 +40,12 @@ SIMULATED = {"simulation": 2.0, "testbed": MEASUREMENT_TIME}
 WEIGHTS = {"rise_time": 1.0, "position_ise": 2.0, "tension_ise": 1.0, "isav": 0.5}
 """What a row counts in the cost. Position ISE hangs on no margin, estimate or unit; the unit of ISAV is not printed."""
 
+SWITCH_FILTER = 0.03
+"""Time constant of the testbed's low-pass over the difference of both springs' readings [s]; no table sees it."""
+
+CERTAIN = 5.0
+"""Standard deviations of its noise by which that difference has to differ from zero before the agonist switches."""
+
 OUT_OF_REACH = 60.0
 """Residual of a row that does not exist, because the device failed."""
 
@@ -83,7 +89,14 @@ PARAMETERS = (
     Free("radius_ratio", 0.2, 0.5, "", "R_1/R_2: 0.29 by the measured position ISEs without lag, more with lag"),
     Free("max_force", 10.05, 40.0, "N", "where the springs saturate: 10 N was held"),
     Free("max_deflection", 2e-3, 3e-2, "m", "string deflection there: an assembly the size of a hand"),
-    Free("width_ratio", 0.15, 8.0, "", "half width of the assembly over max_deflection"),
+    Free(
+        "width_ratio",
+        0.15,
+        1.5,
+        "",
+        "half width of the assembly over max_deflection: wider, the slider on a spring moves by less than 0.3 of the "
+        "string's deflection",
+    ),
     Free(
         "length_ratio", 0.0, 1.0, "", "free length of a linear spring over half width: 0 linear, 1 cubic at rest", False
     ),
@@ -103,6 +116,13 @@ PARAMETERS = (
     ),
     Free("testbed.tension_filter", 2e-4, 0.1, "s", "derivative filter: the potentiometers are noisier"),
     Free("testbed.force_filter", 2e-3, 0.3, "s", "low-pass of the estimated force"),
+    Free(
+        "testbed.slider_noise",
+        2e-5,
+        2e-4,
+        "m",
+        "potentiometers: a bit, to a hundredth of their travel, beside two motors",
+    ),
     Free(
         "testbed.control_period",
         2e-3,
@@ -192,8 +212,17 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
             "loop": {"position": position, "position_only": position, "tension": tension},
         }
     testbed = changes["testbed"]
-    testbed["loop"]["control_period"] = p["testbed.control_period"]
     testbed["drives"] = {"lag": _digits(p["testbed.lag"]), "rate_limit_deg": _digits(p["testbed.rate_limit"])}
+    noise, period = _digits(p["testbed.slider_noise"]), p["testbed.control_period"]
+    weight = period / (SWITCH_FILTER + period)
+    difference = noise * math.sqrt(2.0 * weight / (2.0 - weight))  # standard deviation, after the low-pass
+    testbed["sensors"]["potentiometer_noise"] = noise
+    testbed["loop"] |= {
+        "control_period": period,
+        "switch_filter": SWITCH_FILTER,
+        "switch_hysteresis": _digits(CERTAIN * difference),
+        "tie_width": _digits(difference),
+    }
     return changes
 
 
@@ -226,7 +255,7 @@ def residual(row: Row) -> float:
     """Return log(ours / paper) in units of what the row may be off by: up to 1 it is explained."""
     bound = math.log(BOUNDS[row.cell.metric, row.cell.profile][1])
     if row.ours is None:
-        if "did not reach" not in row.trouble:
+        if row.failed:
             return OUT_OF_REACH
         return min(math.log(SIMULATED[row.cell.profile] / row.cell.value) / bound, OUT_OF_REACH)
     return float(np.clip(math.log(max(row.ours, 1e-6) / row.cell.value) / bound, -OUT_OF_REACH, OUT_OF_REACH))

@@ -161,6 +161,8 @@ class Row:
         Whether the ratio is within `BOUNDS`.
     trouble : str
         Why there is no number; empty if there is.
+    failed : bool
+        Whether there is none because the device failed, not because a time was not reached.
     """
 
     cell: Cell
@@ -170,6 +172,7 @@ class Row:
     unit: str
     explained: bool
     trouble: str = ""
+    failed: bool = False
 
     @property
     def distance(self) -> float:
@@ -366,9 +369,9 @@ def _row(cell: Cell, response: Response, readings: Readings) -> Row:
     if response.failures:
         trouble = f"{len(response.failures)} of {values.size} failed: {response.failures[0]}"
     elif missing := int(np.isnan(values).sum()):
-        trouble = f"{missing} of {values.size} did not reach the error margin within {MEASUREMENT_TIME:g} s"
+        trouble = f"{missing} of {values.size} did not reach the error margin within T"
     if trouble:
-        return Row(cell, None, None, None, unit, False, trouble)
+        return Row(cell, None, None, None, unit, False, trouble, failed=bool(response.failures))
     ours = float(values.mean())
     ratio = ours / cell.value
     low, high = BOUNDS[cell.metric, cell.profile]

@@ -9,9 +9,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib import resources
 from multiprocessing import active_children, get_context
@@ -22,12 +24,15 @@ from typing import Any
 import numpy as np
 import yaml
 
+from amulett_gym import __version__
 from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text, write_json, write_text
 from amulett_gym.model.spring import build_tables
 from amulett_gym.paper.identification import (
+    CERTAIN,
     EQUAL,
+    OUT_OF_REACH,
     PARAMETERS,
     ROBUST,
     SIMULATED,
@@ -41,7 +46,7 @@ from amulett_gym.paper.identification import (
     search,
     unpack,
 )
-from amulett_gym.paper.reproduction import ALTERNATIVES, BOUNDS, Readings, Row, compare, measure
+from amulett_gym.paper.reproduction import ALTERNATIVES, BOUNDS, MEASUREMENT_TIME, Readings, Row, compare, measure
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
 
 SPRING_LAWS = {
@@ -66,7 +71,10 @@ CHOICES = 400
 """Members of the ensemble, about, among which the chosen set is looked for."""
 
 DETERMINED = 0.25
-"""A parameter is determined if the sets as good as the best cover at most this part of its search range."""
+"""A parameter is determined if the sets as good as the best cover at most this part of its search range, within it."""
+
+AT_BOUND = 0.01
+"""Sets that come this near to a bound, as a part of the search range, may go on beyond it."""
 
 STUDY_MARKS = ("recipe.json",)
 """The file by which a study's folder is recognised."""
@@ -106,6 +114,7 @@ def study(
     readings: Readings,
     processes: int = 2,
     report: Report = lambda name, stage: None,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Identify the parameters and write what was found.
 
@@ -118,7 +127,9 @@ def study(
     processes : int
         Searches that run at once.
     report : callable
-        Called with a stage's name and result when it is there.
+        Called with a stage's name and result when it is there; `stage_count` tells how many will come.
+    overwrite : bool
+        Whether a study of another recipe in the folder may be replaced.
 
     Returns
     -------
@@ -128,9 +139,11 @@ def study(
     Raises
     ------
     AmulettError
-        If a file cannot be read or written.
+        If a file cannot be read or written, or the folder holds a study of another recipe that may not be replaced.
     """
     folder = Path(folder)
+    if not overwrite:
+        _refuse_other_recipe(folder / "recipe.json", recipe)
     write_json(folder / "recipe.json", asdict(recipe))
     size = {"population": recipe.population, "generations": recipe.generations}
     stages: dict[str, Any] = {}
@@ -160,13 +173,17 @@ def study(
     members = stages["ensemble"][:: max(len(stages["ensemble"]) // CHOICES, 1)]
     members += [fit["parameters"] for fit in fits if fit["cost"] <= limit]
     members = [{name: float(f"{value:.6g}") for name, value in member.items()} for member in members]
-    progressive = [member for member in members if stiffening(devices(member)["testbed"]) >= STIFFENING]
-    run({"chosen": {"members": progressive or members}})
+    run({"chosen": {"members": progressive(members)}})
     content = _content(recipe, readings, stages)
     for name in DEVICES:
         write_text(folder / f"{name}.yaml", profile_text(name, content))
     write_json(folder / "identification.json", content)
     return content
+
+
+def stage_count(recipe: Recipe) -> int:
+    """Return the number of a study's stages."""
+    return len(_fits(recipe)) + len(CONFIGURATIONS) + len(ALTERNATIVES) + len(("ensemble", "chosen"))
 
 
 def shipped() -> dict[str, Any]:
@@ -184,7 +201,7 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
     def source(name: str) -> str:
         entry = spread[name]
         value = f"{entry['value']:.4g} {entry['unit']}".rstrip()
-        known = "" if entry["determined"] else ", hardly determined"
+        known = "" if entry["determined"] else ", not determined"
         return f"identified: {name.split('.')[-1]} {value} ({entry['low']:.3g} to {entry['high']:.3g}{known})"
 
     sources: dict[str, dict[str, str]] = {
@@ -210,13 +227,19 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
         },
     }
     if device == "testbed":
-        sources["loop"]["control_period"] = source("testbed.control_period")
+        sources["sensors"]["potentiometer_noise"] = source("testbed.slider_noise")
+        sources["loop"] |= {
+            "control_period": source("testbed.control_period"),
+            "switch_filter": "assumed: as the measured velocity's; no table sees it",
+            "switch_hysteresis": f"assumed: {CERTAIN:g} standard deviations of the difference's noise",
+            "tie_width": "assumed: one standard deviation of the difference's noise",
+        }
         sources["drives"] = {"lag": source("testbed.lag"), "rate_limit_deg": source("testbed.rate_limit")}
     groups = {group: {**values, "sources": sources[group]} for group, values in changes.items()}
     profile = {
         "name": f"{device}-identified",
         "base": device,
-        "description": f"What `amulett identify` found for the {device}; the shipped profile holds the same values.",
+        "description": f"What `amulett identify` found for the {device}.",
         **groups,
     }
     head = "# Written by `amulett identify`. In parentheses: the range of the sets that explain the tables as well.\n"
@@ -241,7 +264,8 @@ def _run_stages(
         return
     workers = min(processes, len(missing))
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_with, initargs=(os.getpid(),)) as pool:
-        futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
+        with _ctrl_c_later():  # the workers inherit that: theirs to end is the parent
+            futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
         try:
             for future in as_completed(futures):
                 name = futures[future]
@@ -253,6 +277,19 @@ def _run_stages(
             for worker in active_children():  # or they would finish their searches first
                 worker.terminate()
             raise
+
+
+@contextmanager
+def _ctrl_c_later() -> Iterator[None]:
+    """Let a Ctrl-C wait until the end of the block; processes that start in it never see one."""
+    if not hasattr(signal, "pthread_sigmask"):  # not everywhere
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _end_with(parent: int) -> None:
@@ -300,7 +337,10 @@ def _inputs(call: Mapping[str, Any], readings: Readings) -> dict[str, Any]:
         "call": call,
         "devices": {name: _bare(profile.model_dump()) for name, profile in middle.items()},
         "parameters": [asdict(free) for free in PARAMETERS],
-        "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, SIMULATED],
+        "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, OUT_OF_REACH],
+        "paper": [asdict(PROTOCOL), [asdict(cell) for cell in TABLES_2_TO_5]],
+        "measured": [SIMULATED, MEASUREMENT_TIME],
+        "version": __version__,
     }
     digest = hashlib.sha256(json.dumps(long, sort_keys=True).encode()).hexdigest()
     short = {key: value for key, value in call.items() if key not in ("candidates", "members", "population")}
@@ -316,6 +356,23 @@ def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
     except ValueError as error:
         raise AmulettError(f"stage '{path}' is not valid JSON: {error}; delete it to do it again") from error
     return content["result"] if content.get("inputs") == json.loads(json.dumps(inputs)) else None
+
+
+def _refuse_other_recipe(path: Path, recipe: Recipe) -> None:
+    if not path.exists():
+        return
+    try:
+        other = json.loads(read_text(path, "recipe"))
+    except ValueError as error:
+        raise AmulettError(f"recipe '{path}' is not valid JSON: {error}") from error
+    asked = json.loads(json.dumps(asdict(recipe)))
+    if other != asked:
+        names = [name for name in asked if not isinstance(other, dict) or other.get(name) != asked[name]]
+        differ = ", ".join(f"{name} {other.get(name) if isinstance(other, dict) else None}" for name in names)
+        raise AmulettError(
+            f"'{path.parent}' holds a study with {differ}, not {', '.join(str(asked[name]) for name in names)}; "
+            "choose another folder, or replace it with --overwrite"
+        )
 
 
 def _fits(recipe: Recipe) -> list[str]:
@@ -338,10 +395,9 @@ def _mixed(populations: list[list[list[float]]], count: int, seed: int) -> list[
 
 def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> dict[str, Any]:
     chosen = stages["chosen"]
-    members = np.array([pack(member) for member in stages["ensemble"]])
+    members = stages["ensemble"]
+    found = spread(members)
     least = min(stages[name]["cost"] for name in _fits(recipe))
-    low, high = unpack(members.min(axis=0)), unpack(members.max(axis=0))
-    covered = np.ptp(members, axis=0)
     return {
         "recipe": asdict(recipe),
         "readings": asdict(readings),
@@ -353,13 +409,13 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
                 "name": free.name,
                 "unit": free.unit,
                 "value": chosen["parameters"][free.name],
-                "low": float(f"{low[free.name]:.3g}"),
-                "high": float(f"{high[free.name]:.3g}"),
+                "low": found[free.name][0],
+                "high": found[free.name][1],
                 "bounds": [free.low, free.high],
-                "determined": bool(width <= DETERMINED),
+                "determined": found[free.name][2],
                 "source": free.source,
             }
-            for free, width in zip(PARAMETERS, covered.tolist(), strict=True)
+            for free in PARAMETERS
         ],
         "ensemble": {"members": len(members), "least_cost": least, "equal_cost": EQUAL},
         "starts": [
@@ -382,12 +438,41 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
             {
                 "reading": name,
                 "choice": choice,
-                "cost": stages[f"reading-{name}-{choice}"]["cost"],
-                "explained": stages[f"reading-{name}-{choice}"]["explained"],
+                **{key: stages[f"reading-{name}-{choice}"][key] for key in ("cost", "explained", "parameters")},
             }
             for name, choice in ALTERNATIVES
         ],
         "without": {name: stages[f"without-{name}"]["parameters"] for name in CONFIGURATIONS},
+    }
+
+
+def progressive(members: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
+    """Return the sets whose strings are `STIFFENING` times stiffer at 10 N than at 4 N; all, if none is."""
+    found = [member for member in members if stiffening(devices(member)["testbed"]) >= STIFFENING]
+    return found or list(members)
+
+
+def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, float, bool]]:
+    """Return what the tables say about each parameter, by its name.
+
+    Parameters
+    ----------
+    members : sequence of mapping
+        Parameter sets that are as good as the best.
+
+    Returns
+    -------
+    dict of str to tuple
+        Smallest and largest value, three digits, and whether that determines it: the values cover at most
+        `DETERMINED` of the search range, and none is at a bound, beyond which they might go on.
+    """
+    places = np.array([pack(member) for member in members])
+    begin, end = places.min(axis=0), places.max(axis=0)
+    low, high = unpack(begin), unpack(end)
+    determined = (end - begin <= DETERMINED) & (begin > AT_BOUND) & (end < 1.0 - AT_BOUND)
+    return {
+        free.name: (float(f"{low[free.name]:.3g}"), float(f"{high[free.name]:.3g}"), bool(known))
+        for free, known in zip(PARAMETERS, determined, strict=True)
     }
 
 
@@ -413,9 +498,11 @@ def _bare(value: Any) -> Any:
 def in_words(content: Mapping[str, Any]) -> str:
     """Return a study for the terminal: the parameters and their spread, the spring laws, and the starts."""
     lines = [
-        f"Chosen: {content['explained']} of {content['of']} rows explained, cost {content['cost']:.3f}. Of the "
-        f"{content['ensemble']['members']} sets within {content['ensemble']['equal_cost']:g} of the least cost, "
-        f"{content['ensemble']['least_cost']:.3f}, no other that was tried and has such a spring explains more.",
+        f"Least cost: {content['ensemble']['least_cost']:.3f}. Sets within {content['ensemble']['equal_cost']:g} of "
+        f"it count as equally good; a walk found {content['ensemble']['members']} of them.",
+        f"Chosen among about {CHOICES} of them, whose strings are at least {STIFFENING:g} times stiffer at 10 N than "
+        f"at 4 N if any are: the one that explains most rows, {content['explained']} of {content['of']}, at a cost of "
+        f"{content['cost']:.3f}.",
         f"{'':28}{'value':>11}  {'as good':>21}  {'searched':>19}",
     ]
     for entry in content["spread"]:
