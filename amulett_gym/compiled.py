@@ -73,7 +73,8 @@ def compiled_lanes(function: F) -> F:
 
 
 def _compiled(function: F, **options: bool) -> F:
-    dispatcher = numba.njit(error_model="numpy", **options)(function)
+    # Nobody calls the functions from C: without the wrappers for it, all of them compile a little sooner.
+    dispatcher = numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     if not numba.config.DISABLE_JIT:
         keep_code(dispatcher)
     return dispatcher

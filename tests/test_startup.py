@@ -13,6 +13,7 @@ import pytest
 
 import amulett_gym
 from amulett_gym import code_cache
+from benchmarks.startup import COLD, COMMANDS, LIMITS, table
 
 PACKAGE = Path(amulett_gym.__file__).parent
 
@@ -40,9 +41,9 @@ env.reset(seed=3)
 observation = env.step(env.action_space.low)[0]
 ours = [module for name, module in sys.modules.items() if name.startswith("amulett_gym")]
 functions = [f for module in ours for f in vars(module).values() if hasattr(f, "py_func")]
-print(json.dumps({
-    "observation": observation.tolist(), "compiled": sum(sum(f.stats.cache_misses.values()) for f in functions)
-}))
+compiled = sum(sum(f.stats.cache_misses.values()) for f in functions)
+heavy = [name for name in ("matplotlib", "pygame", "torch", "stable_baselines3", "jinja2") if name in sys.modules]
+print(json.dumps({"observation": observation.tolist(), "compiled": compiled, "heavy": heavy}))
 """
 
 NO_DISK = """
@@ -114,6 +115,7 @@ def test_a_reinstalled_package_steps_without_compiling(site, tmp_path):
     again = run(install(tmp_path / "other"), FIRST_STEP, HOME=site / "home")
     assert cold["compiled"] > 20 and again["compiled"] == 0
     assert again["observation"] == cold["observation"]
+    assert again["heavy"] == []
     assert code_below(site) == code != {}
     assert code_below(tmp_path / "other") == {}
 
@@ -232,3 +234,9 @@ def test_every_file_with_compiled_functions_and_what_it_imports_counts():
         counted.add(path)
         pending |= imported(path)
     assert counted - code_cache.sources() == set(), "add them to SOURCES of code_cache.py"
+
+
+def test_benchmark_says_which_limits_are_missed():
+    lines = table({name: [9.0, 0.5, 0.25] for name in COMMANDS}).splitlines()
+    assert [line.endswith("MISSED") for line in lines[1:]] == [LIMITS.get(name, 1.0) < 0.5 for name in COMMANDS]
+    assert lines[-1].split() == [*COLD.split(), "0.500", "0.25-9.00", "1.0", "1.00", "12", "s"]
