@@ -298,6 +298,16 @@ def test_the_first_policy_is_the_constant_of_the_recipe():
     assert 5 + (actions + 1) / 2 * 8 == pytest.approx(11.0, abs=1e-5)
 
 
+def test_exploration_falls_to_its_final_size_if_that_is_given(tmp_path):
+    config = load_train_config(None, [*SMALL, "ppo.initial_std=0.2", "ppo.final_std=0.05"])
+    result = train(config, tmp_path / "run", progress=False)
+    rows = (result.out / "evaluations.csv").read_text().splitlines()
+    stds = [float(row.split(",")[-1]) for row in rows[1:]]
+    assert stds[0] == pytest.approx(0.2)
+    assert stds[1] == pytest.approx(0.2 * 0.25 ** (1024 / 2000))
+    assert stds == sorted(stds, reverse=True)
+
+
 # --- runs
 
 

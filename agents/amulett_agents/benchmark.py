@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
-from amulett_agents.ppo import make_model
+from amulett_agents.ppo import exploration, make_model
 from amulett_agents.training import evaluate, warm_up
 from amulett_gym.evaluation.speed import spread
 from amulett_gym.laws.policies import tension_to_action
@@ -264,7 +264,7 @@ def time_to_beat(config: TrainConfig, referee: Referee, limit: float, watch: Wat
         warm_up(config)
         clock = _Clock()
         model = make_model(config)
-        model.learn(config.total_steps, callback=_Judge(run, referee, clock, limit, watch))
+        model.learn(config.total_steps, callback=[*exploration(config), _Judge(run, referee, clock, limit, watch)])
     return run
 
 

@@ -91,6 +91,9 @@ class PpoSettings(Group):
         default=10.0, description="fixed factor on what PPO sees: a step of eq. 6 costs 0.002, a whole episode 1"
     )
     initial_std: Positive = Field(default=0.3, description="of the exploration, in the action's unit")
+    final_std: float | None = Field(
+        default=None, gt=0, description="let it fall to this over total_steps, not learned; null: it is learned"
+    )
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
     sde_sample_freq: int = Field(default=8, ge=-1, description="steps between two draws of it; -1: once a rollout")
 

@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
@@ -46,6 +47,36 @@ class ScaledRewards(VecEnvWrapper):
         """Take one step with all devices."""
         observations, rewards, dones, infos = self.venv.step_wait()
         return observations, rewards * np.float32(self.factor), dones, infos
+
+
+class FadingExploration(BaseCallback):
+    """Lets the exploration fall from its initial to a final standard deviation over a run, by a constant factor a step.
+
+    Parameters
+    ----------
+    initial, final : float
+        Standard deviation of the exploration, in the action's unit.
+    """
+
+    def __init__(self, initial: float, final: float) -> None:
+        super().__init__()
+        self.initial, self.final = initial, final
+
+    def _on_rollout_start(self) -> None:
+        passed = 1.0 - self.model._current_progress_remaining
+        log_std: torch.nn.Parameter = self.model.policy.log_std  # type: ignore[assignment]
+        with torch.no_grad():
+            log_std.fill_((1.0 - passed) * np.log(self.initial) + passed * np.log(self.final))
+        log_std.requires_grad_(False)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def exploration(config: TrainConfig) -> list[BaseCallback]:
+    """Return what a recipe's exploration needs besides the model: callbacks for its `learn`."""
+    ppo = config.ppo
+    return [] if ppo.final_std is None else [FadingExploration(ppo.initial_std, ppo.final_std)]
 
 
 def make_model(config: TrainConfig, tensorboard: str | Path | None = None) -> PPO:

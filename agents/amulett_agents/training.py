@@ -22,7 +22,15 @@ from stable_baselines3.common.logger import configure
 from tqdm import tqdm
 
 from amulett_agents.config import TrainConfig
-from amulett_agents.ppo import extract_network, git_revision, make_model, make_validation_env, save_policy, versions
+from amulett_agents.ppo import (
+    exploration,
+    extract_network,
+    git_revision,
+    make_model,
+    make_validation_env,
+    save_policy,
+    versions,
+)
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path, output_folder, write_json, write_text
@@ -123,7 +131,7 @@ def train(
             model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
             run = _Run(config, out, validation, command, progress)
             try:
-                model.learn(config.total_steps, callback=run)
+                model.learn(config.total_steps, callback=[*exploration(config), run])
             except KeyboardInterrupt:
                 run.interrupted = True
             run.finish(model)
