@@ -346,10 +346,22 @@ def test_a_run_ends_at_its_limit(recipe, clock):
     assert run.eq6 is None
 
 
+def test_ppo_has_the_recipe_of_training_and_time_to_beat_its_own():
+    from amulett_agents.config import SPRINT, TrainConfig, load_train_config
+
+    arguments = SimpleNamespace(config=None, overrides=["seed=3"])
+    assert bench._recipe(arguments, "ppo") == TrainConfig(seed=3)
+    assert (
+        bench._recipe(arguments, "time-to-beat") == load_train_config(None, [*SPRINT, "seed=3"]) != TrainConfig(seed=3)
+    )
+    arguments.config = DOCUMENT.parent.parent / "configs" / "ppo.yaml"
+    assert bench._recipe(arguments, "time-to-beat") == TrainConfig(seed=3)
+
+
 def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, recipe, tmp_path, monkeypatch):
     from amulett_agents import benchmark
 
-    monkeypatch.setattr(bench, "_recipe", lambda arguments: recipe)
+    monkeypatch.setattr(bench, "_recipe", lambda arguments, section: recipe)
     words = ["--ppo", "--time-to-beat", "--seeds", "2", "--limit", "2"]
     monkeypatch.setattr(benchmark, "TURN_SECONDS", 0.0)
     assert main([*QUICK, *words, "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0

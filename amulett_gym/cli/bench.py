@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--devices", type=int, default=1024, help="devices in the vector environments (default: 1024)")
     parser.add_argument("--turns", type=int, default=7, help="interleaved turns that each one takes (default: 7)")
     parser.add_argument("--seed", type=int, default=0, help="of scenarios and actions (default: 0)")
-    parser.add_argument("--config", metavar="FILE", help="recipe of --ppo and --time-to-beat (default: the tuned one)")
+    parser.add_argument(
+        "--config", metavar="FILE", help="recipe of --ppo (default: that of amulett train) and --time-to-beat (its own)"
+    )
     parser.add_argument(
         "--set",
         nargs="+",
@@ -65,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.files import write_json
 
     asked = [name for name in performance.SECTIONS if name == "speed" or getattr(arguments, name.replace("-", "_"))]
-    config = _recipe(arguments) if {"ppo", "time-to-beat"} & set(asked) else None
+    recipes = {section: _recipe(arguments, section) for section in asked if section in ("ppo", "time-to-beat")}
     if "c" in asked:
         yardstick()  # refused before anything is measured
     data: Data = {}
@@ -74,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         for section in asked:
             try:
-                _MEASURE[section](arguments, data, config)
+                _MEASURE[section](arguments, data, recipes.get(section))
             finally:
                 for table in performance.tables(section, data):
                     _say(quiet, table.text() + "\n")
@@ -157,14 +159,15 @@ def _check(arguments: argparse.Namespace) -> None:
         update(arguments.doc, {})  # a document that cannot be written is refused before anything is measured
 
 
-def _recipe(arguments: argparse.Namespace) -> Any:
-    """Return the checked recipe; torch is not imported yet."""
+def _recipe(arguments: argparse.Namespace, section: str) -> Any:
+    """Return a section's checked recipe; torch is not imported yet."""
     from amulett_gym.cli.train import check_installed
 
     check_installed()
-    from amulett_agents import load_train_config
+    from amulett_agents.config import SPRINT, load_train_config
 
-    return load_train_config(arguments.config, arguments.overrides)
+    own = SPRINT if section == "time-to-beat" and arguments.config is None else ()
+    return load_train_config(arguments.config, [*own, *arguments.overrides])
 
 
 def _speed(arguments: argparse.Namespace, data: Data, config: Any) -> None:
