@@ -98,6 +98,8 @@ def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
     assert data["scale"]["memory_per_device"]["arrays"] == MEMORY["arrays"]
     assert "peers" not in data
     assert "not told here" in document.read_text()
+    assert "`amulett bench --scale --devices 4 --turns 1` on " in document.read_text()
+    assert str(tmp_path) not in document.read_text()
     assert "interrupted" in capsys.readouterr().err
 
 

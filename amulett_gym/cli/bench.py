@@ -95,7 +95,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         found = {section: performance.tables(section, data) for section in asked}
         texts = {
-            section: "\n\n".join([f"`{_command()}` on {machine()}", *(table.markdown() for table in made)])
+            section: "\n\n".join(
+                [f"`{_command(arguments, section)}` on {machine()}", *(table.markdown() for table in made)]
+            )
             for section, made in found.items()
             if made
         }
@@ -284,7 +286,15 @@ def _say(quiet: bool, message: str) -> None:
         print(message, flush=True)
 
 
-def _command() -> str:
+def _command(arguments: argparse.Namespace, section: str) -> str:
+    """Return the command that measures a section again; where it writes to is nobody else's business."""
     import shlex
 
-    return shlex.join(["amulett", *sys.argv[1:]])
+    words = ["amulett", "bench", *([] if section == "speed" else [f"--{section}"])]
+    for option in ("devices", "turns", "seed", "seeds", "limit", "simulated", "config"):
+        value = getattr(arguments, option)
+        if value != arguments.parser.get_default(option):
+            words += [f"--{option}", str(value)]
+    if arguments.overrides:
+        words += ["--set", *arguments.overrides]
+    return shlex.join(words)
