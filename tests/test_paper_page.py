@@ -17,9 +17,16 @@ from amulett_gym.paper.hypotheses import answer_hypotheses
 from amulett_gym.paper.page import render
 from amulett_gym.paper.reproduction import ALTERNATIVES, Row, reproduce
 from amulett_gym.paper.results import bounds_in_words, search_varies, within
+from amulett_gym.paper.sensitivity import Sensitivity
 from amulett_gym.paper.statements import NAMES, our_numbers
 from amulett_gym.paper.study import shipped
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5
+
+VARIED = Sensitivity(
+    by_time={5.0: (8, 7, 6, 13)},
+    by_hysteresis={1.0: {"tension-5": (3, 0.25), "tension-10": (4, 0.5), "variable": (5, 1.25)}},
+    by_floor={"clamp": (4.5, 2.5)},
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +37,7 @@ def evidence() -> Evidence:
         name: tuple(row for row in reproduction.rows if row.cell.configuration == name) for name in CONFIGURATIONS
     }
     answers = answer_hypotheses(our_numbers(reproduction))
-    return Evidence(reproduction, shipped(), predicted, check_claims(reproduction, {}), answers, {})
+    return Evidence(reproduction, shipped(), predicted, check_claims(reproduction, {}), answers, {}, VARIED)
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +181,12 @@ def test_text_is_escaped_and_a_missing_number_is_a_dash(evidence):
     assert "<b>limit" not in page and "&lt;b&gt;limit" in page
     assert "<i>wide" not in page and "&lt;i&gt;wide" in page
     assert rows_of(page, "Table 2")[0][3:5] == ["-", "-"]
+
+
+def test_the_page_has_the_variations(page):
+    heading = "What other judgement calls are worth"
+    assert rows_of(page, heading, 0) == [["5", "8", "7", "6", "13", "34"]]
+    (line,) = rows_of(page, heading, 1)
+    assert line[0].endswith("(shipped)")
+    assert [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in line[1:]] == ["3, 0.2 deg", "4, 0.5 deg", "5, 1.2 deg"]
+    assert rows_of(page, heading, 2) == [["clamp", "4.5", "2.5"]]

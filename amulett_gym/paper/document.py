@@ -15,7 +15,14 @@ from amulett_gym.paper.evidence import Evidence
 from amulett_gym.paper.figures import with_remark
 from amulett_gym.paper.hypotheses import Answer
 from amulett_gym.paper.reproduction import Reproduction, Row, explained
-from amulett_gym.paper.results import bounds_in_words, cost_in_words, determined_in_words, search_varies, status
+from amulett_gym.paper.results import (
+    bounds_in_words,
+    cost_in_words,
+    determined_in_words,
+    search_varies,
+    sensitivity_tables,
+    status,
+)
 from amulett_gym.paper.statements import NAMES
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES
 
@@ -50,6 +57,7 @@ def block(evidence: Evidence, figures: Mapping[str, str]) -> str:
         _predicted(evidence.predicted),
         _spread(evidence.identification),
         _springs(evidence.identification),
+        _sensitivity(evidence),
         _hypotheses(evidence.hypotheses),
         _claims(evidence.claims),
         "### Figures",
@@ -196,6 +204,11 @@ def _springs(identification: Mapping[str, Any]) -> str:
     ]
     titles = ["spring law", "free length / half width", "cost", "explained", "stiffness at 10 N / at 4 N"]
     return f"### Spring laws, all other parameters fitted again\n\n{_table(titles, body)}"
+
+
+def _sensitivity(evidence: Evidence) -> str:
+    parts = [f"{table['title']}:\n\n{_table(table['head'], table['body'])}" for table in sensitivity_tables(evidence)]
+    return "\n\n".join(["### What other judgement calls are worth", *parts])
 
 
 def _hypotheses(hypotheses: Sequence[Answer]) -> str:

@@ -11,6 +11,7 @@ from amulett_gym.paper.hypotheses import Answer, answer_hypotheses
 from amulett_gym.paper.motion import observe
 from amulett_gym.paper.own_study import OwnStudy
 from amulett_gym.paper.reproduction import Reproduction, Row, reproduce
+from amulett_gym.paper.sensitivity import Sensitivity, vary
 from amulett_gym.paper.statements import our_numbers
 from amulett_gym.paper.study import cross_check, shipped
 
@@ -30,6 +31,8 @@ class Evidence:
     hypotheses : tuple of Answer
     remarks : dict of str to str
         What the figures show on these devices, by the figures' names (`figures.remarks`).
+    sensitivity : Sensitivity
+        What the judgement calls are worth that no table decides (`sensitivity.vary`).
     folder : str or None
         Of the study that the devices come from; None for the shipped one.
     """
@@ -40,6 +43,7 @@ class Evidence:
     claims: tuple[CheckedClaim, ...]
     hypotheses: tuple[Answer, ...]
     remarks: dict[str, str]
+    sensitivity: Sensitivity
     folder: str | None = None
 
 
@@ -66,5 +70,6 @@ def gather(study: OwnStudy | None = None) -> Evidence:
         check_claims(reproduction, observed),
         answer_hypotheses({**our_numbers(reproduction), **observed}),
         remarks(reproduction.profiles, reproduction.readings),
+        vary(reproduction.profiles, reproduction.readings),
         None if study is None else study.folder,
     )

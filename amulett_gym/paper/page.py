@@ -22,6 +22,7 @@ from amulett_gym.paper.results import (
     cost_in_words,
     determined_in_words,
     search_varies,
+    sensitivity_tables,
     status,
     within,
 )
@@ -81,6 +82,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
         determined=determined_in_words(found),
         spread=[_spread(item) for item in found["spread"]],
         springs=[_numbers_in_words(item, ("length_ratio", "cost", "stiffening")) for item in found["springs"]],
+        sensitivity=sensitivity_tables(evidence),
         claims=claims,
         counts={
             "hold": sum(item.ours.holds is True for item in claims),

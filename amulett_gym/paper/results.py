@@ -24,7 +24,8 @@ from amulett_gym.paper.reproduction import (
     explained,
     moved,
 )
-from amulett_gym.paper.statements import METRICS
+from amulett_gym.paper.sensitivity import REST
+from amulett_gym.paper.statements import METRICS, NAMES
 from amulett_gym.paper.study import DETERMINED
 from amulett_gym.paper.tables import DEVICES, PROTOCOL
 from amulett_gym.tasks.suites import START
@@ -46,7 +47,7 @@ def content(evidence: Evidence) -> dict[str, Any]:
     dict
         ``{"parameters": {...}, "rows": [{"table", "profile", "configuration", "metric", "drive", "paper", "ours",
         "ratio", "unit", "explained", "note"}], "cross_check": [rows, with what was "left_out"], "claims": [...],
-        "hypotheses": [...]}``; a number that does not exist is None.
+        "hypotheses": [...], "sensitivity": {...}}``; a number that does not exist is None.
     """
     reproduction = evidence.reproduction
     return {
@@ -65,7 +66,38 @@ def content(evidence: Evidence) -> dict[str, Any]:
         ],
         "claims": claims_content(evidence.claims),
         "hypotheses": hypotheses_content(evidence.hypotheses),
+        "sensitivity": asdict(evidence.sensitivity),
     }
+
+
+def sensitivity_tables(evidence: Evidence) -> list[dict[str, Any]]:
+    """Return the variations as tables: ``title``, ``head`` and ``body``, all of them words."""
+    found, hysteresis = evidence.sensitivity, evidence.reproduction.profiles["testbed"].loop.switch_hysteresis
+    configurations = list(next(iter(found.by_hysteresis.values())))
+    return [
+        {
+            "title": "T of eqs. 7 and 8: numbers explained",
+            "head": ["T [s]", *(f"Table {table}" for table in (2, 3, 4, 5)), "of 40"],
+            "body": [[f"{time:g}", *map(str, counts), str(sum(counts))] for time, counts in found.by_time.items()],
+        },
+        {
+            "title": "Hysteresis of the agonist's switch on the testbed: switches in the movements of Figure 9, and "
+            "the most that one of them moves the joint",
+            "head": ["hysteresis [mm]", *(NAMES[name] for name in configurations)],
+            "body": [
+                [
+                    f"{1000 * factor * hysteresis:.2g}" + (" (shipped)" if factor == 1.0 else ""),
+                    *(f"{count}, {deviation:.1f} deg" for count, deviation in switches.values()),
+                ]
+                for factor, switches in found.by_hysteresis.items()
+            ],
+        },
+        {
+            "title": "Forces estimated below the floor: the antagonist's true force at rest, with a setpoint of 5 N",
+            "head": ["treatment", *(f"after {time:g} s [N]" for time in REST)],
+            "body": [[floor, *(f"{force:.1f}" for force in forces)] for floor, forces in found.by_floor.items()],
+        },
+    ]
 
 
 def status(evidence: Evidence) -> str:
