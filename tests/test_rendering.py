@@ -246,7 +246,7 @@ def test_play_writes_a_gif_without_a_display(tmp_path):
 def test_a_window_that_is_closed_stays_closed_and_harms_nobody():
     import pygame
 
-    env = gym.make(SCALING, render_mode="human", agent_period=0.004)
+    env = gym.make(SCALING, render_mode="human", agent_period=0.005)
     env.reset(seed=0)
     env.step(ACTION)
     assert env.render() is None

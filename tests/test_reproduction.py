@@ -56,7 +56,7 @@ def reproduction(evidence) -> Reproduction:
 
 def test_json_has_every_number_of_tables_2_to_5_in_the_agreed_form(evidence):
     result = json.loads(json.dumps(content(evidence), allow_nan=False))
-    assert list(result) == ["parameters", "rows", "cross_check", "claims", "hypotheses"]
+    assert list(result) == ["parameters", "rows", "cross_check", "claims", "hypotheses", "sensitivity"]
     assert len(result["rows"]) == 8 + 8 + 8 + 16
     for row, cell in zip(result["rows"], TABLES_2_TO_5, strict=True):
         keys = "table profile configuration metric drive paper ours ratio unit explained note"
