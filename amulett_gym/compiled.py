@@ -74,7 +74,7 @@ def compiled_lanes(function: F) -> F:
 
 def _compiled(function: F, **options: bool) -> F:
     # Nobody calls the functions from C: without the wrappers for it, all of them compile a little sooner.
-    dispatcher = numba.njit(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function)
     if not numba.config.DISABLE_JIT:
         keep_code(dispatcher)
     return dispatcher

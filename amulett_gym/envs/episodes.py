@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from amulett_gym.envs import transition
 from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.layout import LANES, Control
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
@@ -38,7 +40,8 @@ _NO_SEED = np.array(None)
 class Episodes:
     """A batch of arms, each in an episode of its own.
 
-    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the action's range in N.
+    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the action's range in N, and
+    `threads` is how many step at once, each some of the blocks that the devices lie in. The bits are the same for any.
 
     Attributes
     ----------
@@ -62,6 +65,7 @@ class Episodes:
         agent_period: float,
         observation_noise: float,
         failure_horizon: int,
+        threads: int = 1,
     ) -> None:
         self.profile = load_profile(profile)
         if suite not in suite_names():
@@ -75,6 +79,8 @@ class Episodes:
             raise AmulettError(f"failure_horizon is {failure_horizon!r}; it has to be a whole number of agent steps")
         if failure_horizon < 1:
             raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")
+        if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
+            raise AmulettError(f"threads is {threads!r}; it has to be a whole number of at least 1")
         self.suite, self.split = suite, split
         self.tension_range = tension_range
         self.simulation = Simulation(self.profile, num_devices, control, tension_law)
@@ -94,6 +100,9 @@ class Episodes:
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
         self._max_force = simulation.max_force
+        ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
+        self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
+        self._pool: ThreadPoolExecutor | None = None
 
     @property
     def agent_period(self) -> float:
@@ -170,10 +179,38 @@ class Episodes:
         num_devices = self.simulation.num_devices
         observations = np.empty((num_devices, len(transition.OBSERVATIONS)), dtype=np.float32)
         report = np.empty((num_devices, transition.REPORT_SIZE))
-        not_a_number = transition.step(*self._arrays, actions, observations, report)
-        if not_a_number >= 0:
-            raise AmulettError(f"the action of device {not_a_number} is NaN; allowed is [-1, 1]")
+        if np.isnan(actions).any():
+            raise AmulettError(f"the action of device {int(np.isnan(actions).argmax())} is NaN; allowed is [-1, 1]")
+        if len(self._shares) == 1:
+            transition.step(*self._arrays, actions, observations, report)
+        else:
+            self._step_in_threads(actions, observations, report)
         return observations, report
+
+    def _step_in_threads(self, actions: NDArray[np.floating[Any]], observations: Observations, report: Report) -> None:
+        """Let each thread, this one among them, step the devices of its share of the blocks."""
+        parameters, settings, scenarios, states = self._arrays
+
+        def step(blocks: slice) -> None:
+            rows = slice(blocks.start * LANES, blocks.stop * LANES)
+            of_devices = actions[rows], observations[rows], report[rows]
+            transition.step(parameters, settings, scenarios[blocks], states[blocks], *of_devices)
+
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
+        others = [self._pool.submit(step, blocks) for blocks in self._shares[1:]]
+        step(self._shares[0])
+        for other in others:
+            other.result()
+
+    def close(self) -> None:
+        """End the threads; a further step starts them again."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' present state (all if None), shape (len(devices), 37), no reward."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from amulett_gym.compiled import compiled
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.simulation.kernel import advance, joint_stiffness
-from amulett_gym.simulation.layout import LANES, RUNNING
+from amulett_gym.simulation.kernel import advance_block, joint_stiffness
+from amulett_gym.simulation.layout import LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise
 
 SETTINGS = np.dtype(
@@ -111,26 +111,29 @@ _DEG = 180.0 / math.pi
 
 @compiled
 def step(p, e, c_blocks, s_blocks, actions, observations, report):
-    """Take one agent step with all devices; fill observations and report, one row a device.
-
-    Returns -1, or the first device whose action is NaN: then nothing was done.
-    """
+    """Take one agent step with all devices; fill observations and report, one row a device."""
     num_devices = actions.shape[0]
-    for device in range(num_devices):
-        if math.isnan(actions[device]):
-            return device
-    settings = e[0]
-    span = settings.high - settings.low
-    for device in range(num_devices):
+    parameters, settings = p[0], e[0]
+    m = np.empty(1, dtype=MOTION_BLOCK)[0]
+    for block in range(s_blocks.shape[0]):
+        first = block * LANES
+        end = min(first + LANES, num_devices)
+        step_block(parameters, settings, c_blocks[block], s_blocks[block], m, first, end, actions, observations, report)
+
+
+@compiled
+def step_block(p, e, c, s, m, first, end, actions, observations, report):
+    """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
+    span = e.high - e.low
+    for device in range(first, end):
         action = min(max(float(actions[device]), -1.0), 1.0)
-        s_blocks[device // LANES].tension_command[device % LANES] = settings.low + 0.5 * (action + 1.0) * span
-    advance(p, c_blocks, s_blocks, num_devices, settings.ticks)
-    for device in range(num_devices):
-        block, i = device // LANES, device % LANES
-        observe(p[0], settings, c_blocks[block], s_blocks[block], i, observations[device])
-        pay(settings, s_blocks[block], i, report[device])
-        tell(p[0], s_blocks[block], i, report[device])
-    return -1
+        s.tension_command[device - first] = e.low + 0.5 * (action + 1.0) * span
+    advance_block(p, c, s, m, end - first, e.ticks)
+    for device in range(first, end):
+        i = device - first
+        observe(p, e, c, s, i, observations[device])
+        pay(e, s, i, report[device])
+        tell(p, s, i, report[device])
 
 
 @compiled

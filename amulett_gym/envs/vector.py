@@ -39,6 +39,9 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Number of devices.
     max_episode_steps : int
         After how many steps an episode is truncated.
+    threads : int
+        How many step at once, each a part of the devices; the results are the same, bit for bit. Pays where cores are
+        free and devices are many: a thousand or more.
     **keywords
         As those of the single environment.
     """
@@ -65,6 +68,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         observation_noise: float = 0.0,
         failure_horizon: int = DEFAULT_STEPS,
         render_mode: str | None = None,
+        threads: int = 1,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown("render_mode", render_mode, self.metadata["render_modes"])
@@ -100,6 +104,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             agent_period,
             observation_noise,
             failure_horizon,
+            threads,
         )
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = _batched(single.observation_space, num_envs)
@@ -213,7 +218,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return tuple(renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of the renderers."""
+        """Let go of the renderers and threads."""
+        self.episodes.close()
         for renderer in self._renderers:
             renderer.close()
         self._renderers = []

@@ -53,15 +53,20 @@ def advance(p, c_blocks, s_blocks, num_devices, ticks):
     parameters = p[0]
     m = np.empty(1, dtype=MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
-        c, s = c_blocks[block], s_blocks[block]
         lanes = min(LANES, num_devices - block * LANES)
-        for _ in range(ticks):
-            first = 0
-            while first < lanes:
-                end = next_failed(s, first, lanes)
-                # Unsigned: an index that might be negative would have to be checked, lane by lane.
-                tick(parameters, c, s, m, np.uint64(first), np.uint64(end))
-                first = end + 1
+        advance_block(parameters, c_blocks[block], s_blocks[block], m, lanes, ticks)
+
+
+@compiled
+def advance_block(p, c, s, m, lanes, ticks):
+    """Advance the devices in a block's first lanes by a number of control ticks."""
+    for _ in range(ticks):
+        first = 0
+        while first < lanes:
+            end = next_failed(s, first, lanes)
+            # Unsigned: an index that might be negative would have to be checked, lane by lane.
+            tick(p, c, s, m, np.uint64(first), np.uint64(end))
+            first = end + 1
 
 
 @compiled

@@ -1,0 +1,79 @@
+"""Several threads step the devices faster where cores are free, and never otherwise."""
+
+import copy
+import pickle
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import amulett_gym  # noqa: F401
+from amulett_gym.errors import AmulettError
+from amulett_gym.simulation.layout import LANES
+
+SCALING = "Amulett/Scaling-v0"
+
+
+def play(vector, steps, seed):
+    vector.reset(seed=seed)
+    actions = np.random.default_rng(seed).uniform(-1, 1, (steps, vector.num_envs, 1))
+    return [go(vector, action) for action in actions]
+
+
+def go(vector, action):
+    observations, rewards, terminated, truncated, info = vector.step(action)
+    values = [info[name] for name in info if isinstance(info[name], np.ndarray) and name != "failure"]
+    return [observations, rewards, terminated, truncated, *values, *info["metrics"].values()]
+
+
+def assert_same(ours, theirs):
+    for one, other in zip(ours, theirs, strict=True):
+        for values, others in zip(one, other, strict=True):
+            np.testing.assert_array_equal(values, others)
+
+
+@pytest.mark.parametrize("devices", [1, LANES - 1, LANES + 1, 5 * LANES + 3])
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_any_number_of_threads_gives_the_same_bits(devices, threads):
+    keywords = {"num_envs": devices, "max_episode_steps": 30}
+    alone, together = gym.make_vec(SCALING, **keywords), gym.make_vec(SCALING, threads=threads, **keywords)
+    assert_same(play(alone, 40, seed=3), play(together, 40, seed=3))  # an episode's end is among these steps
+
+
+def test_a_wrong_action_stops_all_threads_before_anything_is_done():
+    vector = gym.make_vec(SCALING, num_envs=4 * LANES, threads=2)
+    vector.reset(seed=0)
+    before = vector.unwrapped.get_state()["episodes"]["simulation"]["states"]
+    actions = np.zeros((4 * LANES, 1))
+    actions[3 * LANES] = np.nan
+    with pytest.raises(AmulettError, match=f"the action of device {3 * LANES} is NaN"):
+        vector.step(actions)
+    assert vector.unwrapped.get_state()["episodes"]["simulation"]["states"].tobytes() == before.tobytes()
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda vector: pickle.loads(pickle.dumps(vector))])
+def test_a_copy_in_mid_episode_goes_on_alike(duplicate):
+    vector = gym.make_vec(SCALING, num_envs=3 * LANES, threads=2)
+    play(vector, 5, seed=1)
+    other = duplicate(vector)
+    action = np.full((3 * LANES, 1), 0.3)
+    assert_same([go(vector, action)], [go(other, action)])
+
+
+def test_close_ends_the_threads():
+    def ours():
+        return {thread for thread in threading.enumerate() if thread.name.startswith("amulett-gym")}
+
+    before = ours()
+    vector = gym.make_vec(SCALING, num_envs=4 * LANES, threads=3)
+    play(vector, 1, seed=0)
+    assert ours() > before
+    vector.close()
+    assert ours() <= before
+
+
+@pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
+def test_a_wrong_number_of_threads_is_refused(threads):
+    with pytest.raises(AmulettError, match="threads is .* at least 1"):
+        gym.make_vec(SCALING, num_envs=4, threads=threads)
