@@ -1,0 +1,135 @@
+"""Many laws in many scenarios at once: each device of a batch meets a scenario of its own under a law of its own.
+
+What an episode costs here is minus its return in the environment, bit for bit: a law that is found here is what it
+seemed to be. All that searches (tuned laws, the clairvoyant reference) stands on this.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulett_gym import __version__
+from amulett_gym.envs.episodes import TENSION_RANGE, Episodes, Observations, device_seeds
+from amulett_gym.envs.reward import COST_CAP, DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.transition import FIRST_READING
+from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.laws.contenders import CONSTANT, parse_contender
+from amulett_gym.laws.policies import tension_to_action
+from amulett_gym.simulation.layout import RUNNING, Control
+
+Actions = NDArray[np.float32]
+Costs = NDArray[np.float64]
+Devices = NDArray[np.int64]
+
+Choose = Callable[[int, Observations], Actions]
+"""Maps the number of the agent step and the observations, shape (N, 13), to actions in [-1, 1], shape (N,)."""
+
+
+class Trials:
+    """The scenarios of a comparison, to be met as often as one likes.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        Scenario i is the one that `evaluation.runner.evaluate` would play with it; the action's range is the default.
+    control, tension_law : str
+        As of the environments.
+
+    Attributes
+    ----------
+    rows : ndarray of `simulation.layout.SCENARIO`, shape (protocol.episodes,)
+        The scenarios, with the keys of their sensor noise.
+    steps : int
+        Agent steps of an episode.
+
+    Raises
+    ------
+    AmulettError
+        If the protocol's duration is no whole number of agent steps.
+    """
+
+    def __init__(self, protocol: Protocol, control: Control = "decentralized", tension_law: str = "agent") -> None:
+        self.protocol = protocol
+        self.steps: int = protocol.keywords(parse_contender(f"{CONSTANT}10"))["max_episode_steps"]
+        self._laws: tuple[Control, str] = (control, tension_law)
+        self._batches: dict[int, Episodes] = {}
+        first, every = self._batch(protocol.episodes), np.arange(protocol.episodes)
+        first.seed(every, device_seeds(protocol.seed, protocol.episodes), np.random.default_rng(0))
+        first.start(every)
+        self.rows = first.simulation.read_scenarios(every)
+
+    def play(self, scenarios: Devices, choose: Choose) -> Costs:
+        """Let every device meet its scenario once.
+
+        Parameters
+        ----------
+        scenarios : ndarray of int, shape (N,)
+            Which of `rows` each device meets.
+        choose : callable
+            Agent step and observations, shape (N, 13) -> actions, shape (N,), in [-1, 1].
+
+        Returns
+        -------
+        ndarray, shape (steps, N)
+            What each agent step cost, minus its reward; 0 once the episode has ended in a failure, whose charge the
+            step before holds.
+        """
+        episodes = self._batch(scenarios.size)
+        devices = np.arange(scenarios.size)
+        episodes.simulation.reset(self.rows[scenarios], devices)
+        episodes.started[:] = True
+        observations = episodes.observe()
+        costs = np.zeros((self.steps, scenarios.size))
+        running = np.ones(scenarios.size, dtype=bool)
+        for step in range(self.steps):
+            actions = np.asarray(choose(step, observations), dtype=np.float32)
+            observations, report = episodes.step(actions.astype(np.float64))
+            np.negative(report[:, 0], out=costs[step], where=running)
+            running &= report[:, FIRST_READING] == RUNNING
+        return costs
+
+    def digest(self) -> str:
+        """Return a SHA-256 of all that costs hang on: device, scenarios, loop, rates, weights and divisors."""
+        profile, suite = self.protocol.profile, self.protocol.suite
+        costs = [sorted(DEFAULT_WEIGHTS.items()), sorted(divisors(profile, suite).items()), COST_CAP]
+        loop = [self._laws, self.steps, self.protocol.agent_period, TENSION_RANGE]
+        content = hashlib.sha256(profile.model_dump_json().encode())
+        content.update(np.ascontiguousarray(self.rows).tobytes())
+        content.update(json.dumps([costs, loop, __version__]).encode())
+        return content.hexdigest()
+
+    def _batch(self, devices: int) -> Episodes:
+        """Return a batch of that size; one that was made is kept."""
+        if devices not in self._batches:
+            control, tension_law = self._laws
+            self._batches[devices] = Episodes(
+                num_devices=devices,
+                profile=self.protocol.profile,
+                suite=self.protocol.suite,
+                split=self.protocol.split,
+                control=control,
+                tension_law=tension_law,
+                reward_weights=None,
+                tension_range=TENSION_RANGE,
+                agent_period=self.protocol.agent_period,
+                observation_noise=0.0,
+                failure_horizon=self.steps,
+            )
+        return self._batches[devices]
+
+
+def held(tensions: ArrayLike) -> Choose:
+    """Let each device hold a constant tension setpoint [N], shape (N,)."""
+    actions = tension_to_action(np.asarray(tensions, dtype=np.float64), TENSION_RANGE).astype(np.float32)
+    return lambda step, observations: actions
+
+
+def scheduled(actions: Actions) -> Choose:
+    """Let each device follow a schedule of its own; `actions` has the shape (N, steps)."""
+    by_step = np.ascontiguousarray(actions.T)
+    return lambda step, observations: by_step[step]
