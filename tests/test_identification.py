@@ -170,7 +170,7 @@ def test_rows_count_before_cost_and_cost_among_as_many_rows(monkeypatch, paramet
     made_up = {0.001: (5.0, 30), 0.002: (7.0, 33), 0.003: (6.0, 33), 0.004: (9.0, 29)}
     monkeypatch.setattr(identification, "objective", lambda readings: lambda vector: made_up[key(vector)][0])
     monkeypatch.setattr(identification, "devices", lambda member: member)
-    monkeypatch.setattr(identification, "measure", lambda member, readings: member)
+    monkeypatch.setattr(identification, "measure", lambda member, *rest, **keywords: member)
     monkeypatch.setattr(
         identification, "compare", lambda member, readings: [Explained(True)] * made_up[member["inertia"]][1]
     )
@@ -232,7 +232,7 @@ def test_a_device_that_cannot_start_is_worse_than_any_that_can(parameters):
 def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path):
     done = []
     content = study.study(tmp_path, SHORT, Readings(), 2, lambda name, stage: done.append(name))
-    assert len(done) == len(set(done)) == 2 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 2
+    assert len(done) == len(set(done)) == 2 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 2 + 1
     for name in DEVICES:
         assert load_profile(tmp_path / f"{name}.yaml").name == f"{name}-identified"
     stages = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}

@@ -30,6 +30,7 @@ from amulett_gym.paper.reproduction import (
     apply_readings,
     best_reading,
     compare,
+    explained,
     measure,
     reproduce,
     step_response,
@@ -285,3 +286,32 @@ def test_the_documents_numbers_are_those_of_the_command(evidence):
 
 if __name__ == "__main__":
     PINNED.write_text(json.dumps({place(row): row.ours for row in reproduce().rows}, indent=1) + "\n")
+
+
+def test_what_the_document_says_by_hand_is_what_it_shows(evidence):
+    by_hand = " ".join(DOCUMENT.read_text().split(BEGIN)[0].split())
+    counts = [sum(found) for found in evidence.sensitivity.by_noise.values()]
+    total = sum(row.explained for row in evidence.reproduction.rows)
+    assert (
+        f"{total} of the 40 numbers are explained ({min(counts)} or {max(counts)} with other sensor noise)" in by_hand
+    )
+    predicted = sum(row.explained for rows in evidence.predicted.values() for row in rows)
+    assert f"predict {predicted} of the 40 numbers that they did not see" in by_hand
+    words = {4: "four", 5: "five", 6: "six", 7: "seven", 8: "all eight"}
+    tables = explained(evidence.reproduction.rows)
+    assert f"within 5 % in all eight rows: {words[tables[3][0]]}." in by_hand
+    assert f"within 25 % in at least five rows: {words[tables[4][0]]}." in by_hand
+    assert f"within a factor of 3: {tables[5][0]} of 16" in by_hand
+    rise = [row for row in evidence.reproduction.rows if row.cell.metric == "rise_time"]
+    simulated, measured = (sum(row.explained for row in rise if row.cell.profile == name) for name in DEVICES)
+    assert (simulated, measured) == (4, 3)
+    assert "simulated: all four. Within 35 % measured: three." in by_hand
+    refitted = {
+        (item["reading"], item["choice"]): item["explained"] for item in evidence.identification["readings_refitted"]
+    }
+    fewer = {key: total - count for key, count in refitted.items()}
+    assert f"it explains {words[fewer['preload', 'smaller']]} numbers less" in by_hand
+    assert f"fitted again, it explains {words[fewer['floor', 'ignore']]} numbers less" in by_hand
+    assert fewer["tension_error", "estimated"] == fewer["tension_error", "true"] == 2
+    assert "With the same one for both, two numbers less" in by_hand
+    assert fewer["damping", "printed"] == fewer["rise_time", "first-entry"] == 1

@@ -3,7 +3,7 @@
 import pytest
 
 from amulett_gym.paper.reproduction import MEASUREMENT_TIME, explained, reproduce
-from amulett_gym.paper.sensitivity import FLOORS, HYSTERESES, MEASUREMENT_TIMES, vary
+from amulett_gym.paper.sensitivity import FIRST_KEYS, FLOORS, HYSTERESES, MEASUREMENT_TIMES, vary
 from amulett_gym.paper.switching import switching_run
 
 
@@ -20,6 +20,8 @@ def found(reproduction):
 def test_as_taken_is_one_of_the_variations(reproduction, found):
     assert set(found.by_time) == set(MEASUREMENT_TIMES)
     assert found.by_time[MEASUREMENT_TIME] == tuple(count for count, _ in explained(reproduction.rows).values())
+    assert set(found.by_noise) == set(FIRST_KEYS)
+    assert found.by_noise[1] == found.by_time[MEASUREMENT_TIME]
     run = switching_run(reproduction.profiles["testbed"], reproduction.readings)
     assert found.by_hysteresis[1.0]["tension-10"] == (
         len(run.switches),

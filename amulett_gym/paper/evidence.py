@@ -13,7 +13,7 @@ from amulett_gym.paper.own_study import OwnStudy
 from amulett_gym.paper.reproduction import Reproduction, Row, reproduce
 from amulett_gym.paper.sensitivity import Sensitivity, vary
 from amulett_gym.paper.statements import our_numbers
-from amulett_gym.paper.study import cross_check, shipped
+from amulett_gym.paper.study import cross_check, shipped, spring_laws
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,8 @@ class Evidence:
         How the parameters came about (`study.shipped`).
     predicted : dict of str to tuple of Row
         What the fits to three configurations predict for the fourth (`study.cross_check`).
+    springs : dict of str to tuple of Row
+        What the best fit with each spring law gives (`study.spring_laws`).
     claims : tuple of CheckedClaim
     hypotheses : tuple of Answer
     remarks : dict of str to str
@@ -40,6 +42,7 @@ class Evidence:
     reproduction: Reproduction
     identification: dict[str, Any]
     predicted: dict[str, tuple[Row, ...]]
+    springs: dict[str, tuple[Row, ...]]
     claims: tuple[CheckedClaim, ...]
     hypotheses: tuple[Answer, ...]
     remarks: dict[str, str]
@@ -67,6 +70,7 @@ def gather(study: OwnStudy | None = None) -> Evidence:
         reproduction,
         identification,
         cross_check(identification, reproduction.readings),
+        spring_laws(identification, reproduction.readings),
         check_claims(reproduction, observed),
         answer_hypotheses({**our_numbers(reproduction), **observed}),
         remarks(reproduction.profiles, reproduction.readings),

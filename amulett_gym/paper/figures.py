@@ -44,7 +44,7 @@ CAPTIONS = {
     "figure_8_variable_stiffness": "Step response with variable stiffness: (a) simulation, (b) testbed. Force, of "
     "the antagonist's string: the estimate that is fed back, and thin what is true. Dashed: error margins.",
     "figure_9_switching": "Steps with tension control and a switching agonist, on the testbed. The force fed back "
-    "(thick) switches between the strings. Right: the second step, and the angle had each switch not happened.",
+    "(thick) switches between the strings. Right: around one switch, and the angle had each switch not happened.",
 }
 """Name -> what it shows: the figures that `paper_figures` returns, in its order. `remarks` say what one sees there."""
 
@@ -141,6 +141,7 @@ def remarks(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, st
     return {
         "figure_5b_force_estimation": estimation_in_words(apply_readings(profiles["testbed"], readings)),
         "figure_8_variable_stiffness": " ".join(slack_in_words(name, steps[name]) for name in DEVICES),
+        "figure_9_switching": switches_in_words(switching_run(profiles["testbed"], readings).switches),
     }
 
 
@@ -156,12 +157,26 @@ def slack_in_words(name: str, trajectory: Trajectory) -> str:
     where = {"simulation": "In the simulation", "testbed": "On the testbed"}[name]
     if (slack := force < SLACK).any():
         time = trajectory.control_period * np.count_nonzero(slack)
+        after = force[np.flatnonzero(slack)[-1] :].max()
         return (
             f"{where} the antagonist goes slack far from the setpoint: the true force is below {SLACK:g} N for "
-            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then."
+            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then. Pulled "
+            f"taut again, the string reaches {after:.3g} N."
         )
     least = int(np.argmin(force))
     return f"{where} the true force falls to {force[least]:.2g} N, where the estimate is {estimate[least]:.2g} N."
+
+
+def switches_in_words(switches: Sequence[Switch]) -> str:
+    """Say what the switches of Figure 9 do at most to the joint, and to the force that is fed back."""
+    if not switches:
+        return "The agonist never switches."
+    worst = max(switches, key=lambda switch: switch.deviation)
+    jump = max(switches, key=lambda switch: abs(switch.force_jump))
+    return (
+        f"Of {len(switches)} switches, that at {worst.time:.2f} s moves the joint most: by {worst.deviation:.2g} deg "
+        f"within {SWITCH_WINDOW:g} s. At {jump.time:.2f} s the force fed back jumps by {abs(jump.force_jump):.2g} N."
+    )
 
 
 def estimation_in_words(profile: Profile) -> str:
@@ -272,8 +287,8 @@ def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[s
                 plots.Tracked(switching.trajectory, title="three steps", shows_switches=True),
                 plots.Tracked(
                     switching.trajectory,
-                    _around_second_step(switching.switches),
-                    "switches in the second step",
+                    _around_worst(switching.switches),
+                    "the switch that moves the joint most",
                     shows_switches=True,
                     without=[switch.without for switch in switching.switches],
                 ),
@@ -323,8 +338,8 @@ def _first(name: str, names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda other: other != name)
 
 
-def _around_second_step(switches: Sequence[Switch]) -> tuple[float, float]:
-    """Return a span [s] around the switches that follow the second of three steps at once."""
-    step = MOVES_FROM + HOLD
-    last = max((switch.time for switch in switches if step <= switch.time < step + 0.5 * HOLD), default=step)
-    return step - 0.05, last + SWITCH_WINDOW
+def _around_worst(switches: Sequence[Switch]) -> tuple[float, float]:
+    """Return a span [s] around the switch that moves the joint most, or around the second step if there is none."""
+    worst = max(switches, key=lambda switch: switch.deviation, default=None)
+    time = MOVES_FROM + HOLD if worst is None else worst.time
+    return time - 0.5 * SWITCH_WINDOW, time + SWITCH_WINDOW

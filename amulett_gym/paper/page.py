@@ -23,6 +23,7 @@ from amulett_gym.paper.results import (
     determined_in_words,
     search_varies,
     sensitivity_tables,
+    springs_table,
     status,
     within,
 )
@@ -81,7 +82,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
         predicted=[_prediction(left_out, rows) for left_out, rows in evidence.predicted.items()],
         determined=determined_in_words(found),
         spread=[_spread(item) for item in found["spread"]],
-        springs=[_numbers_in_words(item, ("length_ratio", "cost", "stiffening")) for item in found["springs"]],
+        springs=springs_table(evidence),
         sensitivity=sensitivity_tables(evidence),
         claims=claims,
         counts={
@@ -139,7 +140,7 @@ def _table(reproduction: Reproduction, table: int) -> dict[str, Any]:
             {
                 **_row(row),
                 "spread": "" if row.spread is None else pretty(number(row.spread, 2)),
-                "nearest": "" if row.explained else _nearest(reproduction, index),
+                "nearest": _nearest(reproduction, index),
             }
             for index, row in zip(indices, rows, strict=True)
         ],
@@ -165,7 +166,7 @@ def _nearest(reproduction: Reproduction, index: int) -> str:
     """Return the reading under which a row comes nearest to the paper, its ratio then, and whether that explains it."""
     key, nearest = best_reading(reproduction, index)
     if key is None:
-        return "as taken"
+        return "" if nearest.explained else "as taken"
     verdict = "explained" if nearest.explained else "not explained either"
     return f"{_READINGS.get(key[0], key[0])}: `{key[1]}` (×{pretty(number(nearest.ratio))}, {verdict})"
 

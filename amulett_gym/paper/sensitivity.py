@@ -1,7 +1,7 @@
 """What the judgement calls that no table decides are worth: each varied alone, all else as taken.
 
-The measurement time T of eqs. 7 and 8, how certain the agonist's switch waits to be, and what replaces forces estimated
-below the floor.
+The noise of the testbed's repetitions, the measurement time T of eqs. 7 and 8, how certain the agonist's switch waits
+to be, and what replaces forces estimated below the floor.
 """
 
 from __future__ import annotations
@@ -13,10 +13,13 @@ from typing import Literal
 import numpy as np
 
 from amulett_gym.config import Profile, load_profile, merge
-from amulett_gym.paper.reproduction import Readings, apply_readings, compare, explained, measure
+from amulett_gym.paper.reproduction import MEASUREMENT_TIME, Readings, apply_readings, compare, explained, measure
 from amulett_gym.paper.runs import paper_step, start
 from amulett_gym.paper.switching import switching_run
 from amulett_gym.paper.tables import DEVICES, PROTOCOL, TENSION_SETPOINT
+
+FIRST_KEYS = (1, 11, 21, 31, 41, 51)
+"""Keys of the first repetition's noise."""
 
 MEASUREMENT_TIMES = (3.0, 5.0, 10.0, 20.0)
 """T [s]."""
@@ -37,6 +40,8 @@ class Sensitivity:
 
     Attributes
     ----------
+    by_noise : dict of int to tuple of int
+        Key of the first repetition's noise -> numbers explained of each table.
     by_time : dict of float to tuple of int
         T [s] -> numbers explained of each table.
     by_hysteresis : dict of float to dict of str to tuple of int and float
@@ -47,6 +52,7 @@ class Sensitivity:
         on the posture of the paper's step, before it, with a setpoint of 5 N.
     """
 
+    by_noise: dict[int, tuple[int, ...]]
     by_time: dict[float, tuple[int, ...]]
     by_hysteresis: dict[float, dict[str, tuple[int, float]]]
     by_floor: dict[str, tuple[float, ...]]
@@ -68,14 +74,16 @@ def vary(profiles: Mapping[str, Profile], readings: Readings) -> Sensitivity:
     """
     testbed = profiles["testbed"]
     return Sensitivity(
+        {key: _explained(profiles, readings, MEASUREMENT_TIME, key) for key in FIRST_KEYS},
         {time: _explained(profiles, readings, time) for time in MEASUREMENT_TIMES},
         {factor: _switches(testbed, readings, factor) for factor in HYSTERESES},
         {floor: _forces_at_rest(testbed, replace(readings, floor=floor)) for floor in FLOORS},
     )
 
 
-def _explained(profiles: Mapping[str, Profile], readings: Readings, time: float) -> tuple[int, ...]:
-    rows = compare(measure(profiles, readings, duration=dict.fromkeys(DEVICES, time)), readings)
+def _explained(profiles: Mapping[str, Profile], readings: Readings, time: float, first_key: int = 1) -> tuple[int, ...]:
+    durations = dict.fromkeys(DEVICES, time)
+    rows = compare(measure(profiles, readings, duration=durations, first_key=first_key), readings)
     return tuple(count for count, _ in explained(rows).values())
 
 
