@@ -31,6 +31,10 @@ class EnvSettings(Group):
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
     observation_noise: float = Field(default=0.0, ge=0, description="standard deviation, in the observation's unit")
 
+    threads: int = Field(
+        default=1, ge=1, le=256, description="that step the devices; the results are the same, 2 help on two free cores"
+    )
+
     @field_validator("id")
     @classmethod
     def _check_id(cls, name: str) -> str:
@@ -70,6 +74,7 @@ class EnvSettings(Group):
             "reward_weights": self.reward_weights,
             "observation_noise": self.observation_noise,
             "failure_horizon": self.max_episode_steps,
+            "threads": self.threads,
         }
 
 

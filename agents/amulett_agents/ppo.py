@@ -228,7 +228,7 @@ def describe_env(env: VecEnv) -> TrainingEnv:
     keywords = {
         key: value
         for key, value in spec.kwargs.items()
-        if key not in ("num_envs", "max_episode_steps", "vectorization_mode", "render_mode")
+        if key not in ("num_envs", "max_episode_steps", "vectorization_mode", "render_mode", "threads")
     }
     if "profile" in keywords and keywords["profile"] not in profile_names():
         keywords["profile"] = env.get_attr("profile")[0].model_dump()
