@@ -152,9 +152,18 @@ def test_held_bytes_counts_every_array_once():
     assert scale.held_bytes(env) > env.episodes.simulation.states.nbytes + env.episodes.simulation.scenarios.nbytes
 
 
-def test_a_device_costs_less_the_more_there_are():
-    costs = scale.cost_by_size(sizes=(1, 512), turns=1)
-    assert costs[512]["median"] < costs[1]["median"]
+def test_a_device_has_a_cost_at_each_size():
+    costs = scale.cost_by_size(sizes=(1, 512), turns=2)
+    assert list(costs) == [1, 512]
+    assert all(0.0 < cost["least"] <= cost["median"] <= cost["most"] for cost in costs.values())
+
+
+def test_two_threads_are_compared_with_one_turn_by_turn():
+    found = scale.two_threads(sizes=(16, 64), turns=3)
+    assert list(found) == [16, 64]
+    assert all(0.0 < ratio["least"] <= ratio["median"] <= ratio["most"] for ratio in found.values())
+    rows = [table for table in tables("scale", {"scale": {"two_threads": found}}) if "threads" in table.title]
+    assert [row[0] for row in rows[0].rows] == ["16", "64"]
 
 
 @pytest.fixture(scope="module")

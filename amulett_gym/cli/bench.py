@@ -248,6 +248,8 @@ def _scale(arguments: argparse.Namespace, data: Data, config: Any) -> None:
         found["device_step_ns"] = scale.cost_by_size(
             sizes=scale.SIZES, seed=arguments.seed, turns=turns, watch=bar.update
         )
+    with _bar(2 * arguments.turns * len(scale.THREADED_SIZES), "threads") as bar:
+        found["two_threads"] = scale.two_threads(seed=arguments.seed, turns=arguments.turns, watch=bar.update)
     with _bar(scale.SLICES, "long run") as bar:
         found["long_run"] = scale.long_run(
             devices=arguments.devices, seconds=arguments.simulated, seed=arguments.seed, watch=bar.update

@@ -196,6 +196,13 @@ def _scale(data: Data) -> list[Table]:
                 "By number of devices in a vector environment: observations, rewards, infos and autoreset included.",
             )
         )
+    if "two_threads" in scale:
+        rows = [
+            [f"{int(size):,}", f"{row['median']:.2f} ({row['least']:.2f}-{row['most']:.2f})"]
+            for size, row in scale["two_threads"].items()
+        ]
+        note = "By number of devices; turn by turn (least-most). It pays where a second core is free."
+        made.append(Table("Two threads to one, testbed", ("times as fast",), rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
         rows = [

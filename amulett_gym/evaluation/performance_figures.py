@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from amulett_gym.evaluation.plots import BLACK, BLUE, GREY, PRINT_WIDTH, RED, _styled, save_figure
+from amulett_gym.evaluation.plots import BLACK, BLUE, GREY, PRINT_WIDTH, RED, styled, save_figure
 
 Data = Mapping[str, Any]
 
@@ -40,7 +40,7 @@ def draw(data: Data, folder: str | Path) -> list[Path]:
     return paths
 
 
-@_styled
+@styled
 def scale_figure(costs: Mapping[Any, Data]) -> Figure:
     """Draw what a device's step costs, by the number of devices; the spread of the turns is shaded."""
     sizes = [int(size) for size in costs]
@@ -57,7 +57,7 @@ def scale_figure(costs: Mapping[Any, Data]) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def long_run_figure(run: Data) -> Figure:
     """Draw speed and resident memory of a long run, slice by slice."""
     minutes = [run["simulated_s"] / 60 * (k + 1) / len(run["steps_per_s"]) for k in range(len(run["steps_per_s"]))]
@@ -75,7 +75,7 @@ def long_run_figure(run: Data) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def time_to_beat_figure(found: Data) -> Figure:
     """Draw each seed's cost on the validation scenarios by the wall clock, and the lines it has to cross."""
     figure = Figure(figsize=(PRINT_WIDTH, 3.4), layout="constrained")

@@ -87,7 +87,7 @@ _POINTS = 3000
 P = ParamSpec("P")
 
 
-def _styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Let a function draw in this module's style, and leave matplotlib's settings as they were."""
 
     @wraps(draw)
@@ -148,7 +148,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     }
 
 
-@_styled
+@styled
 def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     """Draw one recorded episode: joint angle, string tensions, drive commands, and external torques if there are any.
 
@@ -209,7 +209,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     return figure
 
 
-@_styled
+@styled
 def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
     """Draw what several contenders do in the same scenario, side by side, eq. 6 behind each.
 
@@ -270,7 +270,7 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
     return figure
 
 
-@_styled
+@styled
 def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -> Figure:
     """Draw the tension that policies choose against the position error, over both readings of eq. 6.
 
@@ -325,7 +325,7 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
     return figure
 
 
-@_styled
+@styled
 def cost_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw each contender's mean cost as a bar of its terms, with the interval of the whole.
 
@@ -371,7 +371,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw position ISE against both drives' effort, as ratios to eq. 6 with their intervals: lower left is better.
 
@@ -421,7 +421,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-@_styled
+@styled
 def curves_figure(
     x: NDArray[Any],
     curves: Mapping[str, NDArray[Any]],
@@ -462,7 +462,7 @@ def curves_figure(
     return figure
 
 
-@_styled
+@styled
 def force_estimation_figure(
     deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float, below: str
 ) -> Figure:
@@ -545,7 +545,7 @@ class Tracked:
     without: Sequence[Trajectory] = ()
 
 
-@_styled
+@styled
 def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_margin: float) -> Figure:
     """Draw joint angle and fed-back force with their setpoints and error margins, as in Figures 7-9.
 

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.vector import TensionVectorEnv
-from amulett_gym.evaluation.speed import AGENT_PERIOD, race, spread, vector
+from amulett_gym.evaluation.speed import AGENT_PERIOD, race, ratios, spread, vector
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
+THREADED_SIZES = (1024, 8192, 65536)
 HOUR = 3600.0  # [s]
 EPISODE_STEPS = 500
 SLICES = 60
@@ -36,6 +37,20 @@ def cost_by_size(
     entrants = [vector(profile, size, seed) for size in sizes]
     speeds = race(entrants, turns, watch=watch)
     return {size: spread([1e9 / rate for rate in speed.rates]) for size, speed in zip(sizes, speeds, strict=True)}
+
+
+def two_threads(
+    profile: str = "testbed",
+    sizes: Sequence[int] = THREADED_SIZES,
+    seed: int = 0,
+    turns: int = 7,
+    watch: Watch = int,
+) -> dict[int, dict[str, float]]:
+    """Return how many times as fast two threads are as one at each size, turn by turn: median, least, most."""
+    entrants = [vector(profile, size, seed, threads) for size in sizes for threads in (1, 2)]
+    speeds = race(entrants, turns, watch=watch)
+    pairs = zip(speeds[::2], speeds[1::2], strict=True)
+    return {size: spread(ratios(two, one)) for size, (one, two) in zip(sizes, pairs, strict=True)}
 
 
 def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int = 0) -> dict[str, float | None]:

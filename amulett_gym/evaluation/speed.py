@@ -111,12 +111,18 @@ def single(profile: str, seed: int = 0) -> Contestant:
     return Contestant(f"single, {profile}", step_single(env, seed), 1, _ticks(profile))
 
 
-def vector(profile: str, devices: int, seed: int = 0) -> Contestant:
+def vector(profile: str, devices: int, seed: int = 0, threads: int = 1) -> Contestant:
     """Return our vector environment."""
     env = gym.make_vec(
-        "Amulett/Scaling-v0", num_envs=devices, profile=profile, suite="steps", agent_period=AGENT_PERIOD
+        "Amulett/Scaling-v0",
+        num_envs=devices,
+        profile=profile,
+        suite="steps",
+        agent_period=AGENT_PERIOD,
+        threads=threads,
     )
-    return Contestant(f"vector of {devices}, {profile}", _step_vector(env, seed), devices, _ticks(profile))
+    name = f"vector of {devices}, {profile}" + (f", {threads} threads" if threads > 1 else "")
+    return Contestant(name, _step_vector(env, seed), devices, _ticks(profile))
 
 
 def kernel(profile: str, devices: int, seed: int = 0) -> Contestant:
