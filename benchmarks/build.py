@@ -58,7 +58,10 @@ _CONSTANTS: dict[str, Any] = {
     **{name: getattr(layout, name) for name in ("RUNNING", "ANGLE_LIMIT", "VELOCITY_LIMIT", "NOT_FINITE")},
     **{name: getattr(agonist, name) for name in ("BICEPS", "TRICEPS")},
     **{name: getattr(kernel, name) for name in ("TIME_SLACK", "SENSOR_STREAMS")},
-    **{name: getattr(kernel, name) for name in ("ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS")},
+    **{
+        name: getattr(kernel, name)
+        for name in ("ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS", "LATENESS", "SHAKE_STREAM")
+    },
     **{name: getattr(random, f"_{name}") for name in ("GOLDEN", "MIX_1", "MIX_2")},
     **{f"NOISE_{name}": getattr(random, f"_{name}") for name in ("MEAN", "DEVIATION")},
 }

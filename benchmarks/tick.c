@@ -184,12 +184,12 @@ INLINE real estimate_force(Parameters p, real spring_deflection) {
     return look_up(p->estimate_table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
 }
 
-INLINE real deflection_biceps(Parameters p, real drive, real joint) {
-    return drive * p->drive_radius - joint * p->joint_radius;
+INLINE real deflection_biceps(Parameters p, States s, int64_t i, real drive, real joint) {
+    return drive * s->radius_biceps[i] - joint * p->joint_radius;
 }
 
-INLINE real deflection_triceps(Parameters p, real drive, real joint) {
-    return joint * p->joint_radius - drive * p->drive_radius;
+INLINE real deflection_triceps(Parameters p, States s, int64_t i, real drive, real joint) {
+    return joint * p->joint_radius - drive * s->radius_triceps[i];
 }
 
 INLINE real decay_rate(Parameters p, real preload) {
@@ -356,15 +356,14 @@ INLINE real obstacle_torque(Scenarios c, int64_t i, real angle, real velocity) {
     return select(touching, -side * greatest(resistance, all(0.0)), all(0.0));
 }
 
-INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real velocity, real drive_biceps,
+INLINE real acceleration(Parameters p, Scenarios c, States s, int64_t i, real angle, real velocity, real drive_biceps,
                          real drive_triceps, real push) {
-    real stretch_biceps = deflection_biceps(p, drive_biceps, angle);
-    real stretch_triceps = deflection_triceps(p, drive_triceps, angle);
-    real force_biceps = look_up(p->force_table, stretch_biceps * p->inverse_max_deflection);
-    real force_triceps = look_up(p->force_table, stretch_triceps * p->inverse_max_deflection);
+    real stretch_biceps = deflection_biceps(p, s, i, drive_biceps, angle);
+    real stretch_triceps = deflection_triceps(p, s, i, drive_triceps, angle);
+    real force_biceps = s->spring_biceps[i] * look_up(p->force_table, stretch_biceps * p->inverse_max_deflection);
+    real force_triceps = s->spring_triceps[i] * look_up(p->force_table, stretch_triceps * p->inverse_max_deflection);
     real preload = p->damping_by_mean ? 0.5 * (force_biceps + force_triceps) : least(force_biceps, force_triceps);
-    real decay = decay_rate(p, preload);
-    if (p->damping_keeps_torque) decay *= p->inertia / c->inertia[i];
+    real decay = c->friction[i] * decay_rate(p, preload);
     real external = push + obstacle_torque(c, i, angle, velocity);
     real weight = all(0.0);
     if (any(c->static_torque[i] != 0.0)) weight = c->static_torque[i] * sine(angle);
@@ -375,22 +374,47 @@ INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real 
 INLINE real pushes(Parameters p, Scenarios c, States s, int64_t i) {
     real time = to_real(s->tick[i]) * p->control_period, push = all(0.0);
     for (int64_t k = 0; k < MAX_PUSHES && any(k < c->push_count[i]); k++) {
-        real elapsed = time - c->push_time[k][i] + TIME_SLACK;
-        mask acts = (k < c->push_count[i]) & (0.0 <= elapsed) & (elapsed < c->push_duration[k][i]);
-        push += select(acts, c->push_torque[k][i], all(0.0));
+        real elapsed = time - c->push_time[k][i], slope = c->push_slope[k][i];
+        real remaining = c->push_duration[k][i] - elapsed;
+        mask acts = (k < c->push_count[i]) & (elapsed >= -TIME_SLACK) & (remaining > TIME_SLACK);
+        if (!any(acts)) continue;
+        real ramp = least(greatest(least(elapsed, remaining), all(0.0)) * slope, all(1.0));
+        real strength = select(slope > 0.0, ramp, all(1.0));
+        push += select(acts, strength * c->push_torque[k][i], all(0.0));
     }
     return push;
 }
 
+INLINE real low_pass(Parameters p, real last, real value, real time_constant) {
+    return last + (value - last) * p->control_period / (time_constant + p->control_period);
+}
+
+INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
+    mask shakes = c->shake_rms[i] > 0.0;
+    if (!any(shakes)) return push;
+    real elapsed = to_real(s->tick[i]) * p->control_period - c->shake_time[i];
+    shakes = shakes & (elapsed >= -TIME_SLACK) & (elapsed < c->shake_duration[i] - TIME_SLACK);
+    if (!any(shakes)) return push;
+    real lag = 1.0 / (2.0 * M_PI * select(shakes, c->shake_bandwidth[i], all(1.0)));
+    real white = noise(c->noise_key[i] ^ SHAKE_STREAM, to_word(s->tick[i]));
+    real inner = low_pass(p, s->shake_inner[i], white, lag);
+    real outer = low_pass(p, s->shake_outer[i], inner, lag);
+    s->shake_inner[i] = select(shakes, inner, s->shake_inner[i]);
+    s->shake_outer[i] = select(shakes, outer, s->shake_outer[i]);
+    real q = lag / (lag + p->control_period), rest = 1.0 - q * q;
+    real deviation = square(1.0 - q) * root((1.0 + q * q) / (rest * rest * rest));
+    return select(shakes, push + c->shake_rms[i] * outer / deviation, push);
+}
+
 INLINE void feel_strings(Parameters p, States s, int64_t i) {
-    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
-    s->force_biceps[i] = look_up(p->force_table, biceps * p->inverse_max_deflection);
-    s->force_triceps[i] = look_up(p->force_table, triceps * p->inverse_max_deflection);
+    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
+    s->force_biceps[i] = s->spring_biceps[i] * look_up(p->force_table, biceps * p->inverse_max_deflection);
+    s->force_triceps[i] = s->spring_triceps[i] * look_up(p->force_table, triceps * p->inverse_max_deflection);
 }
 
 INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
-    real push = pushes(p, c, s, i);
+    real push = shake(p, c, s, i, pushes(p, c, s, i));
     real to_biceps = s->command_biceps[i], to_triceps = s->command_triceps[i];
     real x = s->angle[i], v = s->velocity[i];
     real a = s->drive_biceps[i], b = s->drive_triceps[i];
@@ -401,19 +425,19 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
         real a1 = drive_rate(p, to_biceps, a);
         real b1 = drive_rate(p, to_triceps, b);
         real v1 = v;
-        real w1 = acceleration(p, c, i, x, v1, a, b, push);
+        real w1 = acceleration(p, c, s, i, x, v1, a, b, push);
         real a2 = drive_rate(p, to_biceps, a + 0.5 * h * a1);
         real b2 = drive_rate(p, to_triceps, b + 0.5 * h * b1);
         real v2 = v + 0.5 * h * w1;
-        real w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
+        real w2 = acceleration(p, c, s, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
         real a3 = drive_rate(p, to_biceps, a + 0.5 * h * a2);
         real b3 = drive_rate(p, to_triceps, b + 0.5 * h * b2);
         real v3 = v + 0.5 * h * w2;
-        real w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
+        real w3 = acceleration(p, c, s, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
         real a4 = drive_rate(p, to_biceps, a + h * a3);
         real b4 = drive_rate(p, to_triceps, b + h * b3);
         real v4 = v + h * w3;
-        real w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
+        real w4 = acceleration(p, c, s, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
         a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0;
         b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0;
         x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0;
@@ -459,10 +483,6 @@ INLINE real trust(Parameters p, real estimate, real last) {
     return select(estimate >= p->force_floor, estimate, distrusted);
 }
 
-INLINE real low_pass(Parameters p, real last, real value, double time_constant) {
-    return last + (value - last) * p->control_period / (time_constant + p->control_period);
-}
-
 INLINE real sensor_noise(double deviation, word key, word counter) {
     if (deviation > 0.0) return deviation * noise(key, counter);
     return all(0.0);
@@ -475,24 +495,25 @@ INLINE real read_slider(Parameters p, real deflection, real noise) {
 
 INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
     word key = c->noise_key[i], counter = to_word(s->tick[i]) * SENSOR_STREAMS;
-    real angle_noise = sensor_noise(p->encoder_noise, key, counter + ENCODER);
-    s->measured_angle[i] = quantise(s->angle[i] + angle_noise, p->encoder_resolution);
-    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
-    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps * p->inverse_max_deflection),
-                                        sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS));
-    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps * p->inverse_max_deflection),
-                                         sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS));
+    real more = c->noise_factor[i];
+    real angle_error = c->encoder_bias[i] + more * sensor_noise(p->encoder_noise, key, counter + ENCODER);
+    s->measured_angle[i] = quantise(s->angle[i] + angle_error, p->encoder_resolution);
+    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
+    real biceps_error = c->slider_bias_biceps[i] + more * sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS);
+    real triceps_error = c->slider_bias_triceps[i] + more * sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS);
+    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps * p->inverse_max_deflection), biceps_error);
+    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps * p->inverse_max_deflection), triceps_error);
     real difference = s->measured_biceps[i] - s->measured_triceps[i];
-    s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, p->switch_filter);
+    s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, all(p->switch_filter));
     real raw = estimate_force(p, s->measured_biceps[i]);
     s->untrusted_biceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
     real trusted = trust(p, raw, s->estimate_biceps[i]);
-    s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trusted, p->force_filter);
+    s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trusted, all(p->force_filter));
     raw = estimate_force(p, s->measured_triceps[i]);
     s->untrusted_triceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
     trusted = trust(p, raw, s->estimate_triceps[i]);
-    s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trusted, p->force_filter);
+    s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trusted, all(p->force_filter));
 }
 
 INLINE void begin_step(States s, int64_t i, mask begins, real time, real target, real change) {
@@ -514,6 +535,18 @@ INLINE real start_of(Scenarios c, int64_t i, integer k) {
     return select(k > 0, at(c->move_angle, last), c->initial_angle[i]);
 }
 
+INLINE void add_wave(Parameters p, Scenarios c, States s, int64_t i) {
+    mask waves = c->wave_amplitude[i] > 0.0;
+    if (!any(waves)) return;
+    real elapsed = to_real(s->tick[i]) * p->control_period - c->wave_time[i];
+    mask acts = (elapsed >= 0.0) & (elapsed < c->wave_duration[i] - TIME_SLACK);
+    real cycles = elapsed * (c->wave_frequency[i] + 0.5 * c->wave_chirp[i] * elapsed);
+    real wave = select(acts, c->wave_amplitude[i] * sine(2.0 * M_PI * cycles), all(0.0));
+    real base = select(s->move[i] < 0, c->initial_angle[i], s->setpoint[i]);
+    s->setpoint[i] = select(waves, wave + base, s->setpoint[i]);
+    s->setpoint_wave[i] = select(waves, wave, s->setpoint_wave[i]);
+}
+
 INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
     real time = to_real(s->tick[i]) * p->control_period;
     for (;;) {
@@ -533,10 +566,10 @@ INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
     mask lasts = duration > 0.0;
     real progress = all(1.0);
     if (any(lasts)) progress = select(lasts, least((time - at(c->move_time, k)) / duration, all(1.0)), all(1.0));
-    real last = s->setpoint[i];
-    s->setpoint[i] = select(moves, start + (angle - start) * minimum_jerk(progress), last);
+    real last = s->setpoint[i] - s->setpoint_wave[i];
+    s->setpoint[i] = select(moves, start + (angle - start) * minimum_jerk(progress), s->setpoint[i]);
     mask jumps = moves & (duration == 0.0);
-    s->setpoint_jump[i] = select(jumps, s->setpoint[i] - last, s->setpoint_jump[i]);
+    s->setpoint_jump[i] += select(jumps, s->setpoint[i] - last, all(0.0));
 }
 
 INLINE void sense(Parameters p, Scenarios c, States s, int64_t i) {
@@ -549,14 +582,16 @@ INLINE void sense(Parameters p, Scenarios c, States s, int64_t i) {
     real error = s->tension_setpoint[i] - force;
     s->tension_ise_estimated[i] += s->counting[i] * p->control_period * error * error;
     read_setpoint(p, c, s, i);
+    add_wave(p, c, s, i);
 }
 
 INLINE real joint_stiffness(Parameters p, States s, int64_t i) {
-    real biceps = deflection_biceps(p, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s->drive_triceps[i], s->angle[i]);
+    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
     double scale = p->inverse_max_deflection;
-    real slopes = look_up_slope(p->force_table, biceps * scale) + look_up_slope(p->force_table, triceps * scale);
-    return slopes * scale * p->joint_radius * p->joint_radius;
+    real slope_biceps = s->spring_biceps[i] * look_up_slope(p->force_table, biceps * scale);
+    real slope_triceps = s->spring_triceps[i] * look_up_slope(p->force_table, triceps * scale);
+    return (slope_biceps + slope_triceps) * scale * p->joint_radius * p->joint_radius;
 }
 
 INLINE void track_step(Parameters p, States s, int64_t i) {
@@ -583,9 +618,30 @@ INLINE void track_step(Parameters p, States s, int64_t i) {
     }
 }
 
+/* The control tick of a device comes too late: its commands are held for one more period. */
+INLINE mask is_late(Scenarios c, States s, int64_t i) {
+    mask may_be = c->late_probability[i] > 0.0;
+    if (!any(may_be)) return may_be;
+    word bits = random_bits(c->noise_key[i], to_word(s->tick[i]) * SENSOR_STREAMS + LATENESS);
+    return may_be & (to_real(bits) * 0x1p-64 < c->late_probability[i]);
+}
+
+INLINE void act(Parameters p, Scenarios c, States s, int64_t i) {
+    mask late = is_late(c, s, i);
+#if WIDTH == 1
+    if (!late) control(p, s, i);
+#else
+    bool some_late = any(late);
+    states before;
+    if (some_late) before = *s;
+    control(p, s, i);
+    if (some_late) keep(s, &before, late);
+#endif
+}
+
 INLINE void tick(Parameters p, Scenarios c, States s, int64_t i) {
     start_counting(p, c, s, i);
-    control(p, s, i);
+    act(p, c, s, i);
     move(p, c, s, i);
     sense(p, c, s, i);
     track_step(p, s, i);

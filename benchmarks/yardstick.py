@@ -36,6 +36,9 @@ from benchmarks.work import FUNCTION_COST, count_work, flops
 
 PROFILES = ("simulation", "testbed")
 SUITES = ("steps", "reach", "hold-push")
+"""What is raced: as many pushes and moves as ever."""
+CHECKED_SUITES = SUITES
+"""What is compared: with everything that a scenario can have."""
 DEVICES = (1024, 8192, 65536)
 TURNS = 5
 TURN_SECONDS = 0.15
@@ -49,17 +52,19 @@ CONSTANT_TENSION = 7.0  # [N]
 KERNEL = "kernel"
 
 
-def mixed_simulation(profile: str, num_devices: int, tension_law: str = "eq6") -> Simulation:
-    """Return devices at the start of all suites in turn, noise as the profile has it.
+def mixed_simulation(
+    profile: str, num_devices: int, tension_law: str = "eq6", suites: Sequence[str] = SUITES
+) -> Simulation:
+    """Return devices at the start of the suites in turn, noise as the profile has it.
 
     Under ``"agent"`` the tension is a constant.
     """
     device = load_profile(profile)
     simulation = Simulation(device, num_devices, tension_law=tension_law)
     keys = np.arange(1, num_devices + 1, dtype=np.uint64)
-    rows = sample(SUITES[0], keys, device)
-    for k, suite in enumerate(SUITES[1:], start=1):
-        rows[k :: len(SUITES)] = sample(suite, keys[k :: len(SUITES)], device)
+    rows = sample(suites[0], keys, device)
+    for k, suite in enumerate(suites[1:], start=1):
+        rows[k :: len(suites)] = sample(suite, keys[k :: len(suites)], device)
     simulation.reset(rows)
     if tension_law == "agent":
         simulation.command_tension(CONSTANT_TENSION)
@@ -82,7 +87,7 @@ def deviations(expected: NDArray[np.void], states: NDArray[np.void]) -> dict[str
 
 def check(advance: Advance, profile: str, tension_law: str, num_devices: int = CHECKED_DEVICES) -> tuple[float, str]:
     """Return the largest deviation from the kernel after `START` seconds, and the field in which it is."""
-    simulation = mixed_simulation(profile, num_devices, tension_law)
+    simulation = mixed_simulation(profile, num_devices, tension_law, CHECKED_SUITES)
     scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
     ticks = round(START / simulation.control_period)
     advance(simulation.parameters, scenarios, states, num_devices, ticks)

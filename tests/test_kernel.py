@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.signal
 from helpers import (
     BUSY,
     EXACT_SENSORS,
@@ -23,7 +24,7 @@ from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.simulation import reference
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import ANGLE_LIMIT, RUNNING
-from amulett_gym.simulation.random import normal
+from amulett_gym.simulation.random import normal, random_bits
 from amulett_gym.simulation.trajectory import CSV_COLUMNS, record, write_csv
 from amulett_gym.tasks.scenario import load_scenario, pack
 from amulett_gym.tasks.suites import sample
@@ -31,6 +32,33 @@ from amulett_gym.tasks.suites import sample
 LOADED = {**BUSY, "payload": {"mass": 0.05, "arm": 0.15}}
 
 FREE = {key: value for key, value in LOADED.items() if key != "obstacle"}
+
+# What the suites add: a chirp, ramps, shaking, an upright arm with a payload, and a device unlike its profile.
+UNLIKE = {
+    "spring_biceps": 0.9,
+    "spring_triceps": 1.05,
+    "pulley_biceps": 1.03,
+    "pulley_triceps": 0.98,
+    "inertia": 1.1,
+    "damping": 0.7,
+    "noise": 2.0,
+    "encoder_bias_deg": 0.5,
+    "slider_bias_biceps": 1e-4,
+    "slider_bias_triceps": -1e-4,
+    "jitter": 0.2,
+}
+RICH = {
+    **FREE,
+    "wave": {"amplitude_deg": 8.0, "frequency": 0.5, "chirp": 0.3, "time": 0.1, "duration": 1.5},
+    "pushes": [
+        {"time": 0.9, "duration": 0.4, "torque": 0.1, "rise": 0.15},
+        {"time": 1.0, "duration": 0.1, "torque": -0.05},
+    ],
+    "shake": {"rms": 0.03, "bandwidth": 3.0, "time": 0.3, "duration": 1.0},
+    "orientation": "vertical",
+    "initial_tension": 6.0,
+    "device": UNLIKE,
+}
 
 # Largest deviation of any tick in 2 s at the shipped sub-steps: [rad], [rad/s], [N], [N m]. What remains comes from
 # kinks: strings that go slack, friction that sets in and, most of all, an obstacle's damper that acts at once when it
@@ -65,6 +93,93 @@ def test_arm_and_drives_move_as_the_reference_says(base, orientation, law, scena
     assert (motion["contact_peak"][-1] > 0.01) == ("obstacle" in scenario)
     for name, deviation in deviations(profile, scenario, motion).items():
         assert deviation < tolerances[name], name
+
+
+@pytest.mark.parametrize("law", ["agent", "eq6"])
+@pytest.mark.parametrize("base", PROFILES)
+def test_shaken_pushed_and_varied_arm_moves_as_the_reference_says(base, law):
+    profile = load_profile(base)
+    motion = run(profile, RICH, 2.0, tension_law=law)
+    assert not motion["failure"].any()
+    for name, deviation in deviations(profile, RICH, motion).items():
+        assert deviation < TOUCHING[name], name
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_late_control_ticks_hold_the_commands_as_the_reference_says(base):
+    profile = load_profile(base)
+    motion = run(profile, RICH, 2.0, tension_law="eq6")
+    held = (np.diff(motion["command_biceps"]) == 0) & (np.diff(motion["command_triceps"]) == 0)
+    ticks = np.arange(held.size, dtype=np.uint64)
+    bits = np.array([random_bits(np.uint64(RICH["noise_seed"]), 4 * tick + np.uint64(3)) for tick in ticks])
+    late = bits.astype(float) / 2.0**64 < UNLIKE["jitter"]
+    assert 0.15 < late.mean() < 0.25 and held[late].all()
+    expected = reference.replay_control(profile, motion, late=late)
+    for name, signal in expected.items():
+        np.testing.assert_allclose(motion[name], signal, rtol=0, atol=1e-10, err_msg=name)
+
+
+def test_setpoint_is_the_moves_plus_the_wave():
+    profile = load_profile("testbed")
+    motion = run(profile, RICH, 2.0)
+    plain = run(profile, {**RICH, "wave": None}, 2.0)
+    time = motion["time"] - RICH["wave"]["time"]
+    chirp = scipy.signal.chirp(time, f0=0.5, t1=1.5, f1=0.5 + 1.5 * 0.3, phi=-90)
+    acts = (time >= 0) & (time < 1.5 - 1e-9)
+    expected = np.where(acts, np.radians(8.0) * chirp, 0.0)
+    np.testing.assert_allclose(motion["setpoint"] - plain["setpoint"], expected, atol=1e-12)
+    np.testing.assert_allclose(motion["isav_kick"], plain["isav_kick"], rtol=1e-12)
+
+
+def test_a_wave_without_moves_swings_about_the_initial_angle():
+    wave = {"amplitude_deg": 10.0, "frequency": 1.0, "duration": 1.0}
+    motion = run(load_profile("testbed"), {"initial_angle_deg": 30.0, "wave": wave}, 1.5)
+    during = motion["time"] < 1.0
+    expected = 30.0 + 10.0 * np.sin(2 * np.pi * motion["time"][during])
+    np.testing.assert_allclose(np.degrees(motion["setpoint"][during]), expected, atol=1e-9)
+    np.testing.assert_array_equal(np.degrees(motion["setpoint"][-5:]), np.degrees(np.radians(30.0)))
+
+
+def test_shaking_is_filtered_noise_of_the_given_strength():
+    profile = load_profile("testbed")
+    shake = {"rms": 0.05, "bandwidth": 2.0, "duration": 30.0}
+    motion = run(profile, {"shake": shake, "noise_seed": 5}, 30.0)
+    torque, period = motion["push_torque"][1:], motion.control_period
+    key = np.array([5 ^ 0x5A4E], dtype=np.uint64)
+    white = normal(key, np.zeros(1, dtype=np.uint64), torque.size)[0]
+    share = period / (1 / (2 * np.pi * 2.0) + period)
+    low_pass = [share], [1.0, share - 1.0]
+    filtered = scipy.signal.lfilter(*low_pass, scipy.signal.lfilter(*low_pass, white))
+    response = scipy.signal.lfilter(*low_pass, scipy.signal.lfilter(*low_pass, np.eye(1, 20_000)[0]))
+    np.testing.assert_allclose(torque, 0.05 * filtered / np.sqrt((response**2).sum()), atol=1e-12)
+    many = start(profile, *[{"shake": shake, "noise_seed": seed} for seed in range(200)])
+    many.advance(round(2.0 / period))
+    assert many.read("push_torque").std() == pytest.approx(0.05, rel=0.15)
+
+
+def test_a_slow_push_rises_and_falls():
+    push = {"time": 0.1, "duration": 0.5, "torque": 0.2, "rise": 0.2}
+    motion = run(load_profile("testbed"), {"pushes": [push]}, 0.8)
+    at_start = motion["time"][:-1]  # a push is held from the beginning of a tick
+    expected = np.interp(at_start, [0.1, 0.3, 0.4, 0.6], [0.0, 0.2, 0.2, 0.0])
+    np.testing.assert_allclose(motion["push_torque"][1:], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("control", ["decentralized", "position-only"])
+def test_a_varied_device_starts_in_equilibrium(control):
+    unbiased = {**UNLIKE, "encoder_bias_deg": 0.0, "slider_bias_biceps": 0.0, "slider_bias_triceps": 0.0}
+    scenario = {"initial_angle_deg": 40.0, "orientation": "vertical", "device": {**unbiased, "jitter": 0.0}}
+    profile = device(sensors=EXACT_SENSORS, loop=HELD_DRIVES)
+    motion = run(profile, scenario, 0.3, control=control)
+    assert np.degrees(motion["angle"]) == pytest.approx(40.0, abs=1e-6)
+
+
+def test_a_device_like_its_profile_is_the_profile():
+    profile = load_profile("testbed")
+    plain, spelled_out = start(profile, BUSY), start(profile, {**BUSY, "device": {"spring_biceps": 1.0, "jitter": 0.0}})
+    plain.advance(300)
+    spelled_out.advance(300)
+    assert plain.states.tobytes() == spelled_out.states.tobytes()
 
 
 @pytest.mark.parametrize("wiring", ["sum", "tension_only"])

@@ -22,7 +22,8 @@ from amulett_gym.model.plant import (
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation import kernel
-from amulett_gym.simulation.layout import arm_torques, pack_parameters
+from amulett_gym.simulation.layout import pack_parameters
+from amulett_gym.tasks.scenario import load_scenario, pack
 
 angles = st.floats(-2, 2)
 rates = st.floats(-50, 50)
@@ -30,6 +31,12 @@ forces = st.floats(0, 15)
 torques = st.floats(-5, 5)
 
 FIT = load_profile("simulation").damping
+
+
+def arm_torques(profile, **scenario):
+    """Return J and M_m of the arm in a scenario."""
+    row = pack(load_scenario(scenario), profile)[0]
+    return row["inertia"], row["static_torque"]
 
 
 def test_eq_2_and_3_by_hand():
@@ -44,9 +51,18 @@ def test_profiles_share_one_arm():
 
 def test_payload_adds_to_both_sums_and_gravity_acts_in_the_vertical_plane_only():
     profile = device(plant={"masses": [{"mass": 2.0, "arm": 0.3}]})
-    assert arm_torques(profile, 1.0, 0.1) == pytest.approx((0.2125, 0.0))
+    payload = {"mass": 1.0, "arm": 0.1}
+    assert arm_torques(profile, payload=payload) == pytest.approx((0.2125, 0.0))
     vertical = device(plant={"masses": [{"mass": 2.0, "arm": 0.3}], "orientation": "vertical"})
-    assert arm_torques(vertical, 1.0, 0.1) == pytest.approx((0.2125, 9.81 * 0.7))
+    assert arm_torques(vertical, payload=payload) == pytest.approx((0.2125, 9.81 * 0.7))
+
+
+def test_a_scenario_may_lay_the_arm_down_or_set_it_upright():
+    vertical = device(plant={"orientation": "vertical"})
+    weight = arm_torques(vertical)[1]
+    assert weight > 0
+    assert arm_torques(device(), orientation="vertical")[1] == weight
+    assert arm_torques(vertical, orientation="horizontal")[1] == 0
 
 
 def test_eq_4_and_5_flexing_drive_stretches_the_biceps_and_flexed_joint_the_triceps():
@@ -107,6 +123,7 @@ def friction(profile, scenario):
         kernel.acceleration(
             simulation.parameters[0],
             arm,
+            state,
             0,
             state["angle"][0],
             rate,
@@ -127,6 +144,16 @@ def test_a_payload_does_not_multiply_friction():
     assert heavy > 2 * bare
     assert slowed * heavy == pytest.approx(nominal * bare)
     assert friction(device(damping={"keeps": "rate"}), loaded)[0] == pytest.approx(nominal)
+    doubled = {**loaded, "device": {"damping": 2.0}}
+    assert friction(device(damping={"keeps": "rate"}), doubled)[0] == pytest.approx(2 * nominal)
+
+
+def test_the_microcontroller_takes_the_springs_for_the_profiles():
+    simulation = start(device(), {"device": {"spring_biceps": 0.8, "spring_triceps": 1.2}})
+    for name, factor in (("biceps", 0.8), ("triceps", 1.2)):
+        force = simulation.read(f"force_{name}")[0]
+        assert force == pytest.approx(10.0)
+        assert simulation.read(f"estimate_{name}")[0] == pytest.approx(force / factor, rel=1e-3)
 
 
 @pytest.mark.parametrize("preload", ["mean", "smaller"])

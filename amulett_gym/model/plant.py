@@ -7,27 +7,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.compiled import compiled
 
 GRAVITY = 9.81  # g [m/s2]
 
+Numbers = float | NDArray[np.float64]
+"""A number, or one for each of many arms."""
 
-def inertia(masses: Sequence[float], arms: Sequence[float]) -> float:
+
+def inertia(masses: Sequence[Numbers], arms: Sequence[Numbers]) -> Any:
     """Return J of eq. 3 [kg m2]: point masses by Huygens-Steiner, plus a thin rod as long as the longest arm.
 
     Parameters
     ----------
-    masses : sequence of float
+    masses : sequence of float or ndarray
         m_i [kg].
-    arms : sequence of float
+    arms : sequence of float or ndarray
         l_i, lever arms about the joint [m].
     """
-    rod = sum(masses) * max(arms) ** 2 / 12
+    rod = sum(masses) * reduce(np.maximum, arms) ** 2 / 12
     return rod + sum(mass * arm**2 for mass, arm in zip(masses, arms, strict=True))
 
 
-def static_torque(masses: Sequence[float], arms: Sequence[float]) -> float:
+def static_torque(masses: Sequence[Numbers], arms: Sequence[Numbers]) -> Any:
     """Return M_m of eq. 2 [N m]: the weight's torque about the joint when the forearm is horizontal."""
     return GRAVITY * sum(mass * arm for mass, arm in zip(masses, arms, strict=True))
 

@@ -145,7 +145,9 @@ class Simulation:
             agonist = tension + np.where(biceps_is_agonist, needed, -needed)
         else:
             agonist, tension = np.abs(needed), np.zeros_like(tension)
-        most, least = np.maximum(agonist, tension), np.minimum(agonist, tension)
+        # By what the profile's springs would give at the same deflection.
+        weakest = np.minimum(scenarios["spring_biceps_factor"], scenarios["spring_triceps_factor"])
+        most, least = np.maximum(agonist, tension) / weakest, np.minimum(agonist, tension)
         if (most > self.max_force).any() or (least < 0).any():
             worst = int(np.argmax(np.maximum(most - self.max_force, -least)))
             force = most[worst] if most[worst] > self.max_force else least[worst]
@@ -157,7 +159,8 @@ class Simulation:
         if p["tension_loop"]:
             forces = np.append(p["force_table"][:, 0], self.max_force)
             stretch = np.interp(most, forces, np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size))
-        turn = (np.abs(angle) * p["joint_radius"] + stretch) / p["drive_radius"]
+        smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
+        turn = (np.abs(angle) * p["joint_radius"] + stretch) / (smallest * p["drive_radius"])
         if (turn > p["command_limit"]).any():
             worst = int(np.argmax(turn))
             raise AmulettError(

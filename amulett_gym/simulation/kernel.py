@@ -40,10 +40,11 @@ from amulett_gym.simulation.layout import (
     RUNNING,
     VELOCITY_LIMIT,
 )
-from amulett_gym.simulation.random import noise
+from amulett_gym.simulation.random import noise, random_bits
 
 SENSOR_STREAMS = np.uint64(4)
-ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS = np.uint64(0), np.uint64(1), np.uint64(2)
+ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
+SHAKE_STREAM = np.uint64(0x5A4E)
 TIME_SLACK = 1e-9  # [s]; a time that is a multiple of the control period must not miss its tick by rounding
 
 
@@ -81,8 +82,14 @@ def next_failed(s, first, lanes):
 @compiled_lanes
 def tick(p, c, s, m, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
-    act(p, c, s, first, end)
+    start_counting(p, c, s, first, end)
+    lane = first
+    while lane < end:
+        late = next_late(c, s, lane, end)
+        act(p, c, s, lane, late)
+        lane = late + np.uint64(1)
     depart(p, c, s, m, first, end)
+    shake(p, c, s, m, first, end)
     h = p.control_period / p.substeps  # of the classical Runge-Kutta method
     for _ in range(p.substeps):
         evaluate(p, c, s, m, first, end, 0.0, 1.0)
@@ -93,13 +100,32 @@ def tick(p, c, s, m, first, end):
     sense(p, c, s, m, first, end)
     begin_due_moves(p, c, s, first, end)
     follow_moves(p, c, s, first, end)
+    add_waves(p, c, s, first, end)
+    track_steps(p, s, first, end)
+
+
+@compiled_lanes
+def start_counting(p, c, s, first, end):
+    """Stage 0: count this tick in the metrics, unless the arm still has time to settle as its law likes."""
+    for i in range(first, end):
+        s.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
+
+
+@compiled
+def next_late(c, s, first, end):
+    """Return the next lane whose control tick comes too late, or `end`: its commands are held for one more period."""
+    for i in range(first, end):
+        if c.late_probability[i] > 0.0:
+            counter = np.uint64(s.tick[i]) * SENSOR_STREAMS + LATENESS
+            if float(random_bits(c.noise_key[i], counter)) * 2.0**-64 < c.late_probability[i]:
+                return i
+    return end
 
 
 @compiled_lanes
 def act(p, c, s, first, end):
     """Stage 1: command the drives by what was sensed."""
     for i in range(first, end):
-        start_counting(p, c, s, i)
         control(p, s, i)
 
 
@@ -110,9 +136,12 @@ def depart(p, c, s, m, first, end):
         time = s.tick[i] * p.control_period
         push = 0.0
         for k in range(MAX_PUSHES):
-            elapsed = time - c.push_time[k, i] + TIME_SLACK
-            acts = k < c.push_count[i] and elapsed >= 0.0 and elapsed < c.push_duration[k, i]
-            push += choose(acts, c.push_torque[k, i], 0.0)
+            elapsed = time - c.push_time[k, i]
+            remaining = c.push_duration[k, i] - elapsed
+            acts = k < c.push_count[i] and elapsed >= -TIME_SLACK and remaining > TIME_SLACK
+            ramp = min(max(min(elapsed, remaining), 0.0) * c.push_slope[k, i], 1.0)
+            strength = choose(c.push_slope[k, i] > 0.0, ramp, 1.0)
+            push += choose(acts, strength * c.push_torque[k, i], 0.0)
         ideal = p.inverse_lag == 0.0
         m.push[i] = push
         m.angle[i], m.velocity[i] = s.angle[i], s.velocity[i]
@@ -122,13 +151,37 @@ def depart(p, c, s, m, first, end):
 
 
 @compiled_lanes
+def shake(p, c, s, m, first, end):
+    """Stage 3: add the random torque of the scenarios that have one, white noise behind two first-order low-passes."""
+    for i in range(first, end):
+        if c.shake_rms[i] > 0.0:
+            elapsed = s.tick[i] * p.control_period - c.shake_time[i]
+            if elapsed >= -TIME_SLACK and elapsed < c.shake_duration[i] - TIME_SLACK:
+                lag = 1.0 / (2.0 * math.pi * c.shake_bandwidth[i])
+                white = noise(c.noise_key[i] ^ SHAKE_STREAM, np.uint64(s.tick[i]))
+                s.shake_inner[i] = low_pass(s.shake_inner[i], white, lag, p.control_period)
+                s.shake_outer[i] = low_pass(s.shake_outer[i], s.shake_inner[i], lag, p.control_period)
+                m.push[i] += c.shake_rms[i] * s.shake_outer[i] / shake_deviation(lag, p.control_period)
+
+
+@compiled
+def shake_deviation(lag, period):
+    """Return the standard deviation that two equal low-passes in a row leave of white noise of 1.
+
+    Their impulse response is a^2 (n + 1) q^n, where q = lag / (lag + period) and a = 1 - q.
+    """
+    q = lag / (lag + period)
+    return (1.0 - q) ** 2 * math.sqrt((1.0 + q * q) / (1.0 - q * q) ** 3)
+
+
+@compiled_lanes
 def evaluate(p, c, s, m, first, end, reach, weight):
-    """Stage 3: evaluate the rates of change `reach` [s] along those evaluated last, and add them to the step's sum."""
+    """Stage 4: evaluate the rates of change `reach` [s] along those evaluated last, and add them to the step's sum."""
     for i in range(first, end):
         x, v = m.angle[i] + reach * m.angle_rate[i], m.velocity[i] + reach * m.velocity_rate[i]
         a, b = m.biceps[i] + reach * m.biceps_rate[i], m.triceps[i] + reach * m.triceps_rate[i]
         m.angle_rate[i] = v
-        m.velocity_rate[i] = acceleration(p, c, i, x, v, a, b, m.push[i])
+        m.velocity_rate[i] = acceleration(p, c, s, i, x, v, a, b, m.push[i])
         m.biceps_rate[i] = drive_rate(s.command_biceps[i], a, p.inverse_lag, p.rate_limit)
         m.triceps_rate[i] = drive_rate(s.command_triceps[i], b, p.inverse_lag, p.rate_limit)
         m.angle_sum[i] += weight * m.angle_rate[i]
@@ -139,7 +192,7 @@ def evaluate(p, c, s, m, first, end, reach, weight):
 
 @compiled_lanes
 def step(m, first, end, h):
-    """Stage 4: go a step of `h` [s] with the weighted mean of the four evaluations' rates."""
+    """Stage 5: go a step of `h` [s] with the weighted mean of the four evaluations' rates."""
     for i in range(first, end):
         m.angle[i] += h * m.angle_sum[i] / 6.0
         m.velocity[i] += h * m.velocity_sum[i] / 6.0
@@ -150,7 +203,7 @@ def step(m, first, end, h):
 
 @compiled_lanes
 def sense(p, c, s, m, first, end):
-    """Stage 5: arrive where the motion led, and read the sensors there, for the next tick."""
+    """Stage 6: arrive where the motion led, and read the sensors there, for the next tick."""
     for i in range(first, end):
         arrive(p, c, s, m, i)
         s.tick[i] += 1
@@ -166,16 +219,30 @@ def sense(p, c, s, m, first, end):
 
 @compiled_lanes
 def begin_due_moves(p, c, s, first, end):
-    """Stage 6: begin the setpoint's moves whose time has come."""
+    """Stage 7: begin the setpoint's moves whose time has come."""
     for i in range(first, end):
         begin_moves(p, c, s, i)
 
 
 @compiled_lanes
 def follow_moves(p, c, s, first, end):
-    """Stage 7: set the position setpoint for the next tick, and judge how the arm follows it."""
+    """Stage 8: set the position setpoint for the next tick."""
     for i in range(first, end):
         follow_setpoint(p, c, s, i)
+
+
+@compiled_lanes
+def add_waves(p, c, s, first, end):
+    """Stage 9: add the sinusoids and chirps of the scenarios that have one."""
+    for i in range(first, end):
+        if c.wave_amplitude[i] > 0.0:
+            add_wave(p, c, s, i)
+
+
+@compiled_lanes
+def track_steps(p, s, first, end):
+    """Stage 10: judge how the arm follows the setpoint."""
+    for i in range(first, end):
         track_step(p, s, i)
 
 
@@ -183,12 +250,6 @@ def follow_moves(p, c, s, first, end):
 def choose(condition, yes, no):
     """Return one of two values, both of which are read: a branch would keep the lanes from running together."""
     return yes if condition else no
-
-
-@compiled
-def start_counting(p, c, s, i):
-    """Count this tick in the metrics, unless it belongs to the time in which the arm settles as its law likes."""
-    s.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
 
 
 @compiled
@@ -328,16 +389,14 @@ def command_drives(p, s, i, biceps, triceps, kick_biceps, kick_triceps):
 
 
 @compiled
-def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
+def acceleration(p, c, s, i, angle, velocity, drive_biceps, drive_triceps, push):
     """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
-    stretch_biceps = deflection_biceps(drive_biceps, angle, p.drive_radius, p.joint_radius)
-    stretch_triceps = deflection_triceps(drive_triceps, angle, p.drive_radius, p.joint_radius)
-    force_biceps = look_up(p.force_table, stretch_biceps * p.inverse_max_deflection)
-    force_triceps = look_up(p.force_table, stretch_triceps * p.inverse_max_deflection)
+    stretch_biceps = deflection_biceps(drive_biceps, angle, s.radius_biceps[i], p.joint_radius)
+    stretch_triceps = deflection_triceps(drive_triceps, angle, s.radius_triceps[i], p.joint_radius)
+    force_biceps = s.spring_biceps[i] * look_up(p.force_table, stretch_biceps * p.inverse_max_deflection)
+    force_triceps = s.spring_triceps[i] * look_up(p.force_table, stretch_triceps * p.inverse_max_deflection)
     preload = preload_force(force_biceps, force_triceps, p.damping_by_mean)
-    decay = decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    if p.damping_keeps_torque:
-        decay *= p.inertia / c.inertia[i]
+    decay = c.friction[i] * decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     external = push + obstacle_torque(c, i, angle, velocity)
     return joint_acceleration(
         angle,
@@ -399,20 +458,21 @@ def arrive(p, c, s, m, i):
 @compiled
 def feel_strings(p, s, i):
     """Set the true string forces [N] of the present state."""
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
-    s.force_biceps[i] = look_up(p.force_table, biceps * p.inverse_max_deflection)
-    s.force_triceps[i] = look_up(p.force_table, triceps * p.inverse_max_deflection)
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
+    s.force_biceps[i] = s.spring_biceps[i] * look_up(p.force_table, biceps * p.inverse_max_deflection)
+    s.force_triceps[i] = s.spring_triceps[i] * look_up(p.force_table, triceps * p.inverse_max_deflection)
 
 
 @compiled
 def joint_stiffness(p, s, i):
     """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
     scale = p.inverse_max_deflection
-    slopes = look_up_slope(p.force_table, biceps * scale) + look_up_slope(p.force_table, triceps * scale)
-    return slopes * scale * p.joint_radius * p.joint_radius
+    slope_biceps = s.spring_biceps[i] * look_up_slope(p.force_table, biceps * scale)
+    slope_triceps = s.spring_triceps[i] * look_up_slope(p.force_table, triceps * scale)
+    return (slope_biceps + slope_triceps) * scale * p.joint_radius * p.joint_radius
 
 
 @compiled
@@ -420,19 +480,20 @@ def read_sensors(p, c, s, i):
     """Measure the joint angle and both springs, and estimate the string forces."""
     key = c.noise_key[i]
     counter = np.uint64(s.tick[i]) * SENSOR_STREAMS
-    angle_noise = sensor_noise(p.encoder_noise, key, counter + ENCODER)
-    s.measured_angle[i] = quantise(s.angle[i] + angle_noise, p.encoder_resolution)
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], p.drive_radius, p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], p.drive_radius, p.joint_radius)
+    more = c.noise_factor[i]
+    angle_error = c.encoder_bias[i] + more * sensor_noise(p.encoder_noise, key, counter + ENCODER)
+    s.measured_angle[i] = quantise(s.angle[i] + angle_error, p.encoder_resolution)
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
     s.measured_biceps[i] = read_slider(
         look_up(p.spring_table, biceps * p.inverse_max_deflection),
-        sensor_noise(p.slider_noise, key, counter + SLIDER_BICEPS),
+        c.slider_bias_biceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_BICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
     s.measured_triceps[i] = read_slider(
         look_up(p.spring_table, triceps * p.inverse_max_deflection),
-        sensor_noise(p.slider_noise, key, counter + SLIDER_TRICEPS),
+        c.slider_bias_triceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_TRICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
@@ -480,7 +541,7 @@ def begin_moves(p, c, s, i):
 
 @compiled
 def follow_setpoint(p, c, s, i):
-    """Set the position setpoint [rad] for the present time."""
+    """Set the moves' position setpoint [rad] for the present time."""
     time = s.tick[i] * p.control_period
     k = s.move[i]
     if k < 0:
@@ -489,10 +550,23 @@ def follow_setpoint(p, c, s, i):
     progress = 1.0
     if c.move_duration[k, i] > 0.0:
         progress = min((time - c.move_time[k, i]) / c.move_duration[k, i], 1.0)
-    last = s.setpoint[i]
+    last = s.setpoint[i] - s.setpoint_wave[i]
     s.setpoint[i] = start + (c.move_angle[k, i] - start) * minimum_jerk(progress)
     if c.move_duration[k, i] == 0.0:
-        s.setpoint_jump[i] = s.setpoint[i] - last
+        # Until the controller has seen it: a tick may come too late.
+        s.setpoint_jump[i] += s.setpoint[i] - last
+
+
+@compiled
+def add_wave(p, c, s, i):
+    """Add a sinusoid or chirp to the moves' position setpoint."""
+    elapsed = s.tick[i] * p.control_period - c.wave_time[i]
+    wave = 0.0
+    if elapsed >= 0.0 and elapsed < c.wave_duration[i] - TIME_SLACK:
+        cycles = elapsed * (c.wave_frequency[i] + 0.5 * c.wave_chirp[i] * elapsed)
+        wave = c.wave_amplitude[i] * math.sin(2.0 * math.pi * cycles)
+    s.setpoint[i] = wave + (c.initial_angle[i] if s.move[i] < 0 else s.setpoint[i])
+    s.setpoint_wave[i] = wave
 
 
 @compiled
@@ -556,13 +630,20 @@ def settle(p, c_blocks, s_blocks, devices):
             s.tension_signal[i] = -estimate
         begin_moves(parameters, c, s, i)
         follow_setpoint(parameters, c, s, i)
+        if c.wave_amplitude[i] > 0.0:
+            add_wave(parameters, c, s, i)
 
 
 @compiled
 def settle_strings(p, c, s, i):
     """Find the static equilibrium and give the controllers the memory that holds it."""
+    s.spring_biceps[i], s.spring_triceps[i] = c.spring_biceps_factor[i], c.spring_triceps_factor[i]
+    s.radius_biceps[i] = p.drive_radius * c.pulley_biceps_factor[i]
+    s.radius_triceps[i] = p.drive_radius * c.pulley_triceps_factor[i]
     angle = c.initial_angle[i]
-    wound = angle * p.joint_radius / p.drive_radius  # drive angle at which both strings are just slack
+    # Drive angles at which the strings are just slack.
+    wound_biceps = angle * p.joint_radius / s.radius_biceps[i]
+    wound_triceps = angle * p.joint_radius / s.radius_triceps[i]
     needed = (c.static_torque[i] * math.sin(angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
     tension = c.initial_tension[i]
     s.agonist[i] = p.fixed_agonist
@@ -573,13 +654,14 @@ def settle_strings(p, c, s, i):
         # The antagonist has the tension. The agonist carries the load on top of it, or lets go as much.
         pull_biceps = tension + needed if biceps_is_agonist else tension
         pull_triceps = tension if biceps_is_agonist else tension - needed
-        biceps = inverse_look_up(p.force_table, pull_biceps) / p.inverse_max_deflection
-        triceps = inverse_look_up(p.force_table, pull_triceps) / p.inverse_max_deflection
-        turn_biceps, turn_triceps = wound + biceps / p.drive_radius, wound - triceps / p.drive_radius
+        biceps = inverse_look_up(p.force_table, pull_biceps / s.spring_biceps[i]) / p.inverse_max_deflection
+        triceps = inverse_look_up(p.force_table, pull_triceps / s.spring_triceps[i]) / p.inverse_max_deflection
+        turn_biceps = wound_biceps + biceps / s.radius_biceps[i]
+        turn_triceps = wound_triceps - triceps / s.radius_triceps[i]
     else:
-        common = position_only_equilibrium(p, needed)
-        turn_biceps = wound + common + p.position_only_offset
-        turn_triceps = wound + common - p.position_only_offset
+        common = position_only_equilibrium(p, s, i, needed, wound_biceps - wound_triceps)
+        turn_biceps = wound_biceps + common + p.position_only_offset
+        turn_triceps = wound_biceps + common - p.position_only_offset
     s.angle[i] = angle
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
@@ -589,17 +671,18 @@ def settle_strings(p, c, s, i):
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
         s.offset_triceps[i] = turn_triceps - output * (p.antagonist_share if biceps_is_agonist else 1.0)
     else:
-        output = wound + common
+        output = wound_biceps + common
         s.offset_biceps[i] = p.position_only_offset
         s.offset_triceps[i] = -p.position_only_offset
         tension = s.force_triceps[i] if biceps_is_agonist else s.force_biceps[i]
     s.position_output[i] = s.position_integral[i] = output
     s.tension_setpoint[i] = s.tension_command[i] = tension
-    biceps = deflection_biceps(turn_biceps, angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection
-    triceps = deflection_triceps(turn_triceps, angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection
+    biceps = deflection_biceps(turn_biceps, angle, s.radius_biceps[i], p.joint_radius) * p.inverse_max_deflection
+    triceps = deflection_triceps(turn_triceps, angle, s.radius_triceps[i], p.joint_radius) * p.inverse_max_deflection
     s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)
-    s.estimate_biceps[i] = trust(p, s.force_biceps[i], s.force_biceps[i])
-    s.estimate_triceps[i] = trust(p, s.force_triceps[i], s.force_triceps[i])
+    # The microcontroller takes the springs for the profile's.
+    biceps, triceps = s.force_biceps[i] / s.spring_biceps[i], s.force_triceps[i] / s.spring_triceps[i]
+    s.estimate_biceps[i], s.estimate_triceps[i] = trust(p, biceps, biceps), trust(p, triceps, triceps)
     # A tension below the floor is estimated higher than it is: the controller starts with the output zero all the same.
     estimate = s.estimate_triceps[i] if biceps_is_agonist else s.estimate_biceps[i]
     s.tension_integral[i] = p.tension_kp * (estimate - tension)
@@ -609,16 +692,20 @@ def settle_strings(p, c, s, i):
 
 
 @compiled
-def position_only_equilibrium(p, needed):
-    """Return how far both drives turn beyond the slack angle [rad] so that f_1 - f_2 is `needed` [N], by bisection."""
+def position_only_equilibrium(p, s, i, needed, apart):
+    """Return how far both drives turn beyond the biceps' slack angle [rad] so that f_1 - f_2 is `needed` [N].
+
+    By bisection. `apart` is how much further the biceps' slack angle lies than the triceps' [rad].
+    """
     reach = 1.0 / (p.inverse_max_deflection * p.drive_radius) + p.position_only_offset
-    low, high = -reach, reach
-    scale = p.drive_radius * p.inverse_max_deflection
+    low, high = -2.0 * reach, 2.0 * reach
+    scale_biceps = s.radius_biceps[i] * p.inverse_max_deflection
+    scale_triceps = s.radius_triceps[i] * p.inverse_max_deflection
     for _ in range(60):
         middle = 0.5 * (low + high)
-        biceps = look_up(p.force_table, (middle + p.position_only_offset) * scale)
-        triceps = look_up(p.force_table, (p.position_only_offset - middle) * scale)
-        if biceps - triceps < needed:
+        biceps = look_up(p.force_table, (middle + p.position_only_offset) * scale_biceps)
+        triceps = look_up(p.force_table, (p.position_only_offset - middle - apart) * scale_triceps)
+        if s.spring_biceps[i] * biceps - s.spring_triceps[i] * triceps < needed:
             low = middle
         else:
             high = middle

@@ -37,7 +37,6 @@ _AGONIST = {"switching": 0.0, "biceps": 1.0, "triceps": -1.0}
 PARAMETERS = np.dtype(
     [
         # plant
-        ("inertia", "f8"),
         ("drive_radius", "f8"),
         ("joint_radius", "f8"),
         ("angle_limit", "f8"),
@@ -54,7 +53,6 @@ PARAMETERS = np.dtype(
         ("damping_c", "f8"),
         ("damping_d", "f8"),
         ("damping_by_mean", "i8"),
-        ("damping_keeps_torque", "i8"),
         # drives
         ("inverse_lag", "f8"),
         ("rate_limit", "f8"),
@@ -101,25 +99,53 @@ PARAMETERS = np.dtype(
     align=True,
 )
 
+DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
+"""By which a scenario's device may differ from its profile: 1 leaves it as it is."""
+
+Orientation = Literal["profile", "horizontal", "vertical"]
+ORIENTATIONS: tuple[Orientation, ...] = ("profile", "horizontal", "vertical")
+"""What a packed scenario's `orientation` stands for; ``"profile"`` leaves it to the profile."""
+
 _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("initial_angle", "f8"),
     ("initial_tension", "f8"),
+    # the arm: eqs. 2-3 and the friction's share follow from its load, its plane and the device
+    ("orientation", "i8"),
     ("payload_mass", "f8"),
     ("payload_arm", "f8"),
     ("inertia", "f8"),
     ("static_torque", "f8"),
+    ("friction", "f8"),
+    # what the setpoint does
     ("move_count", "i8"),
     ("move_time", "f8", (MAX_MOVES,)),
     ("move_angle", "f8", (MAX_MOVES,)),
     ("move_duration", "f8", (MAX_MOVES,)),
+    ("wave_amplitude", "f8"),
+    ("wave_frequency", "f8"),
+    ("wave_chirp", "f8"),
+    ("wave_time", "f8"),
+    ("wave_duration", "f8"),
+    # what disturbs the arm
     ("push_count", "i8"),
     ("push_time", "f8", (MAX_PUSHES,)),
     ("push_duration", "f8", (MAX_PUSHES,)),
     ("push_torque", "f8", (MAX_PUSHES,)),
+    ("push_slope", "f8", (MAX_PUSHES,)),  # [1/s]; 0: a pulse
+    ("shake_rms", "f8"),
+    ("shake_bandwidth", "f8"),
+    ("shake_time", "f8"),
+    ("shake_duration", "f8"),
     ("obstacle_angle", "f8"),
     ("obstacle_side", "f8"),
     ("obstacle_stiffness", "f8"),
     ("obstacle_damping", "f8"),
+    # how the device differs from its profile: factors and offsets
+    *[(f"{name}_factor", "f8") for name in DEVICE_FACTORS],
+    ("encoder_bias", "f8"),
+    ("slider_bias_biceps", "f8"),
+    ("slider_bias_triceps", "f8"),
+    ("late_probability", "f8"),
     ("measure_from", "f8"),
     ("noise_key", "u8"),
 ]
@@ -166,8 +192,16 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("force_triceps", "f8"),
     ("push_torque", "f8"),
     ("contact_torque", "f8"),
+    ("shake_inner", "f8"),
+    ("shake_outer", "f8"),
+    # the device as it was built, which only its scenario knows
+    ("spring_biceps", "f8"),
+    ("spring_triceps", "f8"),
+    ("radius_biceps", "f8"),
+    ("radius_triceps", "f8"),
     # what the microcontroller knows
     ("setpoint", "f8"),
+    ("setpoint_wave", "f8"),
     ("previous_setpoint", "f8"),
     ("setpoint_jump", "f8"),
     ("measured_angle", "f8"),
@@ -248,7 +282,6 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
     position_only = control == "position-only"
     shifted = profile.damping.b * profile.damping.c if profile.damping.fit == "shifted" else profile.damping.c
     values = {
-        "inertia": inertia([m.mass for m in plant.masses], [m.arm for m in plant.masses]),
         "drive_radius": plant.drive_pulley_radius,
         "joint_radius": plant.joint_pulley_radius,
         "angle_limit": np.radians(plant.angle_limit_deg),
@@ -263,7 +296,6 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
         "damping_c": shifted,
         "damping_d": profile.damping.d,
         "damping_by_mean": profile.damping.preload == "mean",
-        "damping_keeps_torque": profile.damping.keeps == "torque",
         "inverse_lag": 1.0 / drives.lag if drives.lag > 0 else 0.0,
         "rate_limit": np.inf if drives.rate_limit_deg is None else np.radians(drives.rate_limit_deg),
         "command_limit": np.inf if drives.command_limit_deg is None else np.radians(drives.command_limit_deg),
@@ -313,12 +345,33 @@ def slider_end(profile: Profile, max_spring_deflection: float) -> float:
     return min(max_spring_deflection, sensors.potentiometer_travel) - doubt
 
 
-def arm_torques(profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0) -> tuple[float, float]:
-    """Return J [kg m2] and M_m [N m] of the arm with a payload (eqs. 2-3); M_m is 0 in the horizontal plane."""
-    masses = [item.mass for item in profile.plant.masses] + [payload_mass] * (payload_mass > 0)
-    arms = [item.arm for item in profile.plant.masses] + [payload_arm] * (payload_mass > 0)
-    weight = static_torque(masses, arms) if profile.plant.orientation == "vertical" else 0.0
-    return inertia(masses, arms), weight
+def load_arm(rows: NDArray[np.void], profile: Profile) -> None:
+    """Set what follows from a scenario's load: J and M_m of eqs. 2-3 and how much friction decelerates.
+
+    M_m is 0 in the horizontal plane. The damping fit holds for the bare arm; where the profile keeps the damping
+    *torque*, a payload does not multiply it.
+
+    Parameters
+    ----------
+    rows : ndarray of `SCENARIO`
+        `orientation`, the payload and the device's factors are read.
+    profile : Profile
+    """
+    count = len(rows)
+    carried = rows["payload_mass"] > 0
+    masses = [np.full(count, item.mass) for item in profile.plant.masses]
+    arms = [np.full(count, item.arm) for item in profile.plant.masses]
+    bare = inertia(masses, arms)
+    masses.append(rows["payload_mass"])
+    arms.append(np.where(carried, rows["payload_arm"], 0.0))
+    vertical = rows["orientation"] == ORIENTATIONS.index("vertical")
+    if profile.plant.orientation == "vertical":
+        vertical |= rows["orientation"] == ORIENTATIONS.index("profile")
+    loaded = inertia(masses, arms)
+    rows["inertia"] = loaded * rows["inertia_factor"]
+    rows["static_torque"] = np.where(vertical, static_torque(masses, arms), 0.0)
+    share = bare / rows["inertia"] if profile.damping.keeps == "torque" else np.ones(count)
+    rows["friction"] = rows["damping_factor"] * share
 
 
 def _gains(name: str, pid: Pid, unit: float) -> dict[str, float]:

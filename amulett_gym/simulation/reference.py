@@ -47,13 +47,16 @@ def decay_rate(profile: Profile, preload: float) -> float:
     return max(fit.a * math.exp(exponent) + fit.d, 0.0)
 
 
-def arm(profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0) -> tuple[float, float]:
+def arm(
+    profile: Profile, payload_mass: float = 0.0, payload_arm: float = 0.0, orientation: str = "profile"
+) -> tuple[float, float]:
     """Return J of eq. 3 [kg m2] and M_m of eq. 2 [N m] of the arm with a payload."""
     masses = np.array([item.mass for item in profile.plant.masses])
     arms = np.array([item.arm for item in profile.plant.masses])
     if payload_mass > 0.0:
         masses, arms = np.append(masses, payload_mass), np.append(arms, payload_arm)
-    weight = 9.81 * float(masses @ arms) if profile.plant.orientation == "vertical" else 0.0
+    plane = profile.plant.orientation if orientation == "profile" else orientation
+    weight = 9.81 * float(masses @ arms) if plane == "vertical" else 0.0
     return float(masses.sum() * arms.max() ** 2 / 12 + masses @ arms**2), weight
 
 
@@ -66,9 +69,9 @@ def replay_motion(
     ----------
     profile : Profile
     scenario : record of `layout.SCENARIO`
-        The payload, the pushes and the obstacle are taken from it.
+        Load, plane, pushes, obstacle and the device's factors are taken from it.
     trajectory : Trajectory
-        Gives the first row's angles and the commands of every tick.
+        Gives the first row's angles, the commands of every tick and, in a scenario that shakes the arm, the torque.
 
     Returns
     -------
@@ -82,18 +85,24 @@ def replay_motion(
         If scipy cannot integrate to the tolerances.
     """
     period, lag = profile.loop.control_period, profile.drives.lag
-    to_drive = profile.plant.drive_pulley_radius
+    to_biceps, to_triceps = (
+        profile.plant.drive_pulley_radius * float(scenario[f"pulley_{name}_factor"]) for name in ("biceps", "triceps")
+    )
+    stronger_biceps, stronger_triceps = (float(scenario[f"spring_{name}_factor"]) for name in ("biceps", "triceps"))
     to_joint = profile.plant.joint_pulley_radius
     fastest = math.inf if profile.drives.rate_limit_deg is None else math.radians(profile.drives.rate_limit_deg)
     bare, _ = arm(profile)
-    inertia, weight = arm(profile, float(scenario["payload_mass"]), float(scenario["payload_arm"]))
-    friction_inertia = bare if profile.damping.keeps == "torque" else inertia
+    plane = ("profile", "horizontal", "vertical")[int(scenario["orientation"])]
+    inertia, weight = arm(profile, float(scenario["payload_mass"]), float(scenario["payload_arm"]), plane)
+    inertia *= float(scenario["inertia_factor"])
+    friction_inertia = (bare if profile.damping.keeps == "torque" else inertia) * float(scenario["damping_factor"])
     force = string_force(profile)
     wall = {name: float(scenario[f"obstacle_{name}"]) for name in ("angle", "side", "stiffness", "damping")}
 
     def forces(state: NDArray[np.float64]) -> tuple[float, float]:
         joint, _, biceps, triceps = state
-        return force(biceps * to_drive - joint * to_joint), force(joint * to_joint - triceps * to_drive)
+        pull_biceps = stronger_biceps * force(biceps * to_biceps - joint * to_joint)
+        return pull_biceps, stronger_triceps * force(joint * to_joint - triceps * to_triceps)
 
     def contact(joint: float, velocity: float) -> float:
         depth = (joint - wall["angle"]) * wall["side"]
@@ -103,7 +112,7 @@ def replay_motion(
         return -max(resistance, 0.0) * wall["side"]
 
     def derivative(
-        _: float, state: NDArray[np.float64], to_biceps: float, to_triceps: float, push: float
+        _: float, state: NDArray[np.float64], biceps_command: float, triceps_command: float, push: float
     ) -> tuple[float, float, float, float]:
         joint, velocity, biceps, triceps = state
         pull_biceps, pull_triceps = forces(state)
@@ -115,8 +124,8 @@ def replay_motion(
         torque += push + contact(joint, velocity)
         turn_biceps = turn_triceps = 0.0
         if lag > 0.0:
-            turn_biceps = float(np.clip((to_biceps - biceps) / lag, -fastest, fastest))
-            turn_triceps = float(np.clip((to_triceps - triceps) / lag, -fastest, fastest))
+            turn_biceps = float(np.clip((biceps_command - biceps) / lag, -fastest, fastest))
+            turn_triceps = float(np.clip((triceps_command - triceps) / lag, -fastest, fastest))
         return velocity, torque / inertia, turn_biceps, turn_triceps
 
     names = ("angle", "velocity", "drive_biceps", "drive_triceps")
@@ -125,6 +134,8 @@ def replay_motion(
     for tick in range(len(trajectory) - 1):
         commands = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
         push = _push(scenario, tick, period)
+        if scenario["shake_rms"] > 0.0:
+            push = float(trajectory["push_torque"][tick + 1])
         if lag == 0.0:
             state[2:] = commands
         # Springs, friction and obstacle have kinks: short steps, so that none is stepped over unseen.
@@ -147,7 +158,10 @@ def replay_motion(
 
 
 def replay_control(
-    profile: Profile, trajectory: Trajectory, control: Control = "decentralized"
+    profile: Profile,
+    trajectory: Trajectory,
+    control: Control = "decentralized",
+    late: NDArray[np.bool_] | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """Return what the loop should have commanded after what was recorded of its sensors.
 
@@ -158,6 +172,8 @@ def replay_control(
         Gives setpoint, measured angle and deflections, estimated forces and tension setpoint of every tick, and the
         first row's commands, agonist and memory of the tension controller.
     control : {"decentralized", "position-only"}
+    late : ndarray of bool, shape (ticks,), optional
+        Control ticks that came too late: the commands are held, and the controllers do not see that time pass.
 
     Returns
     -------
@@ -190,6 +206,9 @@ def replay_control(
         stretch = {name: float(trajectory[f"measured_{name}"][row]) for name in other}
         if row > 0:
             difference += weight * (stretch["biceps"] - stretch["triceps"] - difference)
+        if late is not None and late[row]:
+            rows.append((command["biceps"], command["triceps"], pulls[leader]))
+            continue
         before = leader
         leader = _leader(profile, leader, difference, error)
         follower = other[leader]
@@ -264,6 +283,9 @@ def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> flo
     total = 0.0
     for push in range(int(scenario["push_count"])):
         since = tick * period - float(scenario["push_time"][push])
-        if -1e-9 <= since < float(scenario["push_duration"][push]) - 1e-9:
-            total += float(scenario["push_torque"][push])
+        left = float(scenario["push_duration"][push]) - since
+        if since >= -1e-9 and left > 1e-9:
+            slope = float(scenario["push_slope"][push])
+            share = min(max(min(since, left), 0.0) * slope, 1.0) if slope > 0.0 else 1.0
+            total += share * float(scenario["push_torque"][push])
     return total

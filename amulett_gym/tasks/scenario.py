@@ -1,4 +1,4 @@
-"""One episode as plain data: setpoint moves, pushes, an obstacle, a payload, the posture at the start.
+"""One episode as plain data: what the setpoint does, what disturbs and loads the arm, how this device was built.
 
 A scenario can be written as JSON, read back and replayed bit for bit.
 """
@@ -17,9 +17,17 @@ from pydantic import Field, ValidationError, model_validator
 from amulett_gym.config import Group, Profile, describe
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text
-from amulett_gym.simulation.layout import MAX_MOVES, MAX_PUSHES, SCENARIO, arm_torques
+from amulett_gym.simulation.layout import (
+    DEVICE_FACTORS,
+    MAX_MOVES,
+    MAX_PUSHES,
+    ORIENTATIONS,
+    SCENARIO,
+    Orientation,
+    load_arm,
+)
 
-_DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing and unpacking loses nothing
+_DIGITS = 9  # of angles in degrees and ramps in seconds: suites sample far coarser, so that packing loses nothing
 
 
 class Move(Group):
@@ -30,12 +38,47 @@ class Move(Group):
     duration: float = Field(default=0.0, ge=0, description="[s]; 0: a step")
 
 
+class Wave(Group):
+    """A sinusoid or a linear chirp on top of the moves: A sin(2 pi (f + chirp t / 2) t), t from its beginning.
+
+    Rise and settling times are judged by the moves' targets, without it. After whole cycles it ends without a jump.
+    """
+
+    amplitude_deg: float = Field(gt=0, le=180, description="A [deg]")
+    frequency: float = Field(ge=0, le=50, description="f, at its beginning [Hz]")
+    chirp: float = Field(default=0.0, ge=-50, le=50, description="by which the frequency changes a second [Hz/s]")
+    time: float = Field(default=0.0, ge=0, description="when it begins [s]")
+    duration: float = Field(gt=0, description="[s]")
+
+
 class Push(Group):
-    """A constant external torque for a while."""
+    """An external torque for a while: at once (a pulse), or with ramps (a slow push)."""
 
     time: float = Field(ge=0, description="when it begins [s]; acts from the first control tick at or after it")
-    duration: float = Field(gt=0, description="[s]")
+    duration: float = Field(gt=0, description="ramps included [s]")
     torque: float = Field(ge=-100, le=100, description="positive in flexion [N m]")
+    rise: float = Field(default=0.0, ge=0, description="how long it rises, and falls again at its end [s]; 0: a pulse")
+
+    @model_validator(mode="after")
+    def _check_ramps(self) -> Push:
+        if 0 < self.rise < 1e-3:
+            raise ValueError(f"a rise of {self.rise} s is shorter than a millisecond; 0 stands for a pulse")
+        if 2 * self.rise > self.duration + 1e-9:
+            raise ValueError(f"a push of {self.duration} s has no room to rise and fall for {self.rise} s each")
+        return self
+
+
+class Shake(Group):
+    """A random external torque: white noise of the control ticks behind two equal first-order low-passes.
+
+    It begins at rest and has its rms from about one period of the bandwidth on; two scenarios with one `noise_seed`
+    are shaken alike.
+    """
+
+    rms: float = Field(gt=0, le=100, description="root mean square [N m]")
+    bandwidth: float = Field(gt=0, le=100, description="corner frequency of each low-pass [Hz]")
+    time: float = Field(default=0.0, ge=0, description="when it begins [s]")
+    duration: float = Field(gt=0, description="[s]")
 
 
 class Obstacle(Group):
@@ -54,17 +97,44 @@ class Payload(Group):
     arm: float = Field(ge=0, le=1, description="lever arm about the joint [m]")
 
 
+class Device(Group):
+    """How this device differs from its profile, which is all that its microcontroller knows."""
+
+    spring_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force")
+    spring_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force")
+    pulley_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1")
+    pulley_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1")
+    inertia: float = Field(default=1.0, ge=0.5, le=2, description="factor of J, the payload's share included")
+    damping: float = Field(default=1.0, ge=0, le=4, description="factor of delta")
+    noise: float = Field(default=1.0, ge=0, le=10, description="factor of the sensors' noise")
+    encoder_bias_deg: float = Field(default=0.0, ge=-30, le=30, description="added to the joint angle's reading [deg]")
+    slider_bias_biceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
+    slider_bias_triceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
+    jitter: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.9,
+        description="probability that a control tick comes too late: its commands are held for one more period",
+    )
+
+
 class Scenario(Group):
-    """Everything about an episode that is not the device."""
+    """Everything about an episode that is not the profile."""
 
     initial_angle_deg: float = Field(default=0.0, ge=-180, le=180, description="at rest there at the start [deg]")
     initial_tension: float | None = Field(
         default=None, gt=0, description="of the antagonist at the start [N]; null: the profile's nominal tension"
     )
     moves: list[Move] = Field(default=[], max_length=MAX_MOVES)
+    wave: Wave | None = None
     pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES)
+    shake: Shake | None = None
     obstacle: Obstacle | None = None
     payload: Payload | None = None
+    orientation: Orientation = Field(
+        default="profile", description="plane in which the forearm swings; gravity acts in the vertical one"
+    )
+    device: Device = Field(default=Device(), description="how it differs from the profile; without a key: not at all")
     measure_from: float = Field(
         default=0.0,
         ge=0,
@@ -132,17 +202,27 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["initial_tension"] = scenario.initial_tension
     if scenario.payload is not None:
         row["payload_mass"], row["payload_arm"] = scenario.payload.mass, scenario.payload.arm
-        row["inertia"], row["static_torque"] = arm_torques(profile, scenario.payload.mass, scenario.payload.arm)
+    row["orientation"] = ORIENTATIONS.index(scenario.orientation)
+    _pack_device(scenario.device, row)
+    load_arm(row, profile)
     row["move_count"] = len(scenario.moves)
     for k, move in enumerate(scenario.moves):
         row["move_time"][0, k] = move.time
         row["move_angle"][0, k] = np.radians(move.angle_deg)
         row["move_duration"][0, k] = move.duration
+    if scenario.wave is not None:
+        row["wave_amplitude"] = np.radians(scenario.wave.amplitude_deg)
+        row["wave_frequency"], row["wave_chirp"] = scenario.wave.frequency, scenario.wave.chirp
+        row["wave_time"], row["wave_duration"] = scenario.wave.time, scenario.wave.duration
     row["push_count"] = len(scenario.pushes)
     for k, push in enumerate(scenario.pushes):
         row["push_time"][0, k] = push.time
         row["push_duration"][0, k] = push.duration
         row["push_torque"][0, k] = push.torque
+        row["push_slope"][0, k] = 1.0 / push.rise if push.rise > 0.0 else 0.0
+    if scenario.shake is not None:
+        for key, value in scenario.shake:
+            row[f"shake_{key}"] = value
     if scenario.obstacle is not None:
         row["obstacle_angle"] = np.radians(scenario.obstacle.angle_deg)
         row["obstacle_side"] = 1.0 if scenario.obstacle.blocks == "flexion" else -1.0
@@ -162,7 +242,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
     def degrees(angle: Any) -> float:
         return round(float(np.degrees(angle)), _DIGITS)
 
-    obstacle = payload = None
+    obstacle = payload = wave = shake = None
     if row["obstacle_stiffness"] > 0:
         obstacle = Obstacle(
             angle_deg=degrees(row["obstacle_angle"]),
@@ -172,6 +252,13 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
         )
     if row["payload_mass"] > 0:
         payload = Payload(mass=float(row["payload_mass"]), arm=float(row["payload_arm"]))
+    if row["wave_amplitude"] > 0:
+        wave = Wave(
+            amplitude_deg=degrees(row["wave_amplitude"]),
+            **{key: float(row[f"wave_{key}"]) for key in ("frequency", "chirp", "time", "duration")},
+        )
+    if row["shake_rms"] > 0:
+        shake = Shake(**{key: float(row[f"shake_{key}"]) for key in Shake.model_fields})
     return Scenario(
         initial_angle_deg=degrees(row["initial_angle"]),
         initial_tension=float(row["initial_tension"]),
@@ -188,14 +275,33 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
                 time=float(row["push_time"][k]),
                 duration=float(row["push_duration"][k]),
                 torque=float(row["push_torque"][k]),
+                rise=round(1.0 / float(row["push_slope"][k]), _DIGITS) if row["push_slope"][k] > 0.0 else 0.0,
             )
             for k in range(int(row["push_count"]))
         ],
+        wave=wave,
+        shake=shake,
         obstacle=obstacle,
         payload=payload,
+        orientation=ORIENTATIONS[int(row["orientation"])],
+        device=Device(
+            **{name: float(row[f"{name}_factor"]) for name in DEVICE_FACTORS},
+            encoder_bias_deg=degrees(row["encoder_bias"]),
+            slider_bias_biceps=float(row["slider_bias_biceps"]),
+            slider_bias_triceps=float(row["slider_bias_triceps"]),
+            jitter=float(row["late_probability"]),
+        ),
         measure_from=float(row["measure_from"]),
         noise_seed=int(row["noise_key"]),
     )
+
+
+def _pack_device(device: Device, row: NDArray[np.void]) -> None:
+    for name in DEVICE_FACTORS:
+        row[f"{name}_factor"] = getattr(device, name)
+    row["encoder_bias"] = np.radians(device.encoder_bias_deg)
+    row["slider_bias_biceps"], row["slider_bias_triceps"] = device.slider_bias_biceps, device.slider_bias_triceps
+    row["late_probability"] = device.jitter
 
 
 def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> None:
@@ -204,21 +310,33 @@ def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> No
     A step may cover half a radian of the swing on the obstacle, and a tenth of the damping's time constant: damping
     makes the torque jump at contact, in the middle of a step.
     """
-    step = profile.loop.control_period / profile.loop.substeps
     for key, value, most in (
-        ("stiffness", obstacle.stiffness, 0.25 * inertia / step**2),
-        ("damping", obstacle.damping, 0.1 * inertia / step),
+        ("stiffness", obstacle.stiffness, most_stiffness(inertia, profile)),
+        ("damping", obstacle.damping, most_damping(inertia, profile)),
     ):
         if value > most:
+            step = profile.loop.control_period / profile.loop.substeps
             raise AmulettError(
                 f"scenario: 'obstacle.{key}' is {value}; with an inertia of {inertia:.4g} kg m2 and {step:g} s steps "
                 f"at most {most:.4g} is possible (more loop.substeps allow more)"
             )
 
 
+def most_stiffness(inertia: Any, profile: Profile) -> Any:
+    """Return how stiff an obstacle may be [N m/rad] for an inertia [kg m2]: a step is half a radian of the swing."""
+    return 0.25 * inertia / (profile.loop.control_period / profile.loop.substeps) ** 2
+
+
+def most_damping(inertia: Any, profile: Profile) -> Any:
+    """Return how much it may damp [N m s/rad]: a step is a tenth of the damping's time constant."""
+    return 0.1 * inertia / (profile.loop.control_period / profile.loop.substeps)
+
+
 def empty_rows(count: int, profile: Profile) -> NDArray[np.void]:
     """Return `count` packed scenarios in which nothing happens: the bare arm at rest at 0 deg."""
     rows = np.zeros(count, dtype=SCENARIO)
     rows["initial_tension"] = profile.variable_stiffness.nominal_tension
-    rows["inertia"], rows["static_torque"] = arm_torques(profile)
+    for name in DEVICE_FACTORS:
+        rows[f"{name}_factor"] = 1.0
+    load_arm(rows, profile)
     return rows
