@@ -37,7 +37,7 @@ from benchmarks.work import FUNCTION_COST, count_work, flops
 PROFILES = ("simulation", "testbed")
 SUITES = ("steps", "reach", "hold-push")
 """What is raced: as many pushes and moves as ever."""
-CHECKED_SUITES = SUITES
+CHECKED_SUITES = (*SUITES, "mixed")
 """What is compared: with everything that a scenario can have."""
 DEVICES = (1024, 8192, 65536)
 TURNS = 5

@@ -427,7 +427,7 @@ def test_no_string_ever_pushes(base, scenario, tensions, vertical):
 @pytest.mark.parametrize("base", PROFILES)
 def test_place_in_the_batch_and_its_size_do_not_change_a_bit(base):
     profile = load_profile(base)
-    rows = sample("steps", np.arange(19, dtype=np.uint64), profile)
+    rows = sample("mixed", np.arange(19, dtype=np.uint64), profile)
     batch = Simulation(profile, 19, tension_law="eq6")
     batch.reset(rows)
     batch.advance(400)

@@ -14,8 +14,9 @@ from amulett_gym.config import load_profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation.batch import Simulation
+from amulett_gym.tasks import hashes
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, unpack
-from amulett_gym.tasks.suites import SPLITS, WORKSPACE_DEG, episode_keys, sample, suite_names
+from amulett_gym.tasks.suites import CONTACT_SUITES, SPLITS, WORKSPACE_DEG, episode_keys, sample, suite_names
 
 TESTBED = load_profile("testbed")
 DRAWN = [suite for suite in suite_names() if suite != "paper-step"]
@@ -25,11 +26,12 @@ def keys(count: int) -> np.ndarray:
     return np.arange(count, dtype=np.uint64)
 
 
+@pytest.mark.parametrize("split", ["train", "shifted"])
 @pytest.mark.parametrize("suite", suite_names())
-def test_scenarios_do_not_depend_on_the_batch(suite):
-    together = sample(suite, keys(50), TESTBED)
+def test_scenarios_do_not_depend_on_the_batch(suite, split):
+    together = sample(suite, keys(50), TESTBED, split=split)
     for i in (0, 17, 49):
-        assert sample(suite, keys(50)[i : i + 1], TESTBED)[0] == together[i]
+        assert sample(suite, keys(50)[i : i + 1], TESTBED, split=split)[0] == together[i]
 
 
 @pytest.mark.parametrize("suite", DRAWN)
@@ -38,9 +40,10 @@ def test_other_keys_give_other_scenarios(suite):
     assert len({row.tobytes() for row in rows}) == 200
 
 
+@pytest.mark.parametrize("split", ["train", "shifted"])
 @pytest.mark.parametrize("suite", suite_names())
-def test_scenarios_replay_exactly_from_json(suite):
-    for row in sample(suite, keys(20), TESTBED):
+def test_scenarios_replay_exactly_from_json(suite, split):
+    for row in sample(suite, keys(40), TESTBED, split=split):
         scenario = Scenario.model_validate_json(unpack(row).model_dump_json())
         assert pack(scenario, TESTBED)[0] == row
 
@@ -48,7 +51,87 @@ def test_scenarios_replay_exactly_from_json(suite):
 def test_splits_and_episodes_have_keys_of_their_own():
     episodes = np.zeros(1000, dtype=np.uint64)
     found = [episode_keys(keys(1000), episodes + np.uint64(e), split) for split in SPLITS for e in range(3)]
-    assert np.unique(np.concatenate(found)).size == 9000
+    assert np.unique(np.concatenate(found)).size == 3000 * len(SPLITS)
+
+
+def test_suites_draw_what_was_frozen():
+    frozen = hashes.frozen()
+    assert frozen["version"] == hashes.VERSION
+    assert hashes.measure() == frozen["hashes"], "if a suite is meant to have changed: a new version, and --write"
+
+
+def test_a_hash_tells_one_scenario_from_another():
+    found = {digest for splits in hashes.frozen()["hashes"].values() for digest in splits.values()}
+    # The paper's step is always the same but for its noise; that differs from split to split.
+    assert len(found) == len(suite_names()) * len(SPLITS)
+
+
+@pytest.mark.parametrize("split", SPLITS)
+@pytest.mark.parametrize("suite", suite_names())
+def test_every_start_can_be_held_and_no_device_fails(suite, split):
+    # 10,000 starts; the first 400 are played for 10 s under a slack and a middling tension.
+    seeds = keys(10_000)
+    rows = sample(suite, episode_keys(seeds, 0 * seeds, split), TESTBED, split=split)
+    Simulation(TESTBED, len(rows)).reset(rows)
+    played = Simulation(TESTBED, 400)
+    for tension in (6.0, 10.0):
+        played.reset(rows[:400])
+        played.command_tension(tension)
+        played.advance(round(10.0 / played.control_period))
+        assert not played.read("failure").any()
+
+
+@pytest.mark.parametrize("suite", ["payload", "mixed"])
+def test_suites_with_gravity_can_start_on_the_other_profile(suite):
+    profile = load_profile("simulation")
+    for split in SPLITS:
+        seeds = keys(2000)
+        Simulation(profile, 2000).reset(sample(suite, episode_keys(seeds, 0 * seeds, split), profile, split=split))
+
+
+def test_mixed_draws_every_family_equally_often():
+    rows = sample("mixed", keys(7000), TESTBED)
+    share = {
+        "track": rows["wave_amplitude"] > 0,
+        "payload": rows["payload_mass"] > 0,
+        "hold-push": (rows["push_count"] > 0) & (rows["move_count"] == 0),
+        "pick-place": (rows["push_count"] > 0) & (rows["move_count"] > 0),
+        "contact": rows["obstacle_stiffness"] > 0,
+        "steps": (rows["move_count"] > 0) & (rows["move_duration"][:, 0] == 0),
+    }
+    for name, drawn in share.items():
+        assert drawn.mean() == pytest.approx((0.75 if name == "contact" else 1.0) / 7, rel=0.12), name
+    varied = ("spring_biceps_factor", "pulley_triceps_factor", "damping_factor", "encoder_bias", "initial_tension")
+    assert all(len(np.unique(rows[name])) > 50 for name in varied)
+
+
+def test_shifted_lies_outside_the_other_ranges():
+    def drawn(suite, split):
+        return sample(suite, keys(1000), TESTBED, split=split)
+
+    def pulses(split):
+        return np.abs(drawn("hold-push", split)["push_torque"])
+
+    assert pulses("shifted").min() > pulses("train").max()
+    spring = "spring_biceps_factor"
+    assert drawn("mixed", "shifted")[spring].max() < drawn("mixed", "train")[spring].min()
+    stiffness = [drawn("contact", split)["obstacle_stiffness"] for split in ("train", "shifted")]
+    assert stiffness[1][stiffness[1] > 0].min() > stiffness[0].max()
+    lying = [rows[rows["static_torque"] == 0] for rows in (drawn("payload", "train"), drawn("payload", "shifted"))]
+    moment = [rows["payload_mass"] * rows["payload_arm"] for rows in lying]
+    assert moment[1].min() > moment[0].max()
+    frequency = [drawn("track", split)["wave_frequency"] for split in ("train", "shifted")]
+    assert frequency[1].min() > frequency[0].max()
+
+
+@pytest.mark.parametrize("split", SPLITS)
+@pytest.mark.parametrize("suite", CONTACT_SUITES)
+def test_obstacles_are_on_the_way_and_never_in_the_arm_at_the_start(suite, split):
+    rows = sample(suite, keys(2000), TESTBED, split=split)
+    rows = rows[rows["obstacle_stiffness"] > 0]
+    beyond = rows["obstacle_side"] * (rows["obstacle_angle"] - rows["initial_angle"])
+    way = rows["obstacle_side"] * (rows["move_angle"][:, 0] - rows["initial_angle"])
+    assert (beyond > 0).all() and (beyond < way).all()
 
 
 def test_paper_step_is_the_papers_protocol():
@@ -86,13 +169,18 @@ def test_pushes_can_be_resisted():
     times=st.lists(st.floats(0, 100), max_size=10, unique=True),
     mass=st.floats(0, 2),
     blocks=st.sampled_from(["flexion", "extension"]),
+    rise=st.integers(0, 350).map(lambda milliseconds: milliseconds / 1000),
 )
-def test_packing_keeps_every_scenario(angle, times, mass, blocks):
+def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
     scenario = Scenario(
         initial_angle_deg=round(angle, 6),
         initial_tension=9.0,
         moves=[{"time": time, "angle_deg": 30.0} for time in sorted(times)],
-        pushes=[{"time": time, "duration": 0.1, "torque": -0.5} for time in times[:4]],
+        wave={"amplitude_deg": 3.0, "frequency": 0.4, "chirp": -0.01, "time": 0.2, "duration": 3.0},
+        pushes=[{"time": time, "duration": 0.7, "torque": -0.5, "rise": rise} for time in times[:4]],
+        shake={"rms": 0.1, "bandwidth": 2.5, "time": 0.1, "duration": 7.0},
+        orientation="vertical" if rise > 0.2 else "profile",
+        device={"spring_biceps": 0.87, "encoder_bias_deg": -0.123, "slider_bias_triceps": 1e-5, "jitter": 0.07},
         obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0, "damping": 0.1},
         payload={"mass": mass, "arm": 0.2} if mass > 0 else None,
         noise_seed=3,
@@ -112,6 +200,10 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks):
         ),
         ({"moves": [{"time": float(t), "angle_deg": 0.0} for t in range(11)]}, "at most 10"),
         ({"pushes": [{"time": 0.0, "duration": 0.0, "torque": 1.0}]}, "'pushes.0.duration' is 0.0"),
+        ({"pushes": [{"time": 0.0, "duration": 0.3, "torque": 1.0, "rise": 0.2}]}, "no room to rise and fall"),
+        ({"shake": {"rms": -1.0, "bandwidth": 1.0, "duration": 1.0}}, "'shake.rms' is -1.0"),
+        ({"wave": {"amplitude_deg": 1.0, "frequenzy": 1.0, "duration": 1.0}}, "did you mean 'frequency'"),
+        ({"device": {"jitter": 1.0}}, "'device.jitter' is 1.0"),
         ({"obstacle": {"angle_deg": 3.0, "stiffness": float("inf")}}, "finite"),
     ],
 )

@@ -30,7 +30,16 @@ def run(arguments: argparse.Namespace) -> int:
         },
         "suites": {suite: describe_suite(suite) for suite in suite_names()},
         "splits": dict(
-            zip(SPLITS, ("to train on", "to choose a policy by", "to report; the default of evaluate"), strict=True)
+            zip(
+                SPLITS,
+                (
+                    "to train on",
+                    "to choose a policy by",
+                    "to report; the default of evaluate",
+                    "to report: outside the ranges of the others",
+                ),
+                strict=True,
+            )
         ),
         "laws": contender_names(),
         "profiles": {name: load_profile(name).description for name in profile_names()},

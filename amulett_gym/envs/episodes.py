@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs import transition
 from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, Control
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
-from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
+from amulett_gym.tasks.suites import check_names, episode_keys, sample
 
 DEFAULT_STEPS = 500
 """Agent steps in an episode, 10 s at the default agent period."""
@@ -68,10 +68,7 @@ class Episodes:
         threads: int = 1,
     ) -> None:
         self.profile = load_profile(profile)
-        if suite not in suite_names():
-            raise unknown("suite", suite, suite_names())
-        if split not in SPLITS:
-            raise unknown("split", split, SPLITS)
+        check_names(suite, split)
         if not 0 <= check_number("observation_noise", observation_noise) < math.inf:
             raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
         check_number("agent_period", agent_period)
@@ -90,7 +87,7 @@ class Episodes:
         self._settings["cost_cap"] = COST_CAP
         self._settings["observation_noise"] = observation_noise
         self._settings["horizon"] = failure_horizon
-        weights, paid = check_weights(reward_weights), divisors(self.profile, suite)
+        weights, paid = check_weights(reward_weights, suite), divisors(self.profile, suite)
         squared_degrees = {"position": np.degrees(1.0) ** 2, "effort": np.degrees(1.0) ** 2}
         for term, weight in weights.items():
             self._settings[term] = weight / paid[term] * squared_degrees.get(term, 1.0)
@@ -143,7 +140,7 @@ class Episodes:
         ndarray of float32, shape (len(devices), 13)
         """
         keys = episode_keys(self._keys[devices], self._episodes[devices], self.split)
-        rows = sample(self.suite, keys, self.profile, self._max_force)
+        rows = sample(self.suite, keys, self.profile, self._max_force, self.split)
         if scenarios is not None:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)

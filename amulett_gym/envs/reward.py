@@ -13,9 +13,13 @@ from importlib import resources
 
 from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.tasks.suites import CONTACT_SUITES
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
-"""Weights of the reward's terms. None of today's suites has an obstacle, so contact is free unless asked for."""
+"""Weights of the reward's terms in suites in which nothing is touched."""
+
+CONTACT_WEIGHTS = {"position": 0.35, "effort": 0.3, "tension": 0.05, "contact": 0.3}
+"""Weights in suites with obstacles: a bump counts as much as the effort, and all of them sum to 1 as well."""
 
 MOST_WEIGHT = 1e6
 
@@ -40,8 +44,13 @@ def divisors(profile: Profile, suite: str) -> dict[str, float]:
     return table[profile.root if profile.root in table else "testbed"][suite]
 
 
-def check_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
-    """Return all weights, the given ones in the place of the defaults.
+def default_weights(suite: str) -> dict[str, float]:
+    """Return the weights that a suite's reward has unless others are asked for."""
+    return dict(CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS)
+
+
+def check_weights(weights: Mapping[str, float] | None, suite: str = "steps") -> dict[str, float]:
+    """Return all weights, the given ones in the place of the suite's defaults.
 
     Raises
     ------
@@ -55,4 +64,4 @@ def check_weights(weights: Mapping[str, float] | None) -> dict[str, float]:
             raise unknown("reward weight", str(name), DEFAULT_WEIGHTS)
         if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight <= MOST_WEIGHT:
             raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a number from 0 to {MOST_WEIGHT:g}")
-    return {**DEFAULT_WEIGHTS, **(weights or {})}
+    return {**default_weights(suite), **(weights or {})}

@@ -297,7 +297,8 @@ class ScalingEnv(TensionEnv):
     - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without what a jump of the position
       setpoint alone contributes: that is alike under every law, and would hide what the laws do;
     - `tension` (0.05): tension ISE of the antagonist, by the true force;
-    - `contact` (0): square of the contact torque;
+    - `contact` (0): square of the contact torque; in the suites with obstacles, `contact` and `mixed`, it weighs 0.3,
+      `position` 0.35 and `effort` 0.3;
     - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
 
     A step that does not fail costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]`
@@ -343,8 +344,9 @@ class ScalingEnv(TensionEnv):
     | Keyword             | Default           | Meaning                                                              |
     |---------------------|-------------------|----------------------------------------------------------------------|
     | `profile`           | `"testbed"`       | `"testbed"`, `"simulation"`, a YAML file or a mapping                |
-    | `suite`             | `"steps"`         | `"paper-step"`, `"steps"`, `"reach"`, `"hold-push"`                  |
-    | `split`             | `"train"`         | `"train"`, `"validation"` or `"held-out"`: disjoint scenarios        |
+    | `suite`             | `"steps"`         | one of the suites below                                              |
+    | `split`             | `"train"`         | `"train"`, `"validation"`, `"held-out"`: disjoint scenarios; or      |
+    |                     |                   | `"shifted"`: outside their ranges                                    |
     | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
     | `reward_weights`    | None              | mapping of term to weight, for those that differ from the defaults   |
@@ -355,6 +357,20 @@ class ScalingEnv(TensionEnv):
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
 
     Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.
+
+    | Suite          | What the arm has to do                                                                         |
+    |----------------|------------------------------------------------------------------------------------------------|
+    | `"paper-step"` | the paper's step from 0 to 45 deg                                                              |
+    | `"steps"`      | random setpoint steps                                                                          |
+    | `"reach"`      | minimum-jerk reaches                                                                           |
+    | `"track"`      | sinusoids and chirps                                                                           |
+    | `"pick-place"` | a repeated assembly cycle: reach, hold against a slow push, reach back, dwell                  |
+    | `"contact"`    | reaches out and back, through a compliant obstacle in 3 of 4 episodes                          |
+    | `"hold-push"`  | hold a posture against pulses, slow pushes and shaking                                         |
+    | `"payload"`    | reaches with an unknown payload, horizontal or vertical                                        |
+    | `"mixed"`      | all but the paper's step equally often, on devices that differ from the profile                |
+
+    Ranges and their reasons are in :mod:`amulett_gym.tasks.suites`.
 
     ## Version History
 

@@ -1,0 +1,61 @@
+"""What each suite and split draws, as a SHA-256: a benchmark that changes unnoticed is none.
+
+``python -m amulett_gym.tasks.hashes`` prints the hashes; ``--write`` replaces the frozen file in the package. A suite
+that draws otherwise goes with a new version.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amulett_gym.config import Profile, load_profile
+from amulett_gym.files import write_json
+from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
+
+VERSION = 1
+"""Of what the suites draw."""
+
+PROFILE = "testbed"
+SCENARIOS = 1000
+
+
+def suite_hash(suite: str, split: str, profile: Profile) -> str:
+    """Return the SHA-256 of the packed scenarios that a suite draws from the keys of seeds 0 to 999, in hexadecimal."""
+    seeds = np.arange(SCENARIOS, dtype=np.uint64)
+    keys = episode_keys(seeds, np.zeros_like(seeds), split)
+    return hashlib.sha256(sample(suite, keys, profile, split=split).tobytes()).hexdigest()
+
+
+def measure() -> dict[str, dict[str, str]]:
+    """Return all hashes on the shipped testbed: suite -> split -> hash."""
+    profile = load_profile(PROFILE)
+    return {suite: {split: suite_hash(suite, split, profile) for split in SPLITS} for suite in suite_names()}
+
+
+def frozen() -> dict[str, Any]:
+    """Return the package's file: ``version``, ``profile``, ``scenarios`` and ``hashes``."""
+    content: dict[str, Any] = json.loads((resources.files("amulett_gym") / "tasks" / "hashes.json").read_text())
+    return content
+
+
+def main() -> None:
+    """Print the hashes, or write them into the package."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="replace the frozen file in the package")
+    arguments = parser.parse_args()
+    content = {"version": VERSION, "profile": PROFILE, "scenarios": SCENARIOS, "hashes": measure()}
+    if arguments.write:
+        with resources.as_file(resources.files("amulett_gym") / "tasks" / "hashes.json") as path:
+            write_json(Path(path), content)
+    print(json.dumps(content, indent=2))
+
+
+if __name__ == "__main__":
+    main()
