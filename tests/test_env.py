@@ -90,9 +90,9 @@ def test_time_limit_truncates():
 
 def test_eq6_returns_about_minus_one():
     for suite in suite_names():
-        env = gym.make_vec(SCALING, num_envs=64, suite=suite, tension_law="eq6")
+        env = gym.make_vec(SCALING, num_envs=256, suite=suite, tension_law="eq6")
         env.reset(seed=0)
-        returns = sum(env.step(np.zeros((64, 1), dtype=np.float32))[1] for _ in range(500))
+        returns = sum(env.step(np.zeros((256, 1), dtype=np.float32))[1] for _ in range(500))
         assert np.mean(returns) == pytest.approx(-1.0, abs=0.15)
 
 
