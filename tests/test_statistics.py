@@ -7,8 +7,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.stats import binomtest, trim_mean
 
-from amulett_gym.evaluation.statistics import RESAMPLES, UNDEFINED, draw_weights, mean, ratio_of_sums
+from amulett_gym.evaluation.statistics import (
+    RESAMPLES,
+    UNDEFINED,
+    count_failures,
+    draw_nested,
+    draw_weights,
+    interquartile_mean,
+    mean,
+    nested_mean,
+    nested_ratio,
+    performance_profile,
+    probability_of_improvement,
+    ratio_of_sums,
+    worst_mean,
+)
 
 costs = st.integers(2, 40).flatmap(lambda count: arrays(float, count, elements=st.floats(0.01, 100.0)))
 
@@ -109,3 +124,136 @@ def test_one_scenario_has_no_interval():
 def test_values_of_other_scenarios_are_refused():
     with pytest.raises(ValueError, match="scenarios"):
         ratio_of_sums([1.0, 2.0], [1.0], draw_weights(2))
+
+
+def learned(seeds=10, scenarios=40, seed=4, share=0.7):
+    """Return a reference's costs and those of a learner that pays `share` of them, with seeds that differ."""
+    random = np.random.default_rng(seed)
+    reference = random.gamma(4.0, 0.25, scenarios)
+    luck = random.normal(1.0, 0.1, (seeds, 1)) * random.lognormal(-0.005, 0.1, (seeds, scenarios))
+    return share * reference * luck, reference
+
+
+def test_a_nested_resample_is_each_drawn_seed_in_every_drawn_scenario():
+    values, reference = learned(3, 5)
+    draws = draw_nested(3, 5, resamples=200)
+    ratios = []
+    for seeds, scenarios in zip(draws.seeds.astype(int), draws.scenarios.astype(int), strict=True):
+        rows, columns = np.repeat(np.arange(3), seeds), np.repeat(np.arange(5), scenarios)
+        drawn = values[np.ix_(rows, columns)]
+        ratios.append(drawn.sum() / (2 * reference[columns].sum()))
+    estimate = nested_ratio(values, reference, draws)
+    assert estimate.mean == pytest.approx(values.sum() / (3 * reference.sum()))
+    expected = np.percentile(ratios, [2.5, 97.5], method="nearest")
+    np.testing.assert_allclose([estimate.low, estimate.high], expected, rtol=1e-12)
+
+
+def test_one_seed_is_the_ratio_of_a_law():
+    values, reference = learned(1, 30)
+    nested = nested_ratio(values, reference, draw_nested(1, 30))
+    plain = ratio_of_sums(values[0], reference, draw_weights(30))
+    np.testing.assert_allclose([nested.mean, nested.low, nested.high], [plain.mean, plain.low, plain.high])
+
+
+def test_seeds_that_differ_widen_the_interval_and_pairing_narrows_it():
+    values, reference = learned(10, 100)
+    draws = draw_nested(10, 100)
+    alike = np.tile(values.mean(axis=0), (10, 1))
+    wide, narrow = nested_ratio(values, reference, draws), nested_ratio(alike, reference, draws)
+    assert wide.high - wide.low > 2.0 * (narrow.high - narrow.low)
+    unpaired = nested_mean(values, draws)
+    assert (wide.high - wide.low) / wide.mean < (unpaired.high - unpaired.low) / unpaired.mean
+    same = nested_ratio(values, values, draws)
+    assert (same.mean, same.low, same.high) == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(("seeds", "least", "most"), [(30, 0.90, 0.98), (10, 0.87, 0.97), (3, 0.75, 0.92)])
+def test_the_interval_over_seeds_and_scenarios_contains_the_truth_about_as_often_as_it_says(seeds, least, most):
+    draws = draw_nested(seeds, 60, resamples=500)
+    inside = []
+    for trial in range(300):
+        ratio = nested_ratio(*learned(seeds, 60, seed=trial), draws)
+        inside.append(ratio.low <= 0.7 <= ratio.high)
+    assert least <= np.mean(inside) <= most
+
+
+def test_missing_cells_are_left_out_on_both_sides():
+    values = np.array([[1.0, math.nan], [3.0, 4.0]])
+    draws = draw_nested(2, 2)
+    assert nested_ratio(values, [2.0, 8.0], draws).mean == pytest.approx(8.0 / 12.0)
+    assert nested_mean(values, draws).mean == pytest.approx(8.0 / 3.0)
+    assert worst_mean(values, draws, 1.0).mean == pytest.approx(8.0 / 3.0)
+    assert math.isnan(nested_mean(np.full((2, 2), math.nan), draws).mean)
+    assert math.isnan(interquartile_mean(np.full((2, 2), math.nan), draws).mean)
+
+
+@given(arrays(float, (4, 5), elements=st.floats(-50.0, 50.0)))
+def test_the_interquartile_mean_is_scipys_where_nothing_is_cut_in_two(values):
+    draws = draw_nested(4, 5, resamples=100)
+    assert interquartile_mean(values, draws).mean == pytest.approx(trim_mean(values, 0.25, axis=None), abs=1e-9)
+
+
+@given(arrays(float, (2, 10), elements=st.floats(-50.0, 50.0)), st.integers(1, 20))
+def test_the_worst_mean_is_that_of_the_largest_values(values, count):
+    draws = draw_nested(2, 10, resamples=50)
+    expected = np.sort(values, axis=None)[-count:].mean()
+    assert worst_mean(values, draws, count / 20).mean == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_value_on_the_border_counts_in_part():
+    draws = draw_nested(1, 3, resamples=50)
+    assert interquartile_mean([0.0, 1.0, 5.0], draws).mean == pytest.approx((0.25 * 0 + 1.0 + 0.25 * 5.0) / 1.5)
+    assert worst_mean([0.0, 1.0, 5.0], draws, 0.5).mean == pytest.approx((5.0 + 0.5 * 1.0) / 1.5)
+
+
+def test_means_of_ranks_resample_what_they_rank():
+    values, _ = learned(3, 7)
+    draws = draw_nested(3, 7, resamples=100)
+    brute = []
+    for seeds, scenarios in zip(draws.seeds.astype(int), draws.scenarios.astype(int), strict=True):
+        rows, columns = np.repeat(np.arange(3), seeds), np.repeat(np.arange(7), scenarios)
+        brute.append(np.sort(values[np.ix_(rows, columns)], axis=None)[-7:].mean())
+    estimate = worst_mean(values, draws, 0.5)
+    expected = np.percentile(brute, [2.5, 97.5], method="nearest")
+    np.testing.assert_allclose([estimate.low, estimate.high], expected, rtol=1e-12)
+
+
+def test_the_worst_decile_of_a_normal_sample_is_its_closed_form():
+    values = np.random.default_rng(6).normal(0.0, 1.0, (10, 200))
+    estimate = worst_mean(values, draw_nested(10, 200, resamples=500))
+    assert estimate.low < 1.755 < estimate.high  # density at the 90 % quantile over 0.1
+    assert interquartile_mean(values, draw_nested(10, 200, resamples=500)).mean == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_performance_profile_is_the_distribution_function():
+    values = np.random.default_rng(7).uniform(0.0, 1.0, (5, 400))
+    profile = performance_profile(values, [-1.0, 0.25, 0.5, 2.0], draw_nested(5, 400, resamples=500))
+    assert [profile[0].mean, profile[3].mean] == [0.0, 1.0]
+    for estimate, truth in zip(profile[1:3], (0.25, 0.5), strict=True):
+        assert estimate.low < truth < estimate.high
+
+
+def test_the_probability_of_improvement_counts_wins_and_half_the_ties():
+    draws = draw_nested(2, 3)
+    values = np.array([[1.0, 2.0, 3.0], [0.0, 5.0, 5.0]])
+    assert probability_of_improvement(values, [2.0, 2.0, 2.0], draws).mean == pytest.approx(2.5 / 6.0)
+    assert probability_of_improvement(values, values, draws).mean == pytest.approx(0.5)
+    brute = np.mean([[(a < b) + 0.5 * (a == b) for a, b in zip(x, y, strict=True)] for x in values for y in values[:1]])
+    assert probability_of_improvement(values, values[:1], draws).mean == pytest.approx(brute)
+    with pytest.raises(ValueError, match="do not exist"):
+        probability_of_improvement(np.full((2, 3), math.nan), [2.0, 2.0, 2.0], draws)
+
+
+@pytest.mark.parametrize(("failures", "total"), [(0, 50), (3, 50), (50, 50)])
+def test_failures_come_with_their_exact_interval(failures, total):
+    counted = count_failures(np.arange(total).reshape(5, -1) < failures)
+    exact = binomtest(failures, total).proportion_ci(0.95, "exact")
+    assert (counted.count, counted.total) == (failures, total)
+    np.testing.assert_allclose([counted.low, counted.high], [exact.low, exact.high], atol=1e-12)
+
+
+def test_values_of_other_seeds_are_refused():
+    with pytest.raises(ValueError, match="seeds and scenarios"):
+        nested_mean(np.ones((3, 4)), draw_nested(4, 3))
+    with pytest.raises(ValueError, match="share"):
+        worst_mean(np.ones((2, 2)), draw_nested(2, 2), 0.0)

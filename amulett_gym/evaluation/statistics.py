@@ -5,6 +5,14 @@ same draws: a scenario is drawn for every policy or for none, so that what a sce
 ratio. The draws depend on the number of scenarios and on `SEED` only.
 
 NaN stands for a value that does not exist, such as the rise time of a step whose target was not reached.
+
+What was learned varies with the training seed, too. The values of several seeds have the shape (seeds, scenarios), and
+their resamples draw seeds and scenarios independently of one another, whole rows and columns: :func:`draw_nested`.
+The intervals of few seeds remain too narrow: where little but the seeds differs, those of 10 contain the truth about
+92 times in 100, those of 3 rather 82.
+
+Interquartile mean, performance profile and probability of improvement are those of Agarwal et al., "Deep reinforcement
+learning at the edge of the statistical precipice" (2021); here low values are good, as costs are.
 """
 
 from __future__ import annotations
@@ -13,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import beta
 
 RESAMPLES = 4000
 SEED = 0
@@ -103,12 +112,199 @@ def _ratio(numerator: NDArray[np.float64], denominator: NDArray[np.float64], wei
     if denominator.sum() == 0.0:
         return UNDEFINED
     point = float(numerator.sum() / denominator.sum())
-    if both.sum() < 2:
-        return Estimate(point, np.nan, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = (weights @ numerator) / (weights @ denominator)
-    # A resample may hold none of the scenarios that count: 0/0. What is left are numbers and infinities, among which
+    return _interval(point, ratios, int(both.sum()))
+
+
+@dataclass(frozen=True)
+class Draws:
+    """How often each training seed, shape (resamples, seeds), and each scenario occurs in each resample."""
+
+    seeds: Weights
+    scenarios: Weights
+
+
+@dataclass(frozen=True)
+class Count:
+    """How often something happened in so many cases, and the exact interval of its probability."""
+
+    count: int
+    total: int
+    low: float
+    high: float
+
+
+def draw_nested(seeds: int, scenarios: int, resamples: int = RESAMPLES, seed: int = SEED) -> Draws:
+    """Draw how often each training seed and each scenario occurs in each resample, independently of one another.
+
+    Scenarios are drawn as by :func:`draw_weights`, so that all contenders of a comparison share them. Of n seeds n - 1
+    are drawn, by which the resamples vary as much as means of n seeds do; drawing n of so few, they would vary less
+    (Rao and Wu, "Resampling inference with complex survey data", 1988).
+
+    Parameters
+    ----------
+    seeds, scenarios : int
+        How many there are, at least 1 each. One seed is no sample of seeds: then only scenarios are resampled.
+    resamples : int
+    seed : int
+        Seed of the draws.
+    """
+    some = np.random.default_rng(seed + 1).multinomial(max(seeds - 1, 1), np.full(seeds, 1.0 / seeds), size=resamples)
+    return Draws(some.astype(float), draw_weights(scenarios, resamples, seed))
+
+
+def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estimate:
+    """Return the sum of a learner's values over the sum of the reference's, seeds and scenarios resampled.
+
+    Parameters
+    ----------
+    values : array_like, shape (seeds, scenarios)
+    reference : array_like, shape (scenarios,) or (seeds, scenarios)
+        Of a law that was not learned, or of the same seeds: resampled with the same draws, in pairs.
+    draws : Draws
+        From :func:`draw_nested`.
+
+    Returns
+    -------
+    Estimate
+        Only cells in which both exist count. Undefined (NaN) if the reference's sum is zero.
+    """
+    cells = _cells(values, draws)
+    other = np.broadcast_to(np.asarray(reference, dtype=float), cells.shape)
+    both = ~(np.isnan(cells) | np.isnan(other))
+    cells, other = np.where(both, cells, 0.0), np.where(both, other, 0.0)
+    if other.sum() == 0.0:
+        return UNDEFINED
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = _nested_sum(cells, draws) / _nested_sum(other, draws)
+    return _interval(float(cells.sum() / other.sum()), ratios, int(both.sum()))
+
+
+def nested_mean(values: ArrayLike, draws: Draws) -> Estimate:
+    """Return the mean of the values that exist, shape (seeds, scenarios), seeds and scenarios resampled."""
+    cells = _cells(values, draws)
+    return nested_ratio(cells, np.where(np.isnan(cells), np.nan, 1.0), draws)
+
+
+def interquartile_mean(values: ArrayLike, draws: Draws) -> Estimate:
+    """Return the mean of the middle half of all values, seeds and scenarios resampled.
+
+    Neither a few very bad episodes nor a few very good ones decide it.
+
+    Parameters
+    ----------
+    values : array_like, shape (seeds, scenarios)
+    draws : Draws
+    """
+    return _mean_of_ranks(values, draws, 0.25, 0.75)
+
+
+def worst_mean(values: ArrayLike, draws: Draws, share: float = 0.1) -> Estimate:
+    """Return the mean of the largest values, by default of the worst decile of costs: their CVaR.
+
+    Parameters
+    ----------
+    values : array_like, shape (seeds, scenarios)
+    draws : Draws
+    share : float
+        Of all values, above 0 and at most 1.
+    """
+    if not 0.0 < share <= 1.0:
+        raise ValueError(f"share is {share}; it has to be above 0 and at most 1")
+    return _mean_of_ranks(values, draws, 1.0 - share, 1.0)
+
+
+def performance_profile(values: ArrayLike, thresholds: ArrayLike, draws: Draws) -> list[Estimate]:
+    """Return for each threshold the share of all values, shape (seeds, scenarios), that are at most that.
+
+    The intervals are those of each threshold alone. A value that does not exist is never low enough.
+    """
+    cells = _cells(values, draws)
+    return [nested_mean(np.where(cells <= threshold, 1.0, 0.0), draws) for threshold in np.asarray(thresholds)]
+
+
+def probability_of_improvement(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estimate:
+    """Return how likely a learner costs less than the reference in one and the same scenario; a tie counts half.
+
+    Parameters
+    ----------
+    values : array_like, shape (seeds, scenarios)
+    reference : array_like, shape (scenarios,) or (other seeds, scenarios)
+        Of several seeds each meets each of the learner's; they are taken as they are, only `values`' are resampled.
+    draws : Draws
+
+    Raises
+    ------
+    ValueError
+        If a value does not exist.
+    """
+    cells, other = _cells(values, draws), np.atleast_2d(np.asarray(reference, dtype=float))
+    if np.isnan(cells).any() or np.isnan(other).any():
+        raise ValueError("some values do not exist; whether they improve on others cannot be told")
+    wins = [np.where(cells == row, 0.5, np.where(cells < row, 1.0, 0.0)) for row in other]
+    return nested_mean(np.mean(wins, axis=0), draws)
+
+
+def count_failures(failed: ArrayLike) -> Count:
+    """Return how many episodes failed, with the exact (Clopper-Pearson) interval of the probability.
+
+    It takes all episodes as independent, which those of one seed or scenario need not be.
+    """
+    cases = np.asarray(failed, dtype=bool)
+    count, total, tail = int(cases.sum()), int(cases.size), 0.5 * (1.0 - LEVEL)
+    low = float(beta.ppf(tail, count, total - count + 1)) if count else 0.0
+    high = float(beta.ppf(1.0 - tail, count + 1, total - count)) if count < total else 1.0
+    return Count(count, total, low, high)
+
+
+def _cells(values: ArrayLike, draws: Draws) -> NDArray[np.float64]:
+    cells = np.atleast_2d(np.asarray(values, dtype=float))
+    shape = draws.seeds.shape[1], draws.scenarios.shape[1]
+    if cells.shape != shape:
+        raise ValueError(f"the values have the shape {cells.shape}; the draws are for {shape} seeds and scenarios")
+    return cells
+
+
+def _nested_sum(cells: NDArray[np.float64], draws: Draws) -> NDArray[np.float64]:
+    """Return the sum over each resample's seeds and scenarios, shape (resamples,)."""
+    return np.einsum("rs,rs->r", draws.seeds @ cells, draws.scenarios)
+
+
+def _mean_of_ranks(values: ArrayLike, draws: Draws, low: float, high: float) -> Estimate:
+    """Return the mean of the values whose rank, as a share of all, is between `low` and `high`.
+
+    The mean of the quantile function over that range: a value on its border counts in part.
+    """
+    cells = _cells(values, draws)
+    if np.isnan(cells).all():
+        return UNDEFINED
+    order = np.argsort(cells, axis=None, kind="stable")  # NaN come last, and weigh nothing
+    row, column = np.unravel_index(order, cells.shape)
+    ranked = cells.reshape(-1)[order]
+    exists = ~np.isnan(ranked)
+    ranked = np.where(exists, ranked, 0.0)
+
+    def of(weights: Weights) -> NDArray[np.float64]:
+        reached = np.cumsum(weights * exists, axis=1)
+        total = reached[:, -1:]
+        inside = np.clip(reached, low * total, high * total)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.diff(inside, axis=1, prepend=low * total) @ ranked / ((high - low) * total[:, 0])
+
+    point = float(of(np.ones((1, ranked.size)))[0])
+    few = max(1_000_000 // ranked.size, 1)  # resamples at a time: the weights of all would take gigabytes
+    starts = range(0, len(draws.seeds), few)
+    means = [of(draws.seeds[k : k + few, row] * draws.scenarios[k : k + few, column]) for k in starts]
+    return _interval(point, np.concatenate(means), int(exists.sum()))
+
+
+def _interval(point: float, resampled: NDArray[np.float64], count: int) -> Estimate:
+    """Return a number with its percentile interval; without one if it stands on fewer than two values."""
+    if count < 2:
+        return Estimate(point, np.nan, np.nan)
+    # A resample may hold none of the values that count: 0/0. What is left are numbers and infinities, among which
     # the nearest rank is a value that occurred; interpolating could give NaN.
     tail = 50.0 * (1.0 - LEVEL)
-    low, high = np.nanpercentile(ratios, [tail, 100.0 - tail], method="nearest")
+    low, high = np.nanpercentile(resampled, [tail, 100.0 - tail], method="nearest")
     return Estimate(point, float(low), float(high))
