@@ -1,7 +1,8 @@
 """Figures of trajectories, schedules and comparisons.
 
-The only module that draws with matplotlib. Figures are objects of their own (no pyplot, no global state): import this
-module only where something is drawn. Colours are those of Okabe and Ito, which colour-blind readers can tell apart.
+Drawn with matplotlib; `performance_figures` shares the style. Figures are objects of their own (no pyplot, no global
+state): import this module only where something is drawn. Colours are those of Okabe and Ito, which colour-blind readers
+can tell apart.
 """
 
 from __future__ import annotations
