@@ -93,13 +93,13 @@ class Trials:
             running &= report[:, FIRST_READING] == RUNNING
         return costs
 
-    def digest(self) -> str:
-        """Return a SHA-256 of all that costs hang on: device, scenarios, loop, rates, weights and divisors."""
+    def digest(self, scenarios: Devices | slice = slice(None)) -> str:
+        """Return a SHA-256 of all that the scenarios' costs hang on: device, rows, loop, rates, weights, divisors."""
         profile, suite = self.protocol.profile, self.protocol.suite
         costs = [sorted(DEFAULT_WEIGHTS.items()), sorted(divisors(profile, suite).items()), COST_CAP]
         loop = [self._laws, self.steps, self.protocol.agent_period, TENSION_RANGE]
         content = hashlib.sha256(profile.model_dump_json().encode())
-        content.update(np.ascontiguousarray(self.rows).tobytes())
+        content.update(np.ascontiguousarray(self.rows[scenarios]).tobytes())
         content.update(json.dumps([costs, loop, __version__]).encode())
         return content.hexdigest()
 

@@ -1,0 +1,396 @@
+"""The clairvoyant reference: per scenario, the best tension schedule that a search finds when it knows the future.
+
+It knows all: the setpoints and pushes to come, and the sensors' noise, since every trial replays the scenario with its
+own noise key. A schedule holds one tension setpoint for each agent step, within the range of the default actions. So it
+bounds from below what any policy of the same environment can cost, as far as the search goes; what acts at control rate
+or with other gains (`eq6`, `position-only`) plays by other rules and may cost less.
+
+The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
+them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
+random place, width and height, or as wide a window on another start's schedule. What a change does is over within a
+second or so; therefore each candidate has one change in every *segment* of time, and each change is judged by what its
+own segment then costs. The best changes of all segments together are the next schedules to try. Only what costs less as
+a whole is kept.
+
+``python -m amulett_gym.evaluation.clairvoyant --suite steps --episodes 50 --out runs/clairvoyant`` searches and tells
+how it stands beside the contenders.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.rollout import Actions, Trials, scheduled
+from amulett_gym.evaluation.runner import load_contender
+from amulett_gym.files import atomic_path
+from amulett_gym.laws.contenders import CONSTANT, parse_contender
+from amulett_gym.laws.policies import action_to_tension, tension_to_action
+
+VERSION = 1
+"""Of the search: one more whenever the same settings would find other schedules."""
+
+CONSTANTS = tuple(float(tension) for tension in range(4, 16))
+"""Constant tensions to start from [N]."""
+
+LAWS = ("eq6-held", "eq6-held-printed")
+"""Laws whose schedules are starts, beside those that the caller names."""
+
+SUCCESS = 0.15
+"""Share of changes that help at which their height stays as it is: fewer, and it falls."""
+
+Values = NDArray[np.float64]
+Devices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the search.
+
+    Attributes
+    ----------
+    rounds : int
+    shortest, longest : float
+        Between which the rise, the plateau and the fall of a change last [s].
+    segment : float
+        Length of a segment of time with one change [s].
+    """
+
+    rounds: int
+    shortest: float
+    longest: float
+    segment: float
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to search.
+
+    Attributes
+    ----------
+    stages : tuple of Stage
+        From coarse to fine.
+    restarts : int
+        Schedules of a scenario that are improved, from as many of its best starts.
+    candidates : int
+        Candidates of a round, for each of them.
+    height : float
+        Standard deviation of the first changes' heights [N].
+    seed : int
+    """
+
+    stages: tuple[Stage, ...] = (
+        Stage(40, 0.06, 0.6, 2.0),
+        Stage(40, 0.02, 0.3, 1.2),
+        Stage(40, 0.02, 0.12, 0.8),
+    )
+    restarts: int = 2
+    candidates: int = 24
+    height: float = 1.5
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What was found.
+
+    Attributes
+    ----------
+    costs : ndarray, shape (S,)
+        Of the best schedule of each scenario; minus its return.
+    actions : ndarray of float32, shape (S, steps)
+        That schedule, as actions of the default range.
+    restarts : ndarray, shape (restarts, S)
+        Cost that the search from each start came to.
+    starts : dict of str to ndarray, shape (S,)
+        Cost of each schedule to start from.
+    curve : ndarray, shape (rounds + 1, 2)
+        Episodes simulated for a scenario so far, and the mean cost then.
+    """
+
+    costs: Values
+    actions: Actions
+    restarts: Values
+    starts: dict[str, Values]
+    curve: Values
+
+    @property
+    def tensions(self) -> Values:
+        """The schedules as tension setpoints [N], shape (S, steps)."""
+        return action_to_tension(self.actions, TENSION_RANGE)
+
+
+def clairvoyant(
+    trials: Trials,
+    effort: Effort = Effort(),
+    laws: Sequence[str] = (),
+    folder: str | Path | None = None,
+    block: int = 25,
+    report: Callable[[int, int], None] = lambda done, count: None,
+) -> Reference:
+    """Search for each scenario's best schedule.
+
+    Parameters
+    ----------
+    trials : Trials
+    effort : Effort
+    laws : sequence of str
+        Contenders (names or folders) that act from outside the loop, beside `LAWS` and `CONSTANTS`: their schedules are
+        starts, too.
+    folder : str or Path, optional
+        Where what was found is kept, and found again if nothing has changed: scenarios, device, costs, starts, effort.
+    block : int
+        Scenarios that are searched at once, and kept in one file.
+    report : callable
+        Called with the number of scenarios that are done, and that of all.
+
+    Raises
+    ------
+    AmulettError
+        If a contender is unknown or acts in the loop, or a file cannot be read or written.
+    """
+    found = []
+    count = len(trials.rows)
+    schedules = start_schedules(trials, laws)
+    for first in range(0, count, block):
+        scenarios = np.arange(first, min(first + block, count))
+        own = {name: actions[scenarios] for name, actions in schedules.items()}
+        found.append(_kept(trials, scenarios, own, effort, folder))
+        report(int(scenarios[-1]) + 1, count)
+    shares = np.array([part.costs.size for part in found]) / count
+    return Reference(
+        costs=np.concatenate([part.costs for part in found]),
+        actions=np.concatenate([part.actions for part in found]),
+        restarts=np.concatenate([part.restarts for part in found], axis=1),
+        starts={name: np.concatenate([part.starts[name] for part in found]) for name in found[0].starts},
+        curve=np.tensordot(shares, np.array([part.curve for part in found]), axes=1),
+    )
+
+
+def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actions]:
+    """Return the schedules that the constants and laws come to in each scenario, by name, shape (S, steps)."""
+    count = len(trials.rows)
+    schedules = {}
+    for tension in CONSTANTS:
+        action = tension_to_action(np.array(tension), TENSION_RANGE).astype(np.float32)
+        schedules[f"{CONSTANT}{tension:g}"] = np.full((count, trials.steps), action)
+    for name in dict.fromkeys([*LAWS, *laws]):
+        if name not in schedules:
+            schedules[name] = _followed(trials, name)
+    return schedules
+
+
+def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort) -> Reference:
+    """Search for the best schedules of some scenarios, whose starts have the shape (len(scenarios), steps)."""
+    rng = np.random.default_rng(effort.seed)
+    names, donors = list(starts), np.array(list(starts.values()))
+    own = np.tile(scenarios, len(names))
+    traces = np.ascontiguousarray(trials.play(own, scheduled(donors.reshape(own.size, -1))).T)
+    start_costs = traces.sum(axis=1).reshape(len(names), scenarios.size)
+    order = np.argsort(start_costs, axis=0, kind="stable")[: effort.restarts]
+    chosen = (order * scenarios.size + np.arange(scenarios.size)).reshape(-1)
+    state = _State(
+        scenarios=np.tile(scenarios, len(order)),
+        actions=donors.reshape(own.size, -1)[chosen].astype(np.float64),
+        traces=traces[chosen],
+        donors=np.tile(donors, (1, len(order), 1)).astype(np.float64),
+        heights=np.full(chosen.size, 2.0 * effort.height / (TENSION_RANGE[1] - TENSION_RANGE[0])),
+    )
+    episodes = len(names)
+    shape = len(order), scenarios.size
+    curve = [[episodes, state.costs().reshape(shape).min(axis=0).mean()]]
+    for stage in effort.stages:
+        for _ in range(stage.rounds):
+            episodes += len(order) * _round(trials, state, stage, effort.candidates, rng)
+            curve.append([episodes, state.costs().reshape(shape).min(axis=0).mean()])
+    costs = state.costs().reshape(shape)
+    best = costs.argmin(axis=0)
+    actions = state.actions.reshape(*shape, -1)[best, np.arange(scenarios.size)].astype(np.float32)
+    return Reference(
+        costs=costs.min(axis=0),
+        actions=actions,
+        restarts=costs,
+        starts=dict(zip(names, start_costs, strict=True)),
+        curve=np.array(curve),
+    )
+
+
+@dataclass
+class _State:
+    """The schedules as they are now, one a row: N of them.
+
+    `actions` and `traces` (what each agent step costs) have the shape (N, steps), `donors` (K, N, steps).
+    """
+
+    scenarios: Devices
+    actions: Values
+    traces: Values
+    donors: Values
+    heights: Values
+
+    def costs(self) -> Values:
+        """Return what each schedule costs, shape (N,)."""
+        return self.traces.sum(axis=1)
+
+
+def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np.random.Generator) -> int:
+    """Try changes of all schedules, keep what costs less as a whole, and return the episodes tried for each."""
+    period = trials.protocol.agent_period
+    count, steps = state.actions.shape
+    length = max(round(stage.segment / period), 2)
+    offset = int(rng.integers(length))
+    segment = (np.arange(steps) + offset) // length
+    bounds = np.flatnonzero(np.diff(segment, prepend=-1))
+    window = _windows(steps, segment, offset, length, (count, candidates), stage, period, rng)
+    # Every third candidate goes towards another start's schedule, the others up or down.
+    height = state.heights[:, None, None] * rng.normal(size=(count, candidates, bounds.size))
+    changes = window * height[:, :, segment]
+    crossed = np.arange(0, candidates, 3)
+    donor = rng.integers(len(state.donors), size=(count, crossed.size, bounds.size))
+    given = state.donors[donor[:, :, segment], np.arange(count)[:, None, None], np.arange(steps)]
+    share = rng.uniform(size=(count, crossed.size, bounds.size))
+    changes[:, crossed] = window[:, crossed] * share[:, :, segment] * (given - state.actions[:, None])
+    tried = np.clip(state.actions[:, None] + changes, -1.0, 1.0)
+    traces = _play(trials, state, tried)
+    gains = np.add.reduceat(state.traces[:, None] - traces, bounds, axis=2)  # (count, candidates, segments)
+    blind = np.delete(gains, crossed, axis=1) if candidates > crossed.size else gains
+    state.heights *= np.exp((np.mean(blind > 0.0, axis=(1, 2)) - SUCCESS) / 2.0)
+    np.clip(state.heights, 0.002, 0.5, out=state.heights)
+    together = np.clip(state.actions[:, None] + _combined(changes, gains, segment), -1.0, 1.0)
+    tried, traces = (
+        np.concatenate([tried, together], axis=1),
+        np.concatenate([traces, _play(trials, state, together)], axis=1),
+    )
+    best, rows = traces.sum(axis=2).argmin(axis=1), np.arange(count)
+    better = traces[rows, best].sum(axis=1) < state.costs()
+    state.actions[better] = tried[rows, best][better]
+    state.traces[better] = traces[rows, best][better]
+    return tried.shape[1]
+
+
+def _windows(
+    steps: int,
+    segment: Devices,
+    offset: int,
+    length: int,
+    shape: tuple[int, int],
+    stage: Stage,
+    period: float,
+    rng: np.random.Generator,
+) -> Values:
+    """Return trapezoids of height 1, one in each segment, shape (*shape, steps)."""
+    segments = int(segment[-1]) + 1
+
+    def duration() -> Values:
+        shortest, longest = np.log(stage.shortest / period), np.log(stage.longest / period)
+        return np.exp(rng.uniform(shortest, longest, size=(*shape, segments)))[:, :, segment]
+
+    rise, hold, fall = duration(), duration(), duration()
+    begin = (rng.uniform(-0.25, 0.75, size=(*shape, segments)) * length)[:, :, segment]
+    since = np.arange(steps) + offset - length * segment - begin
+    return np.clip(np.minimum((since + 1.0) / rise, (rise + hold + fall - since) / fall), 0.0, 1.0)
+
+
+def _combined(changes: Values, gains: Values, segment: Devices) -> Values:
+    """Return schedules' changes put together from what was tried, segment by segment, shape (count, 6, steps).
+
+    The best of each segment; those of every other segment, in two halves, if neighbours spoil one another's gain; and
+    the mean of all, weighted by how much more than the average they gained, in which what is chance cancels: a step
+    along the estimated gradient, in three lengths.
+    """
+    count, candidates, _ = gains.shape
+    rows, steps = np.arange(count)[:, None], np.arange(segment.size)
+    best = gains.argmax(axis=1)
+    helps = np.take_along_axis(gains, best[:, None], axis=1)[:, 0] > 0.0
+    chosen = changes[rows, best[:, segment], steps] * helps[:, segment]
+    even = segment % 2 == 0
+    weights = gains - gains.mean(axis=1, keepdims=True)
+    weights /= np.maximum(np.abs(weights).sum(axis=1, keepdims=True), 1e-300)
+    slope = np.zeros_like(chosen)
+    for k in range(candidates):
+        slope += weights[:, k][:, segment] * changes[:, k]
+    return np.stack([chosen, np.where(even, chosen, 0.0), np.where(even, 0.0, chosen), slope, 3 * slope, 9 * slope], 1)
+
+
+def _play(trials: Trials, state: _State, actions: Values) -> Values:
+    """Return what each step of each schedule costs, shape as `actions`: (count, tried, steps)."""
+    flat = actions.reshape(-1, actions.shape[2]).astype(np.float32)
+    scenarios = np.repeat(state.scenarios, actions.shape[1])
+    return np.ascontiguousarray(trials.play(scenarios, scheduled(flat)).T).reshape(actions.shape)
+
+
+def _followed(trials: Trials, name: str) -> Actions:
+    """Return the actions that a law or policy chooses in each scenario, shape (S, steps)."""
+    contender = parse_contender(name)
+    if contender.policy_name is None:
+        raise AmulettError(f"'{name}' acts inside the loop and has no schedule at agent rate; it cannot be a start")
+    env = gym.make(ENV_IDS[1], disable_env_checker=True, **trials.protocol.keywords(contender))
+    policy = load_contender(contender, env)
+    steps: list[Actions] = []
+
+    def choose(step: int, observations: NDArray[np.float32]) -> Actions:
+        steps.append(np.clip(policy(observations)[:, 0], -1.0, 1.0))
+        return steps[-1]
+
+    trials.play(np.arange(len(trials.rows)), choose)
+    env.close()
+    return np.array(steps).T
+
+
+def _kept(
+    trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort, folder: str | Path | None
+) -> Reference:
+    """Read what was found for these scenarios, or search for it and keep it."""
+    if folder is None:
+        return improve(trials, scenarios, starts, effort)
+    content = hashlib.sha256(json.dumps([VERSION, asdict(effort), list(starts)]).encode())
+    content.update(trials.digest(scenarios).encode())
+    for actions in starts.values():
+        content.update(np.ascontiguousarray(actions).tobytes())
+    digest = content.hexdigest()
+    protocol = trials.protocol
+    place = f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
+    path = Path(folder) / protocol.profile.name / place
+    found = _read(path, digest)
+    if found is None:
+        found = improve(trials, scenarios, starts, effort)
+        _write(path, digest, found)
+    return found
+
+
+def _write(path: Path, digest: str, found: Reference) -> None:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            sha256=np.array(digest),
+            names=np.array(list(found.starts)),
+            starts=np.array(list(found.starts.values())),
+            **{key: getattr(found, key) for key in ("costs", "actions", "restarts", "curve")},
+        )
+
+
+def _read(path: Path, digest: str) -> Reference | None:
+    """Return what a file holds, None if it is not there or was found for something else."""
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            if str(arrays["sha256"]) != digest:
+                return None
+            return Reference(
+                starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
+                **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise AmulettError(f"cannot read clairvoyant schedules '{path}': {error}; delete it to search again") from error
