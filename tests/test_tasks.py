@@ -16,7 +16,15 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks import hashes
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, unpack
-from amulett_gym.tasks.suites import CONTACT_SUITES, SPLITS, WORKSPACE_DEG, episode_keys, sample, suite_names
+from amulett_gym.tasks.suites import (
+    CONTACT_SUITES,
+    SPLITS,
+    WORKSPACE_DEG,
+    episode_keys,
+    families_of,
+    sample,
+    suite_names,
+)
 
 TESTBED = load_profile("testbed")
 DRAWN = [suite for suite in suite_names() if suite != "paper-step"]
@@ -46,6 +54,12 @@ def test_scenarios_replay_exactly_from_json(suite, split):
     for row in sample(suite, keys(40), TESTBED, split=split):
         scenario = Scenario.model_validate_json(unpack(row).model_dump_json())
         assert pack(scenario, TESTBED)[0] == row
+
+
+@pytest.mark.parametrize("suite", suite_names())
+def test_every_scenario_knows_its_family(suite):
+    drawn = {unpack(row).family for row in sample(suite, keys(100), TESTBED)}
+    assert drawn == set(families_of(suite))
 
 
 def test_splits_and_episodes_have_keys_of_their_own():
@@ -100,6 +114,7 @@ def test_mixed_draws_every_family_equally_often():
         "steps": (rows["move_count"] > 0) & (rows["move_duration"][:, 0] == 0),
     }
     for name, drawn in share.items():
+        assert {unpack(row).family for row in rows[drawn][:50]} == {name}
         assert drawn.mean() == pytest.approx((0.75 if name == "contact" else 1.0) / 7, rel=0.12), name
     varied = ("spring_biceps_factor", "pulley_triceps_factor", "damping_factor", "encoder_bias", "initial_tension")
     assert all(len(np.unique(rows[name])) > 50 for name in varied)
@@ -183,6 +198,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
         device={"spring_biceps": 0.87, "encoder_bias_deg": -0.123, "slider_bias_triceps": 1e-5, "jitter": 0.07},
         obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0, "damping": 0.1},
         payload={"mass": mass, "arm": 0.2} if mass > 0 else None,
+        family="contact" if mass > 0 else None,
         noise_seed=3,
     )
     assert unpack(pack(scenario, TESTBED)[0]) == scenario
@@ -203,6 +219,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
         ({"pushes": [{"time": 0.0, "duration": 0.3, "torque": 1.0, "rise": 0.2}]}, "no room to rise and fall"),
         ({"shake": {"rms": -1.0, "bandwidth": 1.0, "duration": 1.0}}, "'shake.rms' is -1.0"),
         ({"wave": {"amplitude_deg": 1.0, "frequenzy": 1.0, "duration": 1.0}}, "did you mean 'frequency'"),
+        ({"family": "hold-pusch"}, "'family' is 'hold-pusch'"),
         ({"device": {"jitter": 1.0}}, "'device.jitter' is 1.0"),
         ({"obstacle": {"angle_deg": 3.0, "stiffness": float("inf")}}, "finite"),
     ],

@@ -7,7 +7,7 @@ a snapshot. Angles are radians here, forces N, lengths m, times s.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +106,10 @@ Orientation = Literal["profile", "horizontal", "vertical"]
 ORIENTATIONS: tuple[Orientation, ...] = ("profile", "horizontal", "vertical")
 """What a packed scenario's `orientation` stands for; ``"profile"`` leaves it to the profile."""
 
+Family = Literal["paper-step", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload"]
+FAMILIES: tuple[Family | None, ...] = (None, *get_args(Family))
+"""What a packed scenario's `family` stands for: the suite whose task it is, by which its reward is scaled."""
+
 _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("initial_angle", "f8"),
     ("initial_tension", "f8"),
@@ -147,6 +151,7 @@ _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("slider_bias_triceps", "f8"),
     ("late_probability", "f8"),
     ("measure_from", "f8"),
+    ("family", "i8"),  # for the reward; the simulation does not read it
     ("noise_key", "u8"),
 ]
 

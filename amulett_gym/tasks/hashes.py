@@ -19,8 +19,8 @@ from amulett_gym.config import Profile, load_profile
 from amulett_gym.files import write_json
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
-VERSION = 1
-"""Of what the suites draw."""
+VERSION = 2
+"""Of what the suites draw, and of how it is packed."""
 
 PROFILE = "testbed"
 SCENARIOS = 1000

@@ -19,10 +19,12 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_text
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
+    FAMILIES,
     MAX_MOVES,
     MAX_PUSHES,
     ORIENTATIONS,
     SCENARIO,
+    Family,
     Orientation,
     load_arm,
 )
@@ -140,6 +142,9 @@ class Scenario(Group):
         ge=0,
         description="metrics, rewards and setpoint steps count from here [s]; before, the arm settles",
     )
+    family: Family | None = Field(
+        default=None, description="suite by whose costs the reward is scaled; null: that of the environment"
+    )
     noise_seed: int | None = Field(
         default=None, ge=0, lt=2**64, description="key of the sensor noise; null: drawn by the environment"
     )
@@ -229,6 +234,7 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["obstacle_stiffness"] = scenario.obstacle.stiffness
         row["obstacle_damping"] = scenario.obstacle.damping
     row["measure_from"] = scenario.measure_from
+    row["family"] = FAMILIES.index(scenario.family)
     if scenario.noise_seed is not None:
         row["noise_key"] = scenario.noise_seed
     if scenario.obstacle is not None:
@@ -292,6 +298,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
             jitter=float(row["late_probability"]),
         ),
         measure_from=float(row["measure_from"]),
+        family=FAMILIES[int(row["family"])],
         noise_seed=int(row["noise_key"]),
     )
 

@@ -23,7 +23,7 @@ from amulett_gym.config import Profile
 from amulett_gym.errors import unknown
 from amulett_gym.model.plant import GRAVITY, static_torque
 from amulett_gym.model.spring import build_tables
-from amulett_gym.simulation.layout import MAX_MOVES, MAX_PUSHES, ORIENTATIONS, load_arm
+from amulett_gym.simulation.layout import FAMILIES, MAX_MOVES, MAX_PUSHES, ORIENTATIONS, load_arm
 from amulett_gym.simulation.random import derive_keys, uniform
 from amulett_gym.tasks.scenario import empty_rows, most_damping, most_stiffness
 
@@ -53,6 +53,7 @@ CONTACT_SUITES = ("contact", "mixed")
 
 _SCENARIO_STREAM, _NOISE_STREAM = 0, 1
 _PAPER_STEP, _STEPS, _REACH, _TRACK, _PICK_PLACE, _CONTACT, _HOLD_PUSH, _PAYLOAD, _MIXED = range(len(SUITES))
+_FIRST_FAMILY = FAMILIES.index("paper-step")
 _HORIZONTAL, _VERTICAL = (ORIENTATIONS.index(plane) for plane in ("horizontal", "vertical"))
 
 # Which draw is for what: the first ones, then four of each move or push, then the device.
@@ -146,6 +147,11 @@ def suite_names() -> list[str]:
     return list(SUITES)
 
 
+def families_of(suite: str) -> list[str]:
+    """Return the families that a suite draws from: itself, or those that are mixed."""
+    return list(SUITES)[_STEPS:_MIXED] if suite == "mixed" else [suite]
+
+
 def describe_suite(suite: str) -> str:
     """Return a suite's one-line description."""
     return SUITES[suite]
@@ -161,6 +167,7 @@ def _fill(
         if suite == _MIXED:
             family = _STEPS + min(int(draw[_FAMILY] * (_MIXED - _STEPS)), _MIXED - _STEPS - 1)
             _vary_device(row, draw[_DEVICE:], shifted)
+        row.family = _FIRST_FAMILY + family
         weakest = min(row.spring_biceps_factor, row.spring_triceps_factor)
         spare = max((weakest * max_force - row.initial_tension) * radius, 0.0)
         if family == _PAPER_STEP:
