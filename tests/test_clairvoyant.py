@@ -118,3 +118,16 @@ def test_a_damaged_file_is_named(trials, tmp_path):
 def test_what_acts_in_the_loop_is_no_start(trials):
     with pytest.raises(AmulettError, match="acts inside the loop"):
         start_schedules(trials, ["position-only"])
+
+
+def test_the_command_tells_how_all_stand(tmp_path, monkeypatch, capsys):
+    short = replace(EFFORT, stages=(Stage(2, 0.1, 0.5, 2.0),))
+    search = module.clairvoyant
+    monkeypatch.setattr(module, "clairvoyant", lambda trials, **given: search(trials, short, **given))
+    module.main(["--suite", "reach", "--episodes", "2", "--out", str(tmp_path)])
+    lines = capsys.readouterr().out.splitlines()
+    costs = {line[2:46].strip(): float(line[46:]) for line in lines if line.startswith("  ") and line[46:].strip()}
+    eq6 = evaluate(["eq6"], suite="reach", episodes=2).values["eq6"]["return"].mean()
+    assert costs["eq6 (in the loop)"] == pytest.approx(-eq6, abs=1e-4)
+    assert costs["clairvoyant"] <= costs["best start of each scenario"] <= costs["eq6-held"]
+    assert len(list(tmp_path.rglob("reach-held-out-0.npz"))) == 1

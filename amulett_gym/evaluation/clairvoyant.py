@@ -18,6 +18,7 @@ how it stands beside the contenders.
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import zipfile
@@ -30,10 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
+from amulett_gym.config import load_profile
 from amulett_gym.envs.episodes import TENSION_RANGE
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.rollout import Actions, Trials, scheduled
-from amulett_gym.evaluation.runner import load_contender
+from amulett_gym.evaluation.rollout import Actions, Trials, held, scheduled
+from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.files import atomic_path
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.laws.policies import action_to_tension, tension_to_action
@@ -394,3 +396,48 @@ def _read(path: Path, digest: str) -> Reference | None:
             )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise AmulettError(f"cannot read clairvoyant schedules '{path}': {error}; delete it to search again") from error
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Search by the command line's words, and tell the mean costs of contenders and reference."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--suite", nargs="+", default=["steps"])
+    parser.add_argument("--split", default="held-out")
+    parser.add_argument("--profile", default="testbed")
+    parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i")
+    parser.add_argument("--policies", nargs="*", default=[], metavar="NAME", help="whose schedules are starts, too")
+    parser.add_argument("--out", metavar="DIR", help="what is found is kept there, and not searched for again")
+    arguments = parser.parse_args(argv)
+    for suite in arguments.suite:
+        protocol = Protocol(
+            load_profile(arguments.profile), suite, arguments.split, episodes=arguments.episodes, seed=arguments.seed
+        )
+        found = clairvoyant(Trials(protocol), laws=arguments.policies, folder=arguments.out)
+        print(f"\n{suite}, {arguments.split}, {arguments.episodes} scenarios from seed {arguments.seed}: mean cost")
+        for name, cost in _mean_costs(protocol, found).items():
+            print(f"  {name:44} {cost:.4f}", flush=True)
+        print("  found after so many episodes a scenario:")
+        for episodes, cost in found.curve[:: max(len(found.curve) // 12, 1)]:
+            print(f"    {episodes:6.0f} {cost:.4f}")
+
+
+def _mean_costs(protocol: Protocol, found: Reference) -> dict[str, float]:
+    """Return the mean costs of what acts in the loop, of the starts, and of what was found, by name."""
+    every, action = np.arange(protocol.episodes), held(np.full(protocol.episodes, 10.0))
+    constants = {name: costs.mean() for name, costs in found.starts.items() if name.startswith(CONSTANT)}
+    best = min(constants, key=lambda name: constants[name])
+    named = {
+        "position-only (in the loop)": Trials(protocol, control="position-only").play(every, action).sum(axis=0).mean(),
+        "eq6 (in the loop)": Trials(protocol, tension_law="eq6").play(every, action).sum(axis=0).mean(),
+        f"best constant here ({best})": constants[best],
+    }
+    named |= {name: costs.mean() for name, costs in found.starts.items() if name not in constants}
+    named["best start of each scenario"] = np.min(list(found.starts.values()), axis=0).mean()
+    named |= {f"clairvoyant, search {k + 1} alone": costs.mean() for k, costs in enumerate(found.restarts)}
+    named["clairvoyant"] = found.costs.mean()
+    return {name: float(cost) for name, cost in named.items()}
+
+
+if __name__ == "__main__":
+    main()
