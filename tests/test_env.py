@@ -14,12 +14,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import amulett_gym
+from amulett_gym.config import load_profile, profile_names
 from amulett_gym.control.variable_stiffness import scaling_factor
-from amulett_gym.envs.reward import COST_CAP
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, DEFAULT_WEIGHTS, divisors, prices
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
-from amulett_gym.tasks.suites import suite_names
+from amulett_gym.simulation.layout import FAMILIES
+from amulett_gym.tasks.suites import families_of, suite_names
 
 SCALING, TENSION = amulett_gym.ENV_IDS
 MID = np.zeros(1, dtype=np.float32)
@@ -96,9 +98,48 @@ def test_eq6_returns_about_minus_one():
         assert np.mean(returns) == pytest.approx(-1.0, abs=0.15)
 
 
-def test_returns_are_the_weighted_metrics_over_the_divisors():
-    from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+@pytest.mark.parametrize("profile", profile_names())
+def test_eq6_returns_about_minus_one_in_each_family_of_a_mix(profile):
+    env = gym.make_vec(SCALING, num_envs=1400, profile=profile, suite="mixed", tension_law="eq6")
+    env.reset(seed=0)
+    families = np.array([scenario.family for scenario in env.scenarios])
+    returns = sum(env.step(np.zeros((1400, 1), dtype=np.float32))[1] for _ in range(500))
+    for family in families_of("mixed"):
+        assert np.mean(returns[families == family]) == pytest.approx(-1.0, abs=0.2), family
 
+
+def test_a_saved_scenario_of_a_mix_replays_with_its_rewards():
+    env = gym.make(SCALING, suite="mixed").unwrapped
+    met = set()
+    for seed in range(30):
+        env.reset(seed=seed)
+        scenario = json.loads(env.scenario.model_dump_json())
+        first = [env.step(MID)[1] for _ in range(60)]
+        for family, same in ((scenario["family"], True), (None, False)):
+            env.reset(seed=99, options={"scenario": {**scenario, "family": family}})
+            assert ([env.step(MID)[1] for _ in range(60)] == first) is same
+        met.add(scenario["family"])
+    assert met == set(families_of("mixed"))
+
+
+def test_a_family_is_charged_at_its_own_prices_wherever_it_is_met():
+    own, given = gym.make(SCALING, suite="hold-push").unwrapped, gym.make(SCALING, suite="steps").unwrapped
+    own.reset(seed=0)
+    given.reset(seed=1, options={"scenario": own.scenario})
+    assert [own.step(MID)[1] for _ in range(60)] == [given.step(MID)[1] for _ in range(60)]
+
+
+def test_weights_of_ones_own_hold_in_every_family():
+    testbed = load_profile("testbed")
+    default, own = prices(testbed, "mixed"), prices(testbed, "mixed", {"contact": 0.6})
+    contact = COST_TERMS.index("contact")
+    assert np.delete(own, contact, axis=1).tolist() == np.delete(default, contact, axis=1).tolist()
+    for family in families_of("mixed"):
+        paid = divisors(testbed, "mixed", family)["contact"]
+        assert own[FAMILIES.index(family), contact] == 0.6 / paid
+
+
+def test_returns_are_the_weighted_metrics_over_the_divisors():
     env = gym.make(TENSION, suite="reach").unwrapped
     env.reset(seed=1)
     total = sum(env.step(MID)[1] for _ in range(300))

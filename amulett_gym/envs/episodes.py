@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs import transition
-from amulett_gym.envs.reward import COST_CAP, check_weights, divisors
+from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, Control
@@ -87,10 +87,13 @@ class Episodes:
         self._settings["cost_cap"] = COST_CAP
         self._settings["observation_noise"] = observation_noise
         self._settings["horizon"] = failure_horizon
-        weights, paid = check_weights(reward_weights, suite), divisors(self.profile, suite)
-        squared_degrees = {"position": np.degrees(1.0) ** 2, "effort": np.degrees(1.0) ** 2}
-        for term, weight in weights.items():
-            self._settings[term] = weight / paid[term] * squared_degrees.get(term, 1.0)
+        squared_degrees = np.degrees(1.0) ** 2
+        self._settings["prices"] = prices(self.profile, suite, reward_weights) * [
+            squared_degrees,
+            squared_degrees,
+            1,
+            1,
+        ]
         simulation = self.simulation
         self._arrays = simulation.parameters, self._settings, simulation.scenarios, simulation.states
         self._keys = np.zeros(num_devices, dtype=np.uint64)

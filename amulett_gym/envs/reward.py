@@ -1,7 +1,10 @@
-"""The reward: minus what an agent step cost, in units of what eq. 6 pays for a whole episode.
+"""The reward: minus what an agent step cost, in units of what eq. 6 pays for a whole episode of the same family.
+
+What families cost differs by a factor of 100 and more: holding against pushes is cheap beside stepping. So each
+scenario of a mix, too, is charged by its own family, and all of them count alike.
 
 The divisors are versioned data, frozen before any training: the mean cost of eq. 6 (`text`, inside the loop) over 400
-training scenarios of 10 s. ``python -m amulett_gym.evaluation.divisors`` measures them again.
+training scenarios of 10 s, or about 400 a family. ``python -m amulett_gym.evaluation.divisors`` measures them again.
 """
 
 from __future__ import annotations
@@ -10,9 +13,14 @@ import json
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import CONTACT_SUITES
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
@@ -31,17 +39,31 @@ COST_CAP = 1.0
 
 
 @cache
-def _table() -> dict[str, dict[str, dict[str, float]]]:
-    return json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text())["divisors"]
+def _frozen() -> dict[str, Any]:
+    content: dict[str, Any] = json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text())
+    return content
 
 
-def divisors(profile: Profile, suite: str) -> dict[str, float]:
+def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[str, float]:
     """Return what eq. 6 pays per episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
 
     An own profile is charged by the shipped profile that it is based on; one without a base by the testbed.
+
+    Parameters
+    ----------
+    profile : Profile
+    suite : str
+    family : str, optional
+        For a scenario of that family: as the mixed suite draws it, or else as the family's own suite does. None: for
+        any scenario of the suite.
     """
-    table = _table()
-    return table[profile.root if profile.root in table else "testbed"][suite]
+    by_suite = _frozen()["divisors"]
+    owner = profile.root if profile.root in by_suite else "testbed"
+    in_mixed: dict[str, dict[str, float]] = _frozen()["divisors_in_mixed"][owner]
+    if suite == "mixed" and family in in_mixed:
+        return in_mixed[family]
+    found: dict[str, float] = by_suite[owner][family or suite]
+    return found
 
 
 def default_weights(suite: str) -> dict[str, float]:
@@ -49,8 +71,36 @@ def default_weights(suite: str) -> dict[str, float]:
     return dict(CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS)
 
 
-def check_weights(weights: Mapping[str, float] | None, suite: str = "steps") -> dict[str, float]:
-    """Return all weights, the given ones in the place of the suite's defaults.
+def prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = None) -> NDArray[np.float64]:
+    """Return what a unit of each cost term takes off the reward in an environment of a suite: weight / divisor.
+
+    Parameters
+    ----------
+    profile : Profile
+    suite : str
+    weights : mapping of str to float, optional
+        In the place of the families' default weights.
+
+    Returns
+    -------
+    ndarray, shape (len(FAMILIES), len(COST_TERMS))
+        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s.
+
+    Raises
+    ------
+    AmulettError
+        If a weight is wrong.
+    """
+    check_weights(weights)
+    table = np.empty((len(FAMILIES), len(COST_TERMS)))
+    for row, family in zip(table, FAMILIES, strict=True):
+        weighed, paid = {**default_weights(family or suite), **(weights or {})}, divisors(profile, suite, family)
+        row[:] = [weighed[term] / paid[term] for term in COST_TERMS]
+    return table
+
+
+def check_weights(weights: Mapping[str, float] | None) -> None:
+    """Refuse weights that no reward can have.
 
     Raises
     ------
@@ -64,4 +114,3 @@ def check_weights(weights: Mapping[str, float] | None, suite: str = "steps") -> 
             raise unknown("reward weight", str(name), DEFAULT_WEIGHTS)
         if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight <= MOST_WEIGHT:
             raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a number from 0 to {MOST_WEIGHT:g}")
-    return {**default_weights(suite), **(weights or {})}

@@ -291,14 +291,15 @@ class ScalingEnv(TensionEnv):
     ## Rewards
 
     Minus the weighted costs of the step, each divided by what eq. 6 pays in a whole episode of the same suite, so that
-    the return of eq. 6 is about -1:
+    the return of eq. 6 is about -1. In `mixed`, each scenario is charged by the weights and divisors of its family, so
+    that all families count alike:
 
     - `position` (0.5): position ISE (eq. 7), by the true angle;
     - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without what a jump of the position
       setpoint alone contributes: that is alike under every law, and would hide what the laws do;
     - `tension` (0.05): tension ISE of the antagonist, by the true force;
-    - `contact` (0): square of the contact torque; in the suites with obstacles, `contact` and `mixed`, it weighs 0.3,
-      `position` 0.35 and `effort` 0.3;
+    - `contact` (0): square of the contact torque; in the family with obstacles, `contact`, it weighs 0.3, `position`
+      0.35 and `effort` 0.3;
     - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
 
     A step that does not fail costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]`
@@ -331,7 +332,8 @@ class ScalingEnv(TensionEnv):
     At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N). The suites'
     tasks begin after 0.5 s, and so do rewards and metrics: time to settle at the tension that the agent prefers.
     `reset(seed=...)` fixes the scenarios and the noise of this and all later episodes. `reset(options={"scenario": s})`
-    plays a scenario of your own (a mapping, a JSON file or a :class:`amulett_gym.tasks.scenario.Scenario`).
+    plays a scenario of your own (a mapping, a JSON file or a :class:`amulett_gym.tasks.scenario.Scenario`). Its key
+    `family` names the suite by whose costs it is charged, as with every drawn scenario; without it, the environment's.
 
     ## Episode End
 
@@ -349,7 +351,7 @@ class ScalingEnv(TensionEnv):
     |                     |                   | `"shifted"`: outside their ranges                                    |
     | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
-    | `reward_weights`    | None              | mapping of term to weight, for those that differ from the defaults   |
+    | `reward_weights`    | None              | mapping of term to weight, in the place of each family's default     |
     | `action_range`      | None              | what action -1 and +1 stand for                                      |
     | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |

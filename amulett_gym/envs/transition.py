@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from amulett_gym.compiled import compiled
-from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.reward import COST_TERMS, TERMS
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
-from amulett_gym.simulation.layout import LANES, MOTION_BLOCK, RUNNING
+from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise
 
 SETTINGS = np.dtype(
@@ -18,10 +18,7 @@ SETTINGS = np.dtype(
         ("horizon", "f8"),  # agent steps in an episode
         ("low", "f8"),  # tension setpoint at action -1 [N]
         ("high", "f8"),  # and at +1 [N]
-        ("position", "f8"),  # weight / divisor of each term, per rad2 s, rad2/s, N2 s, N2 m2 s
-        ("effort", "f8"),
-        ("tension", "f8"),
-        ("contact", "f8"),
+        ("prices", "f8", (len(FAMILIES), len(COST_TERMS))),  # `reward.prices`, per rad2 s, rad2/s, N2 s, N2 m2 s
         ("cost_cap", "f8"),
         ("observation_noise", "f8"),
     ],
@@ -132,7 +129,7 @@ def step_block(p, e, c, s, m, first, end, actions, observations, report):
     for device in range(first, end):
         i = device - first
         observe(p, e, c, s, i, observations[device])
-        pay(e, s, i, report[device])
+        pay(e, c, s, i, report[device])
         tell(p, s, i, report[device])
 
 
@@ -178,14 +175,15 @@ def observe(p, e, c, s, i, row):
 
 
 @compiled
-def pay(e, s, i, report):
-    """Report the reward for what happened since the last call, and its terms."""
+def pay(e, c, s, i, report):
+    """Report the reward for what happened since the last call, and its terms, by the prices of the device's family."""
     terms = report[FIRST_TERM:FIRST_READING]
+    family = c.family[i]
     effort = s.effort_biceps[i] + s.effort_triceps[i]
-    terms[0] = -e.position * (s.position_ise[i] - s.paid_position[i])
-    terms[1] = -e.effort * (effort - s.paid_effort[i])
-    terms[2] = -e.tension * (s.tension_ise[i] - s.paid_tension[i])
-    terms[3] = -e.contact * (s.contact_ise[i] - s.paid_contact[i])
+    terms[0] = -e.prices[family, 0] * (s.position_ise[i] - s.paid_position[i])
+    terms[1] = -e.prices[family, 1] * (effort - s.paid_effort[i])
+    terms[2] = -e.prices[family, 2] * (s.tension_ise[i] - s.paid_tension[i])
+    terms[3] = -e.prices[family, 3] * (s.contact_ise[i] - s.paid_contact[i])
     terms[4] = 0.0
     s.paid_position[i] = s.position_ise[i]
     s.paid_effort[i] = effort

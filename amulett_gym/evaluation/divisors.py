@@ -1,4 +1,4 @@
-"""Measure the reward's divisors: what eq. 6 pays per episode of each suite, on each shipped profile.
+"""Measure the reward's divisors: what eq. 6 pays per episode of each suite and family, on each shipped profile.
 
 ``python -m amulett_gym.evaluation.divisors`` prints them; ``--write`` replaces the frozen file in the package. Changing
 them changes every reward, so it goes with a new version of the environments.
@@ -10,43 +10,62 @@ import argparse
 import json
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from amulett_gym.config import load_profile, profile_names
 from amulett_gym.files import write_json
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.tasks.suites import episode_keys, sample, suite_names
+from amulett_gym.simulation.layout import FAMILIES
+from amulett_gym.tasks.suites import episode_keys, families_of, sample, suite_names
 
 EPISODES = 400
+"""A family; about as many where families are mixed."""
+
 DURATION = 10.0  # [s]
 NO_CONTACT = 0.1
 """Divisor of the contact term where eq. 6 meets no obstacle: 0.1 N2 m2 s, a tenth of a second at 1 N m."""
 
 
-def measure() -> dict[str, dict[str, dict[str, float]]]:
-    """Return eq. 6's mean cost per episode: profile -> suite -> term."""
-    return {name: {suite: _measure(name, suite) for suite in suite_names()} for name in profile_names()}
-
-
-def _measure(profile_name: str, suite: str) -> dict[str, float]:
-    profile = load_profile(profile_name)
-    keys = episode_keys(np.arange(EPISODES, dtype=np.uint64), np.zeros(EPISODES, dtype=np.uint64), "train")
-    simulation = Simulation(profile, EPISODES, tension_law="eq6")
-    simulation.reset(sample(suite, keys, profile))
-    simulation.advance(round(DURATION / simulation.control_period))
-
-    def mean(*metrics: str) -> float:
-        return float(sum(simulation.read(metric).mean() for metric in metrics))
-
-    squared_degrees = float(np.degrees(1.0) ** 2)
-    costs = {
-        "position": mean("position_ise") * squared_degrees,
-        "effort": mean("effort_biceps", "effort_triceps") * squared_degrees,
-        "tension": mean("tension_ise"),
-        "contact": mean("contact_ise") or NO_CONTACT,
+def measure() -> dict[str, Any]:
+    """Return eq. 6's mean cost per episode: ``divisors``, profile -> suite -> term, and those of mixed families."""
+    found = {name: {suite: _measure(name, suite) for suite in suite_names()} for name in profile_names()}
+    return {
+        "divisors": {name: {suite: costs[None] for suite, costs in suites.items()} for name, suites in found.items()},
+        "divisors_in_mixed": {
+            name: {family: suites["mixed"][family] for family in families_of("mixed")} for name, suites in found.items()
+        },
     }
-    return {term: float(f"{cost:.4g}") for term, cost in costs.items()}
+
+
+def _measure(profile_name: str, suite: str) -> dict[str | None, dict[str, float]]:
+    """Return the mean costs of each of a suite's families, and under None those of all its scenarios."""
+    profile = load_profile(profile_name)
+    count = EPISODES * len(families_of(suite))
+    keys = episode_keys(np.arange(count, dtype=np.uint64), np.zeros(count, dtype=np.uint64), "train")
+    rows = sample(suite, keys, profile)
+    simulation = Simulation(profile, count, tension_law="eq6")
+    simulation.reset(rows)
+    simulation.advance(round(DURATION / simulation.control_period))
+    squared_degrees = float(np.degrees(1.0) ** 2)
+
+    def costs(chosen: Any) -> dict[str, float]:
+        def mean(*metrics: str) -> float:
+            return float(sum(simulation.read(metric)[chosen].mean() for metric in metrics))
+
+        means = {
+            "position": mean("position_ise") * squared_degrees,
+            "effort": mean("effort_biceps", "effort_triceps") * squared_degrees,
+            "tension": mean("tension_ise"),
+            "contact": mean("contact_ise") or NO_CONTACT,
+        }
+        return {term: float(f"{cost:.4g}") for term, cost in means.items()}
+
+    found: dict[str | None, dict[str, float]] = {None: costs(slice(None))}
+    for family in families_of(suite):
+        found[family] = costs(rows["family"] == FAMILIES.index(family))
+    return found
 
 
 def main() -> None:
@@ -55,9 +74,9 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="replace the frozen file in the package")
     arguments = parser.parse_args()
     content = {
-        "version": 1,
+        "version": 2,
         "units": {"position": "deg2 s", "effort": "deg2/s", "tension": "N2 s", "contact": "N2 m2 s"},
-        "divisors": measure(),
+        **measure(),
     }
     if arguments.write:
         with resources.as_file(resources.files("amulett_gym") / "envs" / "divisors.json") as path:
