@@ -5,8 +5,8 @@
     python -m benchmarks.constants
     python -m benchmarks.constants --split shifted --scenarios 200 --profile simulation
 
-A constant's cost is that of the reward: position, effort, tension and, in suites with obstacles, contact, each in units
-of what eq. 6 pays there. All constants meet the same scenarios.
+A constant's cost is that of the reward: position, effort, tension and, where there are obstacles, contact, each in
+units of what eq. 6 pays in the same family. All constants meet the same scenarios.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
-from amulett_gym.envs.reward import default_weights, divisors
+from amulett_gym.envs.reward import COST_TERMS, prices
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import RUNNING
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
@@ -54,9 +54,8 @@ def costs(profile: Profile, suite: str, split: str, tension: float | None, count
         "tension": simulation.read("tension_ise"),
         "contact": simulation.read("contact_ise"),
     }
-    per_unit = divisors(profile, suite)
-    total = sum(weight * paid[term] / per_unit[term] for term, weight in default_weights(suite).items())
-    return np.asarray(total)
+    price = prices(profile, suite)[rows["family"]]
+    return np.sum([price[:, k] * paid[term] for k, term in enumerate(COST_TERMS)], axis=0)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

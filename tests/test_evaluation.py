@@ -21,6 +21,7 @@ from amulett_gym.evaluation.report import write_report
 from amulett_gym.evaluation.results import in_words, number, pretty, span, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.tasks.suites import families_of
 
 FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 135.0}}
 """A device on which eq. 6 fails now and then, and constant:10 never."""
@@ -142,6 +143,16 @@ def test_the_cost_is_the_weighted_sum_of_raw_metrics_over_the_frozen_divisors(re
         np.testing.assert_allclose(values["cost"], expected, rtol=1e-12)
         terms = sum(values[f"cost_{term}"] for term in ("position", "effort", "tension", "contact", "failure"))
         np.testing.assert_allclose(values["cost"], terms, rtol=1e-12)
+
+
+def test_in_a_mix_the_cost_is_that_of_the_scenarios_family_as_in_the_reward():
+    mixed = evaluate(["constant:10"], suite="mixed", episodes=20)
+    np.testing.assert_allclose(mixed.values["constant:10"]["return"], -mixed.values["constant:10"]["cost"])
+    protocol = replace(mixed.protocol, seed=4)
+    assert record_episode("constant:10", protocol).metrics["cost"] == mixed.values["constant:10"]["cost"][4]
+    told = summarise(mixed)["cost"]
+    assert list(told["weights"]) == list(told["divisors"]) == families_of("mixed")
+    assert told["weights"]["contact"]["contact"] > told["weights"]["reach"]["contact"] == 0.0
 
 
 def test_without_a_failure_or_a_capped_step_the_return_is_minus_the_cost(results):

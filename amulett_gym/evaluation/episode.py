@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.reward import prices
 from amulett_gym.envs.transition import FIRST_METRIC, METRICS
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, load_contender
@@ -91,6 +91,7 @@ def record_episode(
     raw = dict(zip(METRICS, episodes.report().T[FIRST_METRIC:], strict=True))
     ended = float(trajectory["time"][-1])
     charge = failure_cost(ended, protocol.duration, protocol.agent_period) if failure else 0.0
-    values = derive(raw, np.array([charge]), DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))
+    family = int(episodes.scenario(0)["family"])
+    values = derive(raw, np.array([charge]), prices(protocol.profile, protocol.suite)[[family]])
     metrics = {metric: float(values[metric][0]) for metric in UNITS if metric in values}
     return Episode(name, trajectory, env.scenario, metrics, failure)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import COST_CAP
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS
 
 UNITS = {
     "cost": "1",
@@ -50,13 +50,11 @@ COSTS = ("position", "effort", "tension", "contact", "failure")
 Values = NDArray[np.float64]
 
 
-def derive(
-    raw: Mapping[str, Values], charge: Values, weights: Mapping[str, float], paid: Mapping[str, float]
-) -> dict[str, Values]:
+def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[str, Values]:
     """Add what follows from raw metrics: the cost with its terms, whether the device failed, both drives' effort.
 
-    The cost is the sum of each raw metric times its weight over what eq. 6 pays for it. Neither shaped nor capped,
-    unlike the reward: a contender is ranked by what it did.
+    The cost is the sum of each raw metric times its price: its weight over what eq. 6 pays for it, both of the
+    scenario's family. Neither shaped nor capped, unlike the reward: a contender is ranked by what it did.
 
     Parameters
     ----------
@@ -64,8 +62,8 @@ def derive(
         Final values of ``info["metrics"]``.
     charge : ndarray
         `failure_cost` of the devices that failed, 0 for the others.
-    weights, paid : mapping of str to float
-        Weight and divisor of each term (`envs.reward.DEFAULT_WEIGHTS` and `divisors`).
+    prices : ndarray, shape (N, len(COST_TERMS))
+        Of each scenario: `envs.reward.prices` of its family.
 
     Returns
     -------
@@ -79,7 +77,7 @@ def derive(
         "tension": raw["tension_ise"],
         "contact": raw["contact_ise"],
     }
-    costs = {f"cost_{term}": weights[term] / paid[term] * values for term, values in terms.items()}
+    costs = {f"cost_{term}": prices[:, k] * terms[term] for k, term in enumerate(COST_TERMS)}
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
     return {"cost": np.sum(list(costs.values()), axis=0), **costs, "failed": failed, "effort": effort, **raw}

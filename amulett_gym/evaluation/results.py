@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym import __version__
-from amulett_gym.envs.reward import COST_CAP, DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.reward import COST_CAP, default_weights, divisors
 from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, divisors_owner, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
 from amulett_gym.files import write_text
+from amulett_gym.tasks.suites import families_of
 
 Summary = dict[str, Any]
 
@@ -41,6 +42,7 @@ def summarise(results: Results) -> Summary:
         that does not exist is None; metrics that some scenarios do not have count those as ``"not_reached"``.
     """
     protocol = results.protocol
+    families = families_of(protocol.suite)
     weights = draw_weights(protocol.episodes)
     yardstick = results.values[YARDSTICK]
     policies: dict[str, dict[str, Any]] = {}
@@ -69,8 +71,8 @@ def summarise(results: Results) -> Summary:
         "remarks": list(results.remarks),
         "yardstick": {"name": YARDSTICK, "listed": results.listed},
         "cost": {
-            "weights": dict(DEFAULT_WEIGHTS),
-            "divisors": divisors(protocol.profile, protocol.suite),
+            "weights": {family: default_weights(family) for family in families},
+            "divisors": {family: divisors(protocol.profile, protocol.suite, family) for family in families},
             "divisors_of": divisors_owner(protocol.profile),
             "failure": f"{COST_CAP:g} for each agent step left",
         },

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
 from amulett_gym.config import Profile, load_profile, profile_names
-from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.reward import prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
@@ -371,6 +371,7 @@ def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
     running = np.ones(count, dtype=bool)
     seen: list[tuple[Values, Values, NDArray[np.int64]]] = []
     observations, _ = env.reset(seed=protocol.seed)
+    families = env.episodes.simulation.read_scenarios(np.arange(count))["family"]
     for _ in range(env.max_episode_steps):
         error, phase = _look(env)
         observations, rewards, terminated, truncated, info = env.step(policy(observations))
@@ -385,7 +386,7 @@ def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
             failures[device] = str(info["failure"][device])
             charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
         running &= ~ended
-    values = derive(metrics, charges, DEFAULT_WEIGHTS, divisors(protocol.profile, protocol.suite))
+    values = derive(metrics, charges, prices(protocol.profile, protocol.suite)[families])
     values["return"] = returns
     error, tension, phase = (np.concatenate(column) for column in zip(*seen, strict=True))
     return _Run({name: values[name] for name in UNITS}, failures, Schedule(error, tension, phase, env.tension_range))
