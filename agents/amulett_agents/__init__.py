@@ -10,9 +10,18 @@ if TYPE_CHECKING:
     from amulett_agents.adapter import SB3VecEnv, make_sb3_env
     from amulett_agents.config import TrainConfig, load_train_config
     from amulett_agents.ppo import save_policy
-    from amulett_agents.training import TrainResult, train
+    from amulett_agents.training import TrainResult, resume, train
 
-__all__ = ["SB3VecEnv", "TrainConfig", "TrainResult", "load_train_config", "make_sb3_env", "save_policy", "train"]
+__all__ = [
+    "SB3VecEnv",
+    "TrainConfig",
+    "TrainResult",
+    "load_train_config",
+    "make_sb3_env",
+    "resume",
+    "save_policy",
+    "train",
+]
 
 _MODULES = {
     "SB3VecEnv": "adapter",
@@ -20,6 +29,7 @@ _MODULES = {
     "TrainResult": "training",
     "load_train_config": "config",
     "make_sb3_env": "adapter",
+    "resume": "training",
     "save_policy": "ppo",
     "train": "training",
 }

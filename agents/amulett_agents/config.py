@@ -140,6 +140,9 @@ class TrainConfig(Group):
     max_seconds: float | None = Field(default=None, gt=0, description="stop after this time, too; null: no limit")
     seed: int = Field(default=0, ge=0, lt=2**31)
     threads: int = Field(default=1, ge=1, le=256, description="of torch")
+    checkpoint_seconds: float = Field(
+        default=10.0, ge=0, description="between two checkpoints to resume from, of wall time; 0: every rollout"
+    )
     checkpoint: bool = Field(default=False, description="also keep SB3's own last_sb3.zip (a pickle: mind who made it)")
 
     @model_validator(mode="after")

@@ -1,14 +1,20 @@
-"""A training run: PPO with logs, validation, and the best and the last policy kept as bundles."""
+"""A training run: PPO with logs, validation, checkpoints, and the best and the last policy kept as bundles."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
+import math
 import shutil
+import signal
+import threading
 import time
+import warnings
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +24,21 @@ import torch
 import yaml
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.logger import configure
+from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from amulett_agents.config import TrainConfig
+from amulett_agents.checkpoint import (
+    BUNDLES,
+    FOLDER,
+    Checkpoint,
+    RunState,
+    newest_checkpoint,
+    remove_checkpoints,
+    restore,
+    write_checkpoint,
+)
+from amulett_agents.config import TrainConfig, load_train_config
 from amulett_agents.ppo import (
     exploration,
     extract_network,
@@ -33,7 +50,7 @@ from amulett_agents.ppo import (
 )
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import atomic_path, output_folder, write_json, write_text
+from amulett_gym.files import atomic_path, locked_folder, output_folder, read_text, write_json, write_text
 from amulett_gym.laws.bundle import forward
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
@@ -42,14 +59,10 @@ COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 RUN_MARKS = ("config.yaml", "command.json")
 """Files by which a training run's folder is recognised."""
 
-_OUTPUTS = (
-    *RUN_MARKS,
-    "evaluations.csv",
-    "last_sb3.zip",
-    "best",
-    "last",
-    "tensorboard",
-)
+FINISHED = "finished.json"
+"""File that a run leaves when it has come to its end: its `TrainResult`."""
+
+_OUTPUTS = (FOLDER, FINISHED, "evaluations.csv", "last_sb3.zip", *BUNDLES, "tensorboard")
 
 
 @dataclass(frozen=True)
@@ -65,9 +78,10 @@ class TrainResult:
     best_steps, steps : int
         Agent steps behind the best and the last policy.
     seconds : float
-        Duration, validation included, compilation not.
+        Duration, validation included, compilation not; of a resumed run, without what was lost.
     interrupted : bool
-        Whether Ctrl-C ended the run.
+        Whether Ctrl-C or SIGTERM ended the run.
+    seed : int
     """
 
     out: Path
@@ -79,6 +93,7 @@ class TrainResult:
     steps: int
     seconds: float
     interrupted: bool
+    seed: int
 
 
 def train(
@@ -90,9 +105,11 @@ def train(
 ) -> TrainResult:
     """Train a policy.
 
-    `out` gets ``config.yaml`` (the resolved recipe), ``command.json``, ``evaluations.csv``, ``tensorboard/`` and the
-    bundles ``best/`` (lowest cost on the validation scenarios) and ``last/``. Ctrl-C ends the run in good order. The
-    same recipe gives the same weights on the same machine, unless `max_seconds` ends it.
+    `out` gets ``config.yaml`` (the resolved recipe), ``command.json``, ``evaluations.csv``, ``tensorboard/``, the
+    bundles ``best/`` (lowest cost on the validation scenarios) and ``last/``, and, until the run is finished,
+    ``checkpoints/``, from which :func:`resume` goes on. Ctrl-C and SIGTERM end the run in good order after the present
+    rollout, a second Ctrl-C at once. The same recipe gives the same weights on the same machine, interrupted or not,
+    unless `max_seconds` ends it.
 
     Parameters
     ----------
@@ -113,35 +130,95 @@ def train(
     Raises
     ------
     AmulettError
-        If the environment refuses its settings, or `out` holds something already.
+        If the environment refuses its settings, `out` holds something already, or another process works in it.
     """
     out = Path(out)
-    threads = torch.get_num_threads()
-    with output_folder(out, "training run", [RUN_MARKS]) as earlier:
+    with output_folder(out, "training run", [RUN_MARKS]) as earlier, locked_folder(out):
         if earlier and not overwrite:
             raise AmulettError(
-                f"'{out}' holds a training run already; choose another folder, or overwrite it (--overwrite)"
+                f"'{out}' holds a training run already; choose another folder, resume it (--resume), or overwrite it "
+                "(--overwrite)"
             )
-        torch.set_num_threads(config.threads)
-        try:
-            model = make_model(config)
-            validation = make_validation_env(config)
+        with _torch_threads(config.threads):
+            # A wrong environment is refused before anything of an earlier run is cleared away.
+            model, validation = make_model(config), make_validation_env(config)
             warm_up(config)
             _prepare(out, config, command)
-            model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-            run = _Run(config, out, validation, command, progress)
-            try:
-                model.learn(config.total_steps, callback=[*exploration(config), run])
-            except KeyboardInterrupt:
-                run.interrupted = True
-            run.finish(model)
-            return run.result()
-        finally:
-            torch.set_num_threads(threads)
+            return _learn(model, _Run(config, out, validation, command, progress))
+
+
+def resume(out: str | Path, progress: bool = True) -> TrainResult:
+    """Go on with a run that was interrupted or killed, by its own recipe.
+
+    The weights, the bundles and the validations (their times aside) come out as if nothing had happened, bit for bit,
+    with the same versions on the same machine, unless `max_seconds` ends the run. Time since the last checkpoint does
+    not count for that.
+
+    Parameters
+    ----------
+    out : str or Path
+        Folder of the run.
+    progress : bool
+        Draw a progress bar on stderr.
+
+    Returns
+    -------
+    TrainResult
+        Of a finished run, what it said then; nothing is done.
+
+    Raises
+    ------
+    AmulettError
+        If `out` holds no run or no checkpoint that can be used, the recipe or the profile is another one than that of
+        the checkpoint, another version wrote it, or another process works in the folder.
+    """
+    out = Path(out)
+    if not (out / RUN_MARKS[0]).is_file():
+        raise AmulettError(f"'{out}' holds no training run: there is no {RUN_MARKS[0]}")
+    with locked_folder(out):
+        if (out / FINISHED).is_file():
+            return _read_result(out)
+        config = load_train_config(out / RUN_MARKS[0])
+        checkpoint = newest_checkpoint(out)
+        if checkpoint is None and (out / "evaluations.csv").exists():
+            raise AmulettError(f"'{out}' holds no checkpoint to resume from; an earlier version trained it")
+        command = _check_versions(out)
+        with _torch_threads(config.threads):
+            model, validation = make_model(config), make_validation_env(config)
+            if checkpoint is not None:
+                _check_recipe(checkpoint, config, model)
+            warm_up(config)
+            _remove_leftovers(out)
+            return _learn(model, _Run(config, out, validation, command, progress, checkpoint))
+
+
+def is_finished(out: str | Path) -> bool:
+    """Tell whether a run has come to its end."""
+    return (Path(out) / FINISHED).is_file()
+
+
+def _learn(model: PPO, run: _Run) -> TrainResult:
+    """Train until the end, or until somebody interrupts."""
+    model.set_logger(_make_logger(run.out / "tensorboard", run.resumed))
+    try:
+        with _interruptible(run):
+            model.learn(run.config.total_steps, callback=[*exploration(run.config), run])
+    except (KeyboardInterrupt, _Stopped):
+        run.interrupted = True
+    run.finish(model)
+    result = run.result()
+    if not run.interrupted:
+        write_json(run.out / FINISHED, {**asdict(result), "out": None, "best": None, "last": None})
+        remove_checkpoints(run.out)
+    return result
+
+
+class _Stopped(Exception):
+    """Raised at the start of a rollout by a run that was asked to stop."""
 
 
 class _Run(BaseCallback):
-    """Watches a run: time budget, logs, progress bar, validation and bundles."""
+    """Watches a run: time budget, logs, progress bar, validation, bundles and checkpoints."""
 
     def __init__(
         self,
@@ -150,11 +227,17 @@ class _Run(BaseCallback):
         validation: gym.vector.VectorEnv[Any, Any, Any],
         command: Sequence[str] | None,
         progress: bool,
+        resumed: Checkpoint | None = None,
     ) -> None:
         super().__init__()
         self.config, self.out, self.validation = config, out, validation
         self.command = None if command is None else list(command)
+        self.resumed = resumed
+        self.stopping = False
+        self._first = True
         self.interrupted = False
+        self._checkpointed = -math.inf
+        self._checkpointed_steps = -1
         self._started = time.monotonic()
         self._rollout_started = self._started
         self._rows: list[dict[str, float]] = []
@@ -167,9 +250,20 @@ class _Run(BaseCallback):
         )
 
     def _on_rollout_start(self) -> None:
+        if self._first:
+            self._first = False
+            if self.resumed is None:
+                self._checkpoint()  # before anything is written that a run from its very beginning would not find
+            else:
+                self._restore(self.resumed)
         if self.num_timesteps >= self._next_validation:
             self._validate(self.model)
             self._next_validation = self.num_timesteps + self.config.validation.every_steps
+        due = time.monotonic() - self._checkpointed >= self.config.checkpoint_seconds
+        if (due or self.stopping) and self.num_timesteps > self._checkpointed_steps:
+            self._checkpoint()
+        if self.stopping:
+            raise _Stopped
         self._rollout_started = time.monotonic()
 
     def _on_step(self) -> bool:
@@ -219,7 +313,36 @@ class _Run(BaseCallback):
             steps=int(last["steps"]),
             seconds=time.monotonic() - self._started,
             interrupted=self.interrupted,
+            seed=self.config.seed,
         )
+
+    def _checkpoint(self) -> None:
+        state = RunState(
+            seconds=time.monotonic() - self._started,
+            rows=self._rows,
+            best=self._best,
+            validated_steps=self._validated_steps,
+            next_validation=self._next_validation,
+            episodes=list(self._episodes),
+        )
+        write_checkpoint(self.out, self.model, state, self.config.model_dump())  # type: ignore[arg-type]
+        self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
+
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        """Go back to the checkpoint, and bring what the run has written back to it."""
+        restore(self.model, checkpoint)  # type: ignore[arg-type]
+        state = checkpoint.content.run
+        self.num_timesteps = self._checkpointed_steps = self.model.num_timesteps
+        self._started = time.monotonic() - state.seconds
+        self._checkpointed = time.monotonic()
+        self._rows, self._best = list(state.rows), state.best
+        self._validated_steps, self._next_validation = state.validated_steps, state.next_validation
+        self._episodes.extend(state.episodes)
+        for name in BUNDLES:
+            put_back(checkpoint.folder / name, self.out / name)
+        if self._rows:
+            write_text(self.out / "evaluations.csv", _table(self._rows))
+        self._bar.update(self.num_timesteps)
 
     def _validate(self, model: Any) -> None:
         scores = evaluate(model, self.validation, self.config.validation.seed)
@@ -242,6 +365,125 @@ class _Run(BaseCallback):
             "validation": {"split": "validation", **self.config.validation.model_dump(), **self._rows[-1]},
         }
         save_policy(model, self.out / name, provenance)
+
+
+@contextmanager
+def _interruptible(run: _Run) -> Iterator[None]:
+    """Let SIGTERM and the first Ctrl-C stop a run at its next rollout; only the main thread hears of signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: Any) -> None:
+        if run.stopping and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        run.stopping = True
+
+    # Signals that are ignored stay so: shells start what runs in the background that way.
+    both = (signal.SIGINT, signal.SIGTERM)
+    handled = [number for number in both if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    earlier = {number: signal.signal(number, stop) for number in handled}
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _make_logger(folder: Path, resumed: Checkpoint | None) -> Logger:
+    """Log to TensorBoard; hide what a run has logged beyond the checkpoint that it is resumed from."""
+    output = TensorBoardOutputFormat(str(folder))
+    if resumed is not None:
+        output.writer.close()
+        output.writer = SummaryWriter(str(folder), purge_step=resumed.content.model.steps + 1)
+    return Logger(str(folder), [output])
+
+
+def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: PPO) -> None:
+    """Refuse a recipe or a profile that is not the checkpoint's."""
+    changed = _different(checkpoint.content.config, config.model_dump())
+    if changed:
+        raise AmulettError(
+            f"the recipe was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}; "
+            "a run is resumed by its own recipe: put it back, or train anew in another folder"
+        )
+    env = model.get_env()
+    assert env is not None
+    changed = _different(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json"))
+    if changed:
+        raise AmulettError(
+            f"profile '{config.env.profile}' was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}"
+        )
+
+
+def _different(old: Any, new: Any, name: str = "") -> list[str]:
+    """Return in words the keys in which two trees of settings differ."""
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        return [] if old == new else [f"{name} was {old!r} and is {new!r}"]
+    keys = [*old, *(key for key in new if key not in old)]
+    below = [_different(old.get(key), new.get(key), f"{name}.{key}" if name else str(key)) for key in keys]
+    return [difference for differences in below for difference in differences]
+
+
+def _check_versions(out: Path) -> list[str] | None:
+    """Return the words of the command that began a run; warn if its bits may differ from now on."""
+    path = out / RUN_MARKS[1]
+    if not path.is_file():  # killed before it was written
+        return None
+    try:
+        about = json.loads(read_text(path, "a run's command"))
+        command, began = about["command"], {**about["versions"], "git revision": about["git_revision"]}
+    except (ValueError, KeyError, TypeError) as error:
+        if isinstance(error, AmulettError):
+            raise
+        raise AmulettError(f"'{path}' is damaged: {error!r}") from error
+    changed = _different(began, {**versions(), "git revision": git_revision()})
+    if changed:
+        warnings.warn(
+            f"'{out}' is resumed with other software, so that its numbers may differ: {'; '.join(changed)}",
+            stacklevel=3,
+        )
+    return command
+
+
+def _remove_leftovers(out: Path) -> None:
+    """Remove half-written files of a process that was killed; the folder has to be locked."""
+    for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES):
+        for path in out.glob(f".{name}-*"):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def put_back(bundle: Path, place: Path) -> None:
+    """Replace a bundle, which may be damaged or missing, by a copy; remove it if there is none to copy."""
+    if place.is_dir():
+        shutil.rmtree(place)
+    if bundle.is_dir():
+        shutil.copytree(bundle, place)
+
+
+def _read_result(out: Path) -> TrainResult:
+    path = out / FINISHED
+    try:
+        content = json.loads(read_text(path, "a run's result"))
+        result = TrainResult(**content)
+    except (ValueError, TypeError) as error:
+        if isinstance(error, AmulettError):
+            raise
+        raise AmulettError(f"'{path}' is damaged: {error}") from error
+    return replace(result, out=out, best=out / "best", last=out / "last")
 
 
 def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> dict[str, float]:
@@ -287,7 +529,7 @@ def warm_up(config: TrainConfig) -> None:
 
 
 def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
-    """Clear away an earlier run, and write down what this one is."""
+    """Clear away an earlier run, its marks last, and write down what this one is."""
     for name in _OUTPUTS:
         path = out / name
         if path.is_dir():

@@ -1,16 +1,18 @@
-"""`amulett train`: train a policy by a recipe."""
+"""`amulett train`: train a policy by a recipe, or go on with a run that was interrupted."""
 
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from importlib.util import find_spec
 
 from amulett_gym.errors import AmulettError
 
-HELP = "train a policy by a recipe; keeps the best and the last one as bundles"
+HELP = "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed"
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
   amulett train --config configs/ppo.yaml --set env.suite=reach ppo.learning_rate=3e-4 --seed 1 --out runs/reach
+  amulett train --resume runs/first
   amulett evaluate --policies eq6 constant:10 runs/first --suite steps --out runs/first-evaluation
   tensorboard --logdir runs
 """
@@ -30,42 +32,69 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="overrides",
         help="change keys of the recipe, for example ppo.gamma=0.98",
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the run: logs, validations, bundles")
+    parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
+    parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
     parser.add_argument("--seed", type=int, help="in the place of the recipe's")
     parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
     parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train; exit code 130 if Ctrl-C ended it (the policies are kept all the same)."""
+    """Train; exit code 130 if Ctrl-C or SIGTERM ended it (the policies are kept all the same)."""
     check_installed()
     import json
     from dataclasses import asdict
 
-    from amulett_agents import load_train_config
+    finished = False
+    progress = sys.stderr.isatty()
+    if arguments.resume is not None:
+        _check_alone(arguments)
+        from amulett_agents import resume
+        from amulett_agents.training import is_finished
 
-    overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
-    config = load_train_config(arguments.config, overrides)  # a wrong recipe is refused before torch is imported
-    from amulett_agents import train
+        finished = is_finished(arguments.resume)
+        result = resume(arguments.resume, progress=progress)
+    else:
+        if arguments.out is None:
+            raise AmulettError("train needs --out DIR for a new run, or --resume DIR to go on with one")
+        from amulett_agents import load_train_config
 
-    result = train(
-        config,
-        arguments.out,
-        progress=sys.stderr.isatty(),
-        command=["amulett", *sys.argv[1:]],
-        overwrite=arguments.overwrite,
-    )
+        overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
+        config = load_train_config(arguments.config, overrides)  # a wrong recipe is refused before torch is imported
+        from amulett_agents import train
+
+        command = ["amulett", *sys.argv[1:]]
+        result = train(config, arguments.out, progress=progress, command=command, overwrite=arguments.overwrite)
     if arguments.json:
         print(json.dumps(asdict(result), default=str, indent=2))
     else:
         if result.interrupted:
-            print("interrupted; what was learned until then is kept")
-        print(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {config.seed}")
+            print("interrupted; what was learned until then is kept. Go on with:")
+            print(f"       amulett train --resume {shlex.quote(str(result.out))}")
+        if finished:
+            print("this run is finished; there is nothing to resume")
+        print(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
         print(f"best   cost {result.best_cost:.4f} on the validation scenarios, after {result.best_steps:,} steps")
         print(f"       {result.best}")
         print(f"last   cost {result.last_cost:.4f}")
         print(f"       {result.last}")
     return 130 if result.interrupted else 0
+
+
+def _check_alone(arguments: argparse.Namespace) -> None:
+    """Refuse options that would change a run that is resumed."""
+    given = {
+        "--out": arguments.out is not None,
+        "--config": arguments.config is not None,
+        "--set": bool(arguments.overrides),
+        "--seed": arguments.seed is not None,
+        "--overwrite": arguments.overwrite,
+    }
+    wrong = [option for option, is_given in given.items() if is_given]
+    if wrong:
+        raise AmulettError(
+            f"--resume goes on with the run's own recipe, in its own folder; leave out {', '.join(wrong)}"
+        )
 
 
 def check_installed() -> None:

@@ -1,0 +1,414 @@
+"""Checkpoints: all that a training run's next rollout depends on, so that a resumed run gives the same bits.
+
+A checkpoint is a folder ``checkpoints/<steps>`` of the run:
+
+======================  =======================================================================================
+``arrays.safetensors``  weights, optimiser, smooth exploration's noise, random states, devices, last observations
+``run.json``            versions, recipe, profile, counters, validations, and what is yet to be logged
+``best/``, ``last/``    the bundles of that moment
+``manifest.json``       the SHA-256 of every other file
+======================  =======================================================================================
+
+It is written beside its place and renamed; the one before it is kept. Nothing is unpickled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import random
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import safetensors.numpy
+import torch
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
+from safetensors import SafetensorError
+from stable_baselines3 import PPO
+
+from amulett_agents.adapter import SB3VecEnv
+from amulett_gym.config import Group, describe
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import write_json
+
+FOLDER = "checkpoints"
+ARRAYS, STATE, MANIFEST = "arrays.safetensors", "run.json", "manifest.json"
+BUNDLES = ("best", "last")
+FORMAT = 1
+_KEPT = 2
+_NOISE = ("exploration_mat", "exploration_matrices")
+
+Arrays = dict[str, NDArray[Any]]
+
+
+class ModelState(Group):
+    """What of PPO, its logger and the generators is no array."""
+
+    steps: int = Field(ge=0)
+    updates: int = Field(ge=0)
+    progress_remaining: float
+    episodes: list[dict[str, float | int]] = Field(description="returns and lengths of the last ones")
+    log: dict[str, list[Any]] = Field(description="name -> value in decimal digits, count, who does not get it")
+    python_random: list[Any]
+    numpy_random: list[Any]
+    devices: dict[str, int | str] = Field(description="of the environment's state what is no array")
+
+
+class RunState(Group):
+    """What a training run keeps beside its model."""
+
+    seconds: float = Field(ge=0)
+    rows: list[dict[str, float | int]] = Field(description="of evaluations.csv")
+    best: int = Field(ge=0)
+    validated_steps: int = Field(ge=-1)
+    next_validation: int = Field(ge=0)
+    episodes: list[dict[str, float | int]] = Field(description="the last ones' reward terms")
+
+
+class Content(Group):
+    """Content of ``run.json``."""
+
+    config: dict[str, Any]
+    profile: dict[str, Any]
+    model: ModelState
+    run: RunState
+
+
+class Manifest(Group):
+    """Content of ``manifest.json``."""
+
+    format: Literal["amulett-checkpoint"] = "amulett-checkpoint"
+    version: int = FORMAT
+    amulett_gym: str = Field(description="version that wrote it")
+    sha256: dict[str, str] = Field(description="file name -> SHA-256 of its content, in lower-case hexadecimal digits")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A verified checkpoint.
+
+    Attributes
+    ----------
+    folder : Path
+    content : Content
+    arrays : dict
+        name -> ndarray
+    """
+
+    folder: Path
+    content: Content
+    arrays: Arrays
+
+
+def write_checkpoint(out: Path, model: PPO, run: RunState, config: Mapping[str, Any]) -> Path:
+    """Keep the state of a run that is about to start a rollout; the last checkpoint but one is removed.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the run. The bundles in it, if there are any, become part of the checkpoint.
+    model : PPO
+    run : RunState
+    config : mapping
+        The resolved recipe.
+
+    Returns
+    -------
+    Path
+        Folder of the checkpoint.
+
+    Raises
+    ------
+    AmulettError
+        If it cannot be written. The earlier ones are left as they are.
+    """
+    folder = out / FOLDER / f"{model.num_timesteps:012d}"
+    temporary = folder.with_name(f".{folder.name}")
+    state, arrays = capture(model)
+    profile = _adapter(model).get_attr("profile")[0].model_dump(mode="json")
+    content = Content(config=dict(config), profile=profile, model=state, run=run)
+    try:
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir(parents=True)
+        (temporary / ARRAYS).write_bytes(safetensors.numpy.save(arrays))
+        write_json(temporary / STATE, content.model_dump())
+        for name in BUNDLES:
+            if (out / name).is_dir():
+                shutil.copytree(out / name, temporary / name)
+        digests = {name: _digest(temporary / name) for name in _files(temporary)}
+        manifest = Manifest(amulett_gym=version("amulett-gym"), sha256=digests)
+        write_json(temporary / MANIFEST, manifest.model_dump())
+        if folder.exists():  # a damaged one: else the run had gone on from it
+            shutil.rmtree(folder)
+        temporary.rename(folder)
+        found = _found(out)
+        newest = found.index(folder)
+        for other in [*found[:newest], *found[newest + _KEPT :]]:  # what is newer was found damaged, too
+            shutil.rmtree(other)
+    except OSError as error:
+        raise AmulettError(f"cannot write checkpoint '{folder}': {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return folder
+
+
+def newest_checkpoint(out: Path) -> Checkpoint | None:
+    """Read a run's newest checkpoint.
+
+    If it is damaged, the one before it is taken with a warning: a run resumed from there comes to the same end.
+
+    Returns
+    -------
+    Checkpoint or None
+        None if there is none.
+
+    Raises
+    ------
+    AmulettError
+        If another version wrote it, or all of them are damaged. The error names the files.
+    """
+    damages = []
+    for folder in _found(out):
+        try:
+            checkpoint = read_checkpoint(folder)
+        except AmulettError as error:
+            if isinstance(error, _OtherVersionError):
+                raise
+            damages.append(str(error))
+            continue
+        for damage in damages:
+            warnings.warn(f"{damage}; resuming from the one before it, '{folder}'", stacklevel=2)
+        return checkpoint
+    if damages:
+        raise AmulettError(f"no checkpoint of '{out}' can be used: {'; '.join(damages)}")
+    return None
+
+
+def read_checkpoint(folder: Path) -> Checkpoint:
+    """Read and verify a checkpoint.
+
+    Raises
+    ------
+    AmulettError
+        If another version wrote it, or a file is missing, unlisted, changed or damaged. The error names the file.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest = _parse(Manifest, path)
+        here = version("amulett-gym")
+        if (manifest.version, manifest.amulett_gym) != (FORMAT, here):
+            raise _OtherVersionError(
+                f"checkpoint '{folder}' was written by amulett-gym {manifest.amulett_gym} (format {manifest.version}); "
+                f"this is {here} (format {FORMAT}): resume with the version that began the run, or train anew"
+            )
+        names = _files(folder) - {MANIFEST}
+        for name in sorted(names ^ set(manifest.sha256)):
+            missing = "is missing" if name in manifest.sha256 else "is not listed in the manifest"
+            raise AmulettError(f"checkpoint '{folder}' is damaged: '{name}' {missing}")
+        for name, digest in manifest.sha256.items():
+            if _digest(folder / name) != digest:
+                raise AmulettError(f"checkpoint '{folder}' is damaged: the SHA-256 of '{name}' is another one")
+        arrays = safetensors.numpy.load_file(folder / ARRAYS)
+        return Checkpoint(folder, _parse(Content, folder / STATE), arrays)
+    except OSError as error:
+        raise AmulettError(f"cannot read checkpoint '{folder}': {error.strerror or error}") from error
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        if isinstance(error, AmulettError):
+            raise
+        raise AmulettError(f"checkpoint '{folder}' is damaged: '{ARRAYS}': {error}") from error
+
+
+def remove_checkpoints(out: Path) -> None:
+    """Remove a run's checkpoints, for it is finished."""
+    shutil.rmtree(out / FOLDER, ignore_errors=True)
+
+
+def capture(model: PPO) -> tuple[ModelState, Arrays]:
+    """Return the state of a model that is about to start a rollout, and of the random generators of the process."""
+    adapter = _adapter(model)
+    devices, arrays = _flatten(_state_of(adapter), "devices")
+    for name, tensor in model.policy.state_dict().items():
+        arrays[f"policy.{name}"] = _array(tensor)
+    for index, moments in model.policy.optimizer.state_dict()["state"].items():
+        for name, tensor in moments.items():
+            arrays[f"optimizer.{index}.{name}"] = _array(tensor)
+    for name in _noise_of(model):
+        arrays[f"noise.{name}"] = _array(getattr(model.policy.action_dist, name))
+    generator, words, *rest = np.random.get_state()  # noqa: NPY002  (what PPO shuffles with)
+    arrays["random.numpy"], arrays["random.torch"] = np.asarray(words), _array(torch.get_rng_state())
+    arrays["last.observations"] = np.array(model._last_obs)
+    arrays["last.episode_starts"] = np.array(model._last_episode_starts)
+    python_version, python_words, gauss = random.getstate()
+    logger = model.logger
+    state = ModelState(
+        steps=model.num_timesteps,
+        updates=model._n_updates,
+        progress_remaining=float(model._current_progress_remaining),
+        episodes=list(model.ep_info_buffer or ()),
+        log={
+            name: [repr(float(value)), logger.name_to_count.get(name, 0), logger.name_to_excluded[name]]
+            for name, value in logger.name_to_value.items()
+        },
+        python_random=[python_version, list(python_words), gauss],
+        numpy_random=[generator, *rest],
+        devices=devices,
+    )
+    return state, arrays
+
+
+def restore(model: PPO, checkpoint: Checkpoint) -> None:
+    """Bring a new model of the same recipe, in its first rollout's start, to a checkpoint's state.
+
+    Raises
+    ------
+    AmulettError
+        If the checkpoint is not of such a model.
+    """
+    state, arrays, policy = checkpoint.content.model, checkpoint.arrays, model.policy
+    adapter = _adapter(model)
+    try:
+        devices = _unflatten(_state_of(adapter), "devices", state.devices, arrays)
+        weights = {name: _tensor(arrays[f"policy.{name}"]) for name in policy.state_dict()}
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for name, array in arrays.items():
+            if name.startswith("optimizer."):
+                _, index, moment = name.split(".")
+                moments.setdefault(int(index), {})[moment] = _tensor(array)
+        noise = {name: _tensor(arrays[f"noise.{name}"]) for name in _noise_of(model)}
+        observations, starts = arrays["last.observations"], arrays["last.episode_starts"]
+        python_version, python_words, gauss = state.python_random
+        generator, *rest = state.numpy_random
+
+        policy.load_state_dict(weights)
+        policy.optimizer.load_state_dict({**policy.optimizer.state_dict(), "state": moments})
+        for name, tensor in noise.items():
+            setattr(policy.action_dist, name, tensor)
+        adapter.venv.unwrapped.set_state(devices["venv"])  # type: ignore[attr-defined]
+        adapter._returns[...], adapter._lengths[...] = devices["returns"], devices["lengths"]
+        for name, total in adapter._terms.items():
+            total[...] = devices["terms"][name]
+        model._last_obs, model._last_episode_starts = observations, starts
+        model.num_timesteps = model._num_timesteps_at_start = state.steps
+        model._n_updates, model._current_progress_remaining = state.updates, state.progress_remaining
+        assert model.ep_info_buffer is not None
+        model.ep_info_buffer.clear()
+        model.ep_info_buffer.extend(state.episodes)
+        logger = model.logger
+        for name, (value, count, excluded) in state.log.items():
+            logger.name_to_value[name] = float(value)
+            logger.name_to_count[name] = count
+            logger.name_to_excluded[name] = tuple(excluded)
+        random.setstate((python_version, tuple(python_words), gauss))
+        np.random.set_state((generator, arrays["random.numpy"], *rest))  # noqa: NPY002
+        torch.set_rng_state(_tensor(arrays["random.torch"]))
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise AmulettError(f"checkpoint '{checkpoint.folder}' does not fit this run: {error}") from error
+
+
+class _OtherVersionError(AmulettError):
+    pass
+
+
+def _adapter(model: PPO) -> SB3VecEnv:
+    env = model.get_env()
+    assert env is not None
+    adapter = env.unwrapped
+    assert isinstance(adapter, SB3VecEnv)
+    return adapter
+
+
+def _state_of(adapter: SB3VecEnv) -> dict[str, Any]:
+    return {
+        "venv": adapter.venv.unwrapped.get_state(),  # type: ignore[attr-defined]
+        "returns": adapter._returns.copy(),
+        "lengths": adapter._lengths.copy(),
+        "terms": {name: total.copy() for name, total in adapter._terms.items()},
+    }
+
+
+def _noise_of(model: PPO) -> tuple[str, ...]:
+    return _NOISE if model.use_sde else ()
+
+
+def _flatten(tree: Mapping[str, Any], name: str) -> tuple[dict[str, Any], Arrays]:
+    """Return the leaves of a tree by their dotted names: those that are no arrays, and the arrays, without fields."""
+    plain: dict[str, Any] = {}
+    arrays: Arrays = {}
+    for key, value in tree.items():
+        path = f"{name}.{key}"
+        if isinstance(value, Mapping):
+            below = _flatten(value, path)
+            plain.update(below[0])
+            arrays.update(below[1])
+        elif not isinstance(value, np.ndarray):
+            plain[path] = value
+        elif value.dtype.names:
+            plain[path] = _layout(value.dtype)
+            arrays[path] = np.frombuffer(value.tobytes(), dtype=np.uint8)
+        else:
+            arrays[path] = np.ascontiguousarray(value)
+    return plain, arrays
+
+
+def _unflatten(template: Mapping[str, Any], name: str, plain: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
+    """Return a tree like `template` with the leaves that `_flatten` gave; raise ValueError if they are of another."""
+    tree: dict[str, Any] = {}
+    for key, value in template.items():
+        path = f"{name}.{key}"
+        if isinstance(value, Mapping):
+            tree[key] = _unflatten(value, path, plain, arrays)
+        elif not isinstance(value, np.ndarray):
+            tree[key] = plain[path]
+        else:
+            array = arrays[path]
+            if value.dtype.names and array.size == value.nbytes and plain[path] == _layout(value.dtype):
+                array = array.view(value.dtype).reshape(value.shape)
+            if array.dtype != value.dtype or array.shape != value.shape:
+                raise ValueError(f"'{path}' is {array.dtype} of shape {array.shape}; the environment's is another")
+            tree[key] = array
+    return tree
+
+
+def _layout(dtype: np.dtype[Any]) -> str:
+    return hashlib.sha256(repr(dtype.descr).encode()).hexdigest()
+
+
+def _array(tensor: torch.Tensor) -> NDArray[Any]:
+    return np.array(tensor.detach().cpu().numpy(), order="C")
+
+
+def _tensor(array: NDArray[Any]) -> torch.Tensor:
+    return torch.from_numpy(np.array(array, order="C"))
+
+
+def _found(out: Path) -> Sequence[Path]:
+    """Return the folders of a run's checkpoints, the newest first."""
+    folder = out / FOLDER
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir() if path.name.isdecimal()), reverse=True)
+
+
+def _files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _parse(kind: type[BaseModel], path: Path) -> Any:
+    try:
+        return kind.model_validate(json.loads(path.read_text(encoding="utf-8")))
+    except ValidationError as error:
+        raise describe(error, kind, f"'{path}'") from error
+    except (ValueError, RecursionError) as error:
+        raise AmulettError(f"'{path}' is damaged: {error}") from error
