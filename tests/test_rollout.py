@@ -39,7 +39,7 @@ def test_what_acts_in_the_loop_costs_what_it_does_in_the_environment(name, keywo
     np.testing.assert_allclose(costs.sum(axis=0), -results.values[name]["return"], rtol=1e-12)
 
 
-@settings(max_examples=8)
+@settings(max_examples=8, deadline=None)
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=20), st.integers(0, 99))
 def test_neighbours_change_nothing(trials, scenarios, seed):
     tensions = np.random.default_rng(seed).uniform(4.0, 15.0, len(scenarios))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym import __version__
 from amulett_gym.envs.episodes import TENSION_RANGE, Episodes, Observations, device_seeds
-from amulett_gym.envs.reward import COST_CAP, DEFAULT_WEIGHTS, divisors
+from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.envs.transition import FIRST_READING
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
@@ -94,9 +94,9 @@ class Trials:
         return costs
 
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:
-        """Return a SHA-256 of all that the scenarios' costs hang on: device, rows, loop, rates, weights, divisors."""
+        """Return a SHA-256 of all that the scenarios' costs hang on: device, rows, loop, rates, prices."""
         profile, suite = self.protocol.profile, self.protocol.suite
-        costs = [sorted(DEFAULT_WEIGHTS.items()), sorted(divisors(profile, suite).items()), COST_CAP]
+        costs = [prices(profile, suite).tolist(), COST_CAP]
         loop = [self._laws, self.steps, self.protocol.agent_period, TENSION_RANGE]
         content = hashlib.sha256(profile.model_dump_json().encode())
         content.update(np.ascontiguousarray(self.rows[scenarios]).tobytes())
