@@ -62,7 +62,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -> Iterator[bool]:
     """Make a command's output folder before any work, and yield whether it holds an earlier output of that kind.
 
-    If the block fails, the folders that were made for it are removed again, unless something is in them.
+    If the block fails, the folders that were made for it are removed again, unless something is in them. Hidden files
+    are no content: file managers leave some behind, and so does a process that was killed.
 
     Parameters
     ----------
@@ -85,7 +86,7 @@ def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -
     try:
         made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
         earlier = any(all((folder / name).is_file() for name in mark) for mark in marks)
-        if not made and not earlier and any(place.name != LOCK for place in folder.iterdir()):
+        if not made and not earlier and any(not place.name.startswith(".") for place in folder.iterdir()):
             raise AmulettError(f"'{path}' is not empty and holds no {what}; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -130,6 +131,25 @@ def locked_folder(path: str | Path) -> Iterator[None]:
         with suppress(OSError):
             lock.unlink()
         os.close(handle)
+
+
+def check_writable(path: str | Path) -> None:
+    """Refuse a file that could not be written, before the work whose result it is to hold.
+
+    Raises
+    ------
+    AmulettError
+        If it is a folder, or its folder cannot be made or written.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise AmulettError(f"'{path}' is a folder; it has to be a file")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise AmulettError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def write_text(path: str | Path, text: str) -> None:

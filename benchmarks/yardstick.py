@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.config import load_profile
+from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.batch import Simulation
@@ -103,6 +104,28 @@ class Speed:
 
     rate: tuple[float, float, float]
     ratio: tuple[float, float, float]
+
+
+def agree(builds: Mapping[str, Advance], write: Callable[[str], object] = lambda line: None) -> dict[str, float]:
+    """Return how far each build's states are from the kernel's, at most over both profiles and two laws.
+
+    Raises
+    ------
+    AmulettError
+        If one is farther than its tolerance: it would not do the same work.
+    """
+    found, wrong = {}, []
+    for name, advance in builds.items():
+        cases = {(p, law): check(advance, p, law) for p in PROFILES for law in ("eq6", "agent")}
+        worst, field = max(cases.values())
+        found[name] = worst
+        ok = worst <= BUILDS[name].tolerance
+        write(f"  {BUILDS[name].label:40}{worst:10.1e}  {'ok' if ok else 'TOO MUCH'}")
+        if not ok:
+            wrong.append(f"'{BUILDS[name].label}' by {worst:.1e} in {field}, allowed is {BUILDS[name].tolerance:g}")
+    if wrong:
+        raise AmulettError(f"the tick in C deviates from the kernel: {'; '.join(wrong)}")
+    return found
 
 
 def race(
@@ -226,19 +249,14 @@ def report(sizes: Sequence[int], turns: int, write: Callable[[str], object] = pr
     Raises
     ------
     AmulettError
-        If there is no compiler, or it refuses.
+        If there is no compiler, it refuses, or what it built deviates from the kernel.
     """
     with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder:
         builds = {name: build(name, Path(folder)) for name in BUILDS}
         limits = measure_limits(Path(folder))
-        found: dict[str, Any] = {"deviation": {}, "limits_per_s": limits, "work": {}}
+        found: dict[str, Any] = {"limits_per_s": limits, "work": {}}
         write(f"{find_compiler()} on {platform.machine()}; largest deviation from the kernel after {START:g} s, scaled")
-        for name, advance in builds.items():
-            cases = {(p, law): check(advance, p, law) for p in PROFILES for law in ("eq6", "agent")}
-            worst, field = max(cases.values())
-            found["deviation"][name] = worst
-            verdict = "ok" if worst <= BUILDS[name].tolerance else f"MORE THAN {BUILDS[name].tolerance:g} in {field}"
-            write(f"  {BUILDS[name].label:40}{worst:10.1e}  {verdict}")
+        found["deviation"] = agree(builds, write)
         found.update({"kernel_ticks_per_s": {}, "c_ticks_per_s": {}, "ratio_to_c": {}})
         contestants: dict[str, Advance] = {KERNEL: kernel.advance, **builds}
         for profile in PROFILES:

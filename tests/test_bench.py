@@ -98,8 +98,8 @@ def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
     assert "environments" in data
     assert data["scale"]["memory_per_device"]["arrays"] == MEMORY["arrays"]
     assert "peers" not in data
-    assert "not told here" in document.read_text()
-    assert "`amulett bench --scale --devices 4 --turns 1` on " in document.read_text()
+    assert "`amulett bench --devices 4 --turns 1` on " in document.read_text()
+    assert "amulett bench --scale --devices 4" not in document.read_text()  # a section that is not done is not renewed
     assert str(tmp_path) not in document.read_text()
     assert "interrupted" in capsys.readouterr().err
 
@@ -384,3 +384,29 @@ def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, r
     assert data["time_to_beat"]["recipe"]["env"]["tension_range"] == [4.0, 15.0]
     assert {"env", "null", "ratio"} < set(data["ppo"])
     assert (tmp_path / "figures" / "time-to-beat.png").is_file()
+
+
+def test_targets_that_cannot_be_written_are_refused_before_anything_is_measured(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(bench._MEASURE, "speed", lambda *_: pytest.fail("measured"))
+    unmarked = tmp_path / "unmarked.md"
+    unmarked.write_text("# Mine\n")
+    for words, message in (
+        (["--json", str(tmp_path)], "is a folder"),
+        (["--json", str(unmarked / "x.json")], "cannot write"),
+        (["--doc", str(unmarked)], "has to hold the line"),
+    ):
+        assert main(["bench", *words]) == 2
+        assert message in capsys.readouterr().err
+    assert unmarked.read_text() == "# Mine\n"
+
+
+def test_an_error_in_a_late_section_keeps_the_early_ones(tmp_path, monkeypatch):
+    def fails(*_):
+        raise AmulettError("no")
+
+    monkeypatch.setitem(bench._MEASURE, "speed", lambda arguments, data, config: data.update(devices=3))
+    monkeypatch.setitem(bench._MEASURE, "scale", fails)
+    monkeypatch.setattr(performance, "tables", lambda section, data: [])
+    out = tmp_path / "bench.json"
+    assert main(["bench", "--scale", "--json", str(out)]) == 2
+    assert json.loads(out.read_text()) == {"devices": 3}

@@ -1,14 +1,18 @@
 """Several threads step the devices faster where cores are free, and never otherwise."""
 
 import copy
+import os
 import pickle
+import signal
 import threading
+import time
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 import amulett_gym  # noqa: F401
+from amulett_gym.envs import transition
 from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.layout import LANES
 
@@ -77,3 +81,36 @@ def test_close_ends_the_threads():
 def test_a_wrong_number_of_threads_is_refused(threads):
     with pytest.raises(AmulettError, match="threads is .* at least 1"):
         gym.make_vec(SCALING, num_envs=4, threads=threads)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_starts_threads_of_its_own():
+    vector = gym.make_vec(SCALING, num_envs=2 * LANES, threads=2)
+    play(vector, 2, seed=0)
+    action = np.zeros((2 * LANES, 1))
+    child = os.fork()
+    if child == 0:
+        vector.step(action)
+        os._exit(7)
+    for _ in range(600):
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            break
+        time.sleep(0.05)
+    else:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        pytest.fail("the forked process hangs")
+    assert os.waitstatus_to_exitcode(status) == 7
+
+
+def test_actions_of_any_memory_layout_are_compiled_for_once():
+    vector = gym.make_vec(SCALING, num_envs=4)
+    vector.reset(seed=0)
+    vector.step(np.zeros((4, 1)))
+    known = len(transition.step.signatures)
+    read_only = np.zeros((4, 1))
+    read_only.flags.writeable = False
+    for actions in (np.zeros((4, 3))[:, 1:2], np.broadcast_to(0.5, (4, 1)), read_only, np.zeros((4, 1), np.float32)):
+        vector.step(actions)
+    assert len(transition.step.signatures) == known

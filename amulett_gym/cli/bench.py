@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.files import check_writable
 
 HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
 EXAMPLES = """  amulett bench
@@ -70,30 +71,35 @@ def run(arguments: argparse.Namespace) -> int:
     recipes = {section: _recipe(arguments, section) for section in asked if section in ("ppo", "time-to-beat")}
     if "c" in asked:
         yardstick()  # refused before anything is measured
+    if arguments.doc is not None:
+        performance.check(arguments.doc, asked)
     data: Data = {}
+    done: list[str] = []
     interrupted = False
     quiet = arguments.json == "-"
     try:
         for section in asked:
             try:
                 _MEASURE[section](arguments, data, recipes.get(section))
+                done.append(section)
             finally:
                 for table in performance.tables(section, data):
                     _say(quiet, table.text() + "\n")
     except KeyboardInterrupt:
         interrupted = True
         print("amulett: interrupted; what was measured until then is kept", file=sys.stderr)
-    if quiet:
-        print(json.dumps(data, indent=2, allow_nan=False))
-    elif arguments.json is not None:
-        write_json(arguments.json, data)
+    finally:  # an error in a late section must not lose the early ones
+        if quiet:
+            print(json.dumps(data, indent=2, allow_nan=False))
+        elif arguments.json is not None and data:
+            write_json(arguments.json, data)
     if arguments.out is not None:
         from amulett_gym.evaluation.performance_figures import draw
 
         for path in draw(data, arguments.out):
             _say(quiet, f"Written: {path}")
     if arguments.doc is not None:
-        found = {section: performance.tables(section, data) for section in asked}
+        found = {section: performance.tables(section, data) for section in done}
         texts = {
             section: "\n\n".join(
                 [f"`{_command(arguments, section)}` on {machine()}", *(table.markdown() for table in made)]
@@ -155,10 +161,8 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("json", "out", "doc"):
         if getattr(arguments, option) == "":
             raise AmulettError(f"--{option} is empty; it has to name a file or folder")
-    if arguments.doc is not None:
-        from amulett_gym.evaluation.performance import update
-
-        update(arguments.doc, {})  # a document that cannot be written is refused before anything is measured
+    if arguments.json not in (None, "-"):
+        check_writable(arguments.json)
 
 
 def _recipe(arguments: argparse.Namespace, section: str) -> Any:
@@ -202,9 +206,14 @@ def _c(arguments: argparse.Namespace, data: Data, config: Any) -> None:
     from amulett_gym.simulation.kernel import advance
 
     module = yardstick()
-    names = {"scalar": "c_ticks_per_s", "simd": "c_limit_ticks_per_s"}
+    names = {
+        "scalar": "c_ticks_per_s",
+        "simd_strict": "c_strict_simd_ticks_per_s",
+        "simd": "c_limit_ticks_per_s",
+    }
     with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder, _bar(len(module.PROFILES), "C") as bar:
         builds = {name: module.build(name, Path(folder)) for name in names}
+        module.agree(builds)
         found: Data = {key: {} for key in ("kernel_ticks_per_s", *names.values(), "ratio_to_c", "ratio_to_c_spread")}
         for profile in module.PROFILES:
             speeds = module.race({module.KERNEL: advance, **builds}, profile, arguments.devices, arguments.turns)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import operator
+import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -103,6 +104,7 @@ class Episodes:
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
 
     @property
     def agent_period(self) -> float:
@@ -196,10 +198,14 @@ class Episodes:
             of_devices = actions[rows], observations[rows], report[rows]
             transition.step(parameters, settings, scenarios[blocks], states[blocks], *of_devices)
 
-        if self._pool is None:
+        if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
+            self._pool_process = os.getpid()
         others = [self._pool.submit(step, blocks) for blocks in self._shares[1:]]
-        step(self._shares[0])
+        try:
+            step(self._shares[0])
+        finally:
+            wait(others)  # nobody writes to the states any more, whatever happens here
         for other in others:
             other.result()
 

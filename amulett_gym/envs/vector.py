@@ -191,7 +191,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(actions, dtype=np.float64)
+        actions = np.array(actions, dtype=np.float64, order="C")  # strided or read-only ones would be compiled for anew
         if actions.shape != (self.num_envs, 1):
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
         again = np.flatnonzero(self._ended)

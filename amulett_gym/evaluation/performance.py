@@ -6,7 +6,7 @@ Every table is a function of the plain data that ``--json`` writes.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,12 +73,32 @@ def update(path: str | Path, texts: Mapping[str, str]) -> None:
     """
     document = read_text(path, "document")
     for section, text in texts.items():
-        first, last = marks(section)
-        begin, end = document.find(first), document.find(last)
-        if begin < 0 or end < begin or document.count(first) != 1 or document.count(last) != 1:
-            raise AmulettError(f"document '{path}' has to hold the line '{first}' once, and after it '{last}' once")
-        document = f"{document[:begin]}{first}\n\n{text}\n\n{document[end:]}"
+        begin, end = _place(document, section, path)
+        document = f"{document[:begin]}{marks(section)[0]}\n\n{text}\n\n{document[end:]}"
     write_text(path, document)
+
+
+def check(path: str | Path, sections: Iterable[str]) -> None:
+    """Refuse a document that could not be renewed, before any work.
+
+    Raises
+    ------
+    AmulettError
+        As `update`.
+    """
+    document = read_text(path, "document")
+    for section in sections:
+        _place(document, section, path)
+    write_text(path, document)
+
+
+def _place(document: str, section: str, path: str | Path) -> tuple[int, int]:
+    """Return where a section's first mark and its second one begin."""
+    first, last = marks(section)
+    begin, end = document.find(first), document.find(last)
+    if begin < 0 or end < begin or document.count(first) != 1 or document.count(last) != 1:
+        raise AmulettError(f"document '{path}' has to hold the line '{first}' once, and after it '{last}' once")
+    return begin, end
 
 
 def marks(section: str) -> tuple[str, str]:
@@ -120,12 +140,17 @@ def _c(data: Data) -> list[Table]:
                 profile,
                 *(
                     f"{data[key][profile] / 1e6:.2f}"
-                    for key in ("kernel_ticks_per_s", "c_ticks_per_s", "c_limit_ticks_per_s")
+                    for key in (
+                        "kernel_ticks_per_s",
+                        "c_ticks_per_s",
+                        "c_strict_simd_ticks_per_s",
+                        "c_limit_ticks_per_s",
+                    )
                 ),
                 f"{ratio:.2f} ({least:.2f}-{most:.2f})",
             ]
         )
-    columns = ("kernel", "C, strict scalar", "C, SIMD, fast math", "kernel to strict scalar C")
+    columns = ("kernel", "C, strict scalar", "C, strict SIMD", "C, SIMD, fast math", "kernel to strict scalar C")
     note = "Million ticks a second on one core; medians of interleaved turns; the ratio turn by turn (least-most)."
     return [Table(f"The kernel beside the same tick in C, {data['c_devices']:,} devices", columns, rows, note)]
 
