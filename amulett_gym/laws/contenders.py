@@ -14,6 +14,7 @@ from typing import Any
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
+from amulett_gym.laws.parametric import tuned_names
 
 CONSTANT = "constant:"
 
@@ -55,7 +56,8 @@ class Contender:
 
 def contender_names() -> dict[str, str]:
     """Return the contenders' names (two of them patterns), each with a one-line description."""
-    return dict(_DESCRIPTIONS)
+    *named, constants, folders = _DESCRIPTIONS.items()
+    return dict([*named, *tuned_names().items(), constants, folders])
 
 
 def parse_contender(name: str) -> Contender:
@@ -77,7 +79,7 @@ def parse_contender(name: str) -> Contender:
     """
     if name in _IN_THE_LOOP:
         return Contender(name, dict(_IN_THE_LOOP[name]))
-    if name in ("eq6-held", "eq6-held-printed"):
+    if name in ("eq6-held", "eq6-held-printed") or name in tuned_names():
         return Contender(name, policy_name=name)
     if name.startswith(CONSTANT):
         constant_tension(name)
@@ -113,7 +115,7 @@ def bundle_folder(name: str) -> Path:
         If `name` is neither a known name nor such a folder.
     """
     if not name:
-        raise unknown("policy", name, _DESCRIPTIONS)
+        raise unknown("policy", name, contender_names())
     folder = Path(name)
     for candidate in (folder, folder / "best"):
         if (candidate / MANIFEST).is_file():
@@ -124,4 +126,4 @@ def bundle_folder(name: str) -> Path:
         raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json")
     if os.sep in name:
         raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist")
-    raise unknown("policy", name, _DESCRIPTIONS)
+    raise unknown("policy", name, contender_names())

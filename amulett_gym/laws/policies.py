@@ -22,6 +22,7 @@ from amulett_gym.laws.contenders import (
     contender_names,
     parse_contender,
 )
+from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
@@ -36,8 +37,8 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     Parameters
     ----------
     name_or_folder : str or Path
-        ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"`` or a policy bundle's folder (or a training run's, for
-        its best policy).
+        ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"``, a tuned law (`parametric.tuned_names`) or a policy
+        bundle's folder (or a training run's, for its best policy).
     env : gymnasium.Env or VectorEnv
         An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
         an action.
@@ -64,6 +65,8 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
         )
     if name.startswith(CONSTANT):
         return _constant(constant_tension(name), tension_range)
+    if name in tuned_names():
+        return _tuned(name, base.profile, base.episodes.suite, tension_range, base.episodes.agent_period)
     if name in ("eq6-held", "eq6-held-printed"):
         return _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
     return _from_bundle(read_bundle(bundle_folder(name)), tension_range, base.episodes.agent_period)
@@ -105,6 +108,19 @@ def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) ->
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         factors = _factors(batch[:, _POSITION_ERROR] * scale, law.nominal_tension, law.minimum_tension, offset, printed)
         return tension_to_action(factors * law.nominal_tension, tension_range).astype(np.float32)[:, None]
+
+    return _for_one_or_many(act)
+
+
+def _tuned(name: str, profile: Profile, suite: str, tension_range: tuple[float, float], agent_period: float) -> Policy:
+    """Follow a law with parameters that were tuned on a suite."""
+    _check_reach(f"'{name}'", *RANGE, tension_range)
+    law, vector = tuned_vector(name, profile, suite)
+    device = Device.of(profile, agent_period)
+
+    def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
+        tensions = law.tensions(batch, vector[None], device, tension_range)
+        return tension_to_action(tensions, tension_range).astype(np.float32)[:, None]
 
     return _for_one_or_many(act)
 

@@ -1,0 +1,391 @@
+"""Hand-made laws with parameters to tune: eq. 6 with its own, and a richer one.
+
+A law maps what the environment shows, and nothing else, to a tension setpoint. Both act from outside the loop, at agent
+rate, on observations of shape (N, 13), each row with parameters of its own if wanted: tuning tries many at once.
+
+**Eq. 6** is the paper's, with its exponent (4) as a fourth parameter.
+
+**The richer law** is a sum, brought smoothly into the range that tensions may have (see `_squash`), and followed at one
+rate when the tension rises and at another when it falls::
+
+    base + g1 E + g2 d + g3 S + g4 V + g5 d v + g6 L + g7 L E + g8 T + g9 d t + g10 a + g11 L d
+
+    E = 1 - exp(-(e / error_width)^2)      how far the arm is from its setpoint
+    d = tanh(e / error_width)              which way it has to go
+    S = max(-agonist d, 0)                 whether the other drive will have to take over
+    V = 1 - exp(-(rate / speed_width)^2)   how fast it moves
+    v = tanh(rate / speed_width)           d v: whether it moves there or away
+    L = exp(-time / early_time)            how recently the setpoint began to move
+    T = 1 - exp(-(torque / torque_width)^2), t = tanh(torque / torque_width)
+                                           what pushes it; d t: whether it pushes there or away
+    a = joint angle / 90 deg
+
+The external torque is what eq. 1 leaves at constant speed: friction less the strings' torque by both force estimates.
+The estimates are slow and never below their floor, and the weight counts as a push; nothing better is known on board.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.compiled import compiled
+from amulett_gym.config import Profile
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.model.damping import decay_rate
+from amulett_gym.model.plant import inertia
+
+RANGE = (4.0, 15.0)
+"""Tension setpoints that the laws choose from [N]: those of the environments' default actions."""
+
+TUNED = ("laws", "tuned")
+"""Folder of the tuned parameters in the package: ``<profile>/<law>-<suite>.json``."""
+
+_ERROR, _ANGLE, _RATE, _TIME, _FORCE, _ = OBSERVATION_SCALES.values()
+_ERROR_AT, _ANGLE_AT, _RATE_AT, _TIME_AT, _BICEPS_AT, _TRICEPS_AT, _AGONIST_AT, _SETPOINT_AT = map(
+    OBSERVATIONS.index,
+    (
+        "position_error",
+        "joint_angle",
+        "joint_velocity",
+        "time_since_move",
+        "estimated_tension_biceps",
+        "estimated_tension_triceps",
+        "agonist",
+        "tension_setpoint",
+    ),
+)
+
+Values = NDArray[np.float64]
+Tensions = Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number to tune.
+
+    Attributes
+    ----------
+    name, unit : str
+    low, high : float
+        Between which it is looked for.
+    start : float
+        Where the search may begin.
+    meaning : str
+    logarithmic : bool
+        Whether the search goes by its logarithm.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    start: float
+    meaning: str
+    logarithmic: bool = False
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law and the parameters that make it one.
+
+    Attributes
+    ----------
+    name, description : str
+    parameters : tuple of Parameter
+    fill : callable
+        Compiled: fills the tensions of a batch.
+    """
+
+    name: str
+    description: str
+    parameters: tuple[Parameter, ...]
+    fill: Tensions
+
+    def vector(self, values: Mapping[str, float]) -> Values:
+        """Return named values as the vector that `tensions` takes.
+
+        Raises
+        ------
+        AmulettError
+            If one is missing, unknown, or outside the range that it is looked for in.
+        """
+        names = [parameter.name for parameter in self.parameters]
+        for name in values:
+            if name not in names:
+                raise unknown(f"parameter of {self.name}", name, names)
+        for parameter in self.parameters:
+            value = values.get(parameter.name, math.nan)
+            if not parameter.low <= value <= parameter.high:
+                raise AmulettError(
+                    f"{self.name}: '{parameter.name}' is {value} {parameter.unit}; it has to be from {parameter.low:g} "
+                    f"to {parameter.high:g}"
+                )
+        return np.array([values[name] for name in names])
+
+    def start(self) -> Values:
+        """Return the vector that a search may begin with."""
+        return np.array([parameter.start for parameter in self.parameters])
+
+    def from_unit(self, points: Values) -> Values:
+        """Turn points of the unit cube, shape (..., parameters), into parameters."""
+        low, high, logarithmic = self._bounds()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(logarithmic, high / low, 1.0)
+        return np.clip(np.where(logarithmic, low * ratio**points, low + points * (high - low)), low, high)
+
+    def to_unit(self, vectors: Values) -> Values:
+        """Turn parameters, shape (..., parameters), into points of the unit cube."""
+        low, high, logarithmic = self._bounds()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            by_logarithm = np.log(vectors / low) / np.log(high / low)
+        return np.where(logarithmic, by_logarithm, (vectors - low) / (high - low))
+
+    def tensions(
+        self, observations: NDArray[Any], vectors: Values, device: Device, setpoint_range: tuple[float, float]
+    ) -> Values:
+        """Return the tension setpoints of a batch.
+
+        Parameters
+        ----------
+        observations : ndarray, shape (N, 13)
+        vectors : ndarray, shape (N, parameters) or (1, parameters)
+            Each row's own parameters, or those of all.
+        device : Device
+        setpoint_range : tuple of float
+            What -1 and 1 in the observed tension setpoint mean [N].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            [N], within `RANGE`.
+        """
+        tensions = np.empty(len(observations))
+        rows = np.asarray(observations, dtype=np.float64)
+        low, high = setpoint_range
+        self.fill(rows, np.ascontiguousarray(vectors), device.constants, device.agent_period, low, high, tensions)
+        return tensions
+
+    def _bounds(self) -> tuple[Values, Values, NDArray[np.bool_]]:
+        return (
+            np.array([parameter.low for parameter in self.parameters]),
+            np.array([parameter.high for parameter in self.parameters]),
+            np.array([parameter.logarithmic for parameter in self.parameters]),
+        )
+
+
+@dataclass(frozen=True)
+class Device:
+    """What a law knows of the device by construction: the nominal one, without a payload.
+
+    Attributes
+    ----------
+    constants : ndarray, shape (6,)
+        R_2 [m], J [kg m2], and a [1/s], b [1/N], c and d [1/s] of the decay rate (`model.damping.decay_rate`).
+    agent_period : float
+        Time between two actions [s].
+    """
+
+    constants: Values
+    agent_period: float
+
+    @classmethod
+    def of(cls, profile: Profile, agent_period: float) -> Device:
+        """Return what a law knows of a profile's device."""
+        masses, damping = profile.plant.masses, profile.damping
+        c = damping.b * damping.c if damping.fit == "shifted" else damping.c
+        nominal = inertia([item.mass for item in masses], [item.arm for item in masses])
+        constants = (profile.plant.joint_pulley_radius, nominal, damping.a, damping.b, c, damping.d)
+        return cls(np.array(constants), agent_period)
+
+
+@compiled
+def _fill_eq6(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+    for k in range(rows.shape[0]):
+        nominal, minimum, offset, exponent = vectors[k if vectors.shape[0] > 1 else 0]
+        error = abs(rows[k, _ERROR_AT]) * _ERROR * 180.0 / math.pi
+        tensions[k] = minimum + (nominal - minimum) * max(1.0 - error / offset, 0.0) ** exponent
+
+
+@compiled
+def _fill_parametric(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+    for k in range(rows.shape[0]):
+        p = vectors[k if vectors.shape[0] > 1 else 0]
+        row = rows[k]
+        error = row[_ERROR_AT] * _ERROR * 180.0 / math.pi
+        rate = row[_RATE_AT] * _RATE
+        torque = _external_torque(device, row[_BICEPS_AT] * _FORCE, row[_TRICEPS_AT] * _FORCE, rate)
+        far, way = _size(error / p[12]), math.tanh(error / p[12])
+        rate_deg = rate * 180.0 / math.pi
+        early = math.exp(-max(row[_TIME_AT], 0.0) * _TIME / p[14])
+        wanted = (
+            p[0]
+            + p[1] * far
+            + p[2] * way
+            + p[3] * max(-row[_AGONIST_AT] * way, 0.0)
+            + p[4] * _size(rate_deg / p[13])
+            + p[5] * way * math.tanh(rate_deg / p[13])
+            + p[6] * early
+            + p[7] * early * far
+            + p[8] * _size(torque / p[15])
+            + p[9] * way * math.tanh(torque / p[15])
+            + p[10] * row[_ANGLE_AT] * _ANGLE / (0.5 * math.pi)
+            + p[11] * early * way
+        )
+        last = low + 0.5 * (row[_SETPOINT_AT] + 1.0) * (high - low)
+        tensions[k] = _follow(last, _squash(wanted), p[16], p[17], period)
+
+
+@compiled
+def _size(x: float) -> float:
+    """Return how large a number is, smoothly, from 0 to 1."""
+    return 1.0 - math.exp(-x * x)
+
+
+@compiled
+def _squash(wanted: float) -> float:
+    """Bring a tension [N] smoothly into `RANGE`: within its middle 80 % by less than 0.1 N.
+
+    A softened clip, ``m + h x / (1 + x^8)^(1/8)``, where m and h are the range's middle and half width.
+    """
+    middle, half = 0.5 * (RANGE[0] + RANGE[1]), 0.5 * (RANGE[1] - RANGE[0])
+    x = (wanted - middle) / half
+    return middle + half * x / (1.0 + x**8) ** 0.125
+
+
+@compiled
+def _follow(last: float, wanted: float, rise_time: float, fall_time: float, period: float) -> float:
+    """Return the next tension [N] on the way from the last to the wanted one: a low-pass with two time constants."""
+    last = min(max(last, RANGE[0]), RANGE[1])
+    time_constant = rise_time if wanted > last else fall_time
+    return last + (wanted - last) * period / (time_constant + period)
+
+
+@compiled
+def _external_torque(device, biceps, triceps, rate):  # type: ignore[no-untyped-def]
+    """Return what pushes the joint [N m] by eq. 1 at constant speed, from both force estimates [N] and rate [rad/s]."""
+    radius, moment, a, b, c, d = device
+    return 2.0 * decay_rate(0.5 * (biceps + triceps), a, b, c, d) * moment * rate - (biceps - triceps) * radius
+
+
+def _gain(name: str, meaning: str) -> Parameter:
+    return Parameter(name, "N", -11.0, 11.0, 0.0, meaning)
+
+
+EQ6_TUNED = Law(
+    "eq6-tuned",
+    "eq. 6 with tuned parameters, from outside at agent rate",
+    (
+        Parameter("nominal_tension", "N", *RANGE, 10.0, "tension at no error; sigma"),
+        Parameter("minimum_tension", "N", *RANGE, 4.0, "tension from the offset on; sigma_min"),
+        Parameter(
+            "error_offset", "deg", 2.0, 90.0, 30.0, "error from which the tension is the minimum; d_offset", True
+        ),
+        Parameter("exponent", "1", 0.5, 12.0, 4.0, "how the tension goes from one to the other; 4 in the paper", True),
+    ),
+    _fill_eq6,
+)
+
+PARAMETRIC = Law(
+    "parametric",
+    "a tuned law of error, velocity, direction, time since the setpoint moved and external torque",
+    (
+        Parameter("base", "N", 2.0, 17.0, 8.0, "tension of a resting arm on its setpoint, but for the torque's share"),
+        _gain("error_gain", "g1, far from the setpoint"),
+        _gain("direction_gain", "g2, in flexion; minus that in extension"),
+        _gain("switch_gain", "g3, when the other drive will have to take over"),
+        _gain("speed_gain", "g4, when moving"),
+        _gain("approach_gain", "g5, when moving to the setpoint; minus that when moving away"),
+        _gain("early_gain", "g6, when the setpoint has just begun to move"),
+        _gain("early_error_gain", "g7, when it has and is far away"),
+        _gain("torque_gain", "g8, under an external torque"),
+        _gain("help_gain", "g9, when the torque pushes to the setpoint; minus that when it pushes away"),
+        _gain("angle_gain", "g10, at 90 deg"),
+        _gain("early_direction_gain", "g11, when the setpoint has just begun to move in flexion"),
+        Parameter("error_width", "deg", 0.5, 60.0, 15.0, "error that counts as far", True),
+        Parameter("speed_width", "deg/s", 3.0, 300.0, 60.0, "rate that counts as fast", True),
+        Parameter("early_time", "s", 0.03, 2.0, 0.3, "time for which a move counts as recent", True),
+        Parameter("torque_width", "N m", 0.01, 0.5, 0.1, "torque that counts as large", True),
+        Parameter("rise_time", "s", 0.002, 2.0, 0.05, "time constant of a rising tension", True),
+        Parameter("fall_time", "s", 0.002, 2.0, 0.05, "time constant of a falling tension", True),
+    ),
+    _fill_parametric,
+)
+
+LAWS = {law.name: law for law in (EQ6_TUNED, PARAMETRIC)}
+
+
+def tuned_names() -> dict[str, str]:
+    """Return the tuned laws by name, each with a one-line description.
+
+    A law's bare name means the parameters tuned on the suite that it meets, ``<law>:<suite>`` those of one suite.
+    """
+    names = {law.name: f"{law.description} (those of the suite it meets)" for law in LAWS.values()}
+    suites = {(law, suite): None for _, law, suite in _shipped()}
+    return names | {f"{law}:{suite}": f"{law} as tuned on {suite}" for law, suite in suites}
+
+
+def tuned_vector(name: str, profile: Profile, suite: str) -> tuple[Law, Values]:
+    """Return a tuned law and its parameters.
+
+    Parameters
+    ----------
+    name : str
+        From `tuned_names`.
+    profile : Profile
+        A profile that is based on a shipped one has that one's parameters.
+    suite : str
+        The suite that the law meets.
+
+    Raises
+    ------
+    AmulettError
+        If nothing was tuned for that device and suite.
+    """
+    law_name, _, chosen = name.partition(":")
+    content = tuned_content(law_name, profile, chosen or suite)
+    law = LAWS[law_name]
+    return law, law.vector({key: entry["value"] for key, entry in content["parameters"].items()})
+
+
+def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
+    """Return the shipped file of a tuned law: its parameters, and on what and how they were tuned.
+
+    Raises
+    ------
+    AmulettError
+        If nothing was tuned for that device and suite.
+    """
+    shipped = _shipped()
+    key = (profile.root, law, suite)
+    if key not in shipped:
+        there = sorted(f"{law}:{there}" for device, of, there in shipped if (device, of) == (profile.root, law))
+        raise AmulettError(
+            f"{law} was not tuned on the suite '{suite}' of the device '{profile.root}'; "
+            + (f"on this device there is {', '.join(there)}" if there else "on this device it was not tuned at all")
+        )
+    content: dict[str, Any] = json.loads(resources.files("amulett_gym").joinpath(*shipped[key]).read_text("utf-8"))
+    return content
+
+
+@cache
+def _shipped() -> dict[tuple[str, str, str], tuple[str, ...]]:
+    """Return where the package has which tuned law: (profile, law, suite) -> path."""
+    found: dict[tuple[str, str, str], tuple[str, ...]] = {}
+    folder = resources.files("amulett_gym").joinpath(*TUNED)
+    for law in LAWS:
+        for device in sorted(entry.name for entry in folder.iterdir() if entry.is_dir()) if folder.is_dir() else []:
+            for file in sorted(entry.name for entry in folder.joinpath(device).iterdir()):
+                if file.startswith(f"{law}-") and file.endswith(".json"):
+                    suite = file.removeprefix(f"{law}-").removesuffix(".json")
+                    found[device, law, suite] = (*TUNED, device, file)
+    return found
