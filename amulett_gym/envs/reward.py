@@ -24,10 +24,10 @@ from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import CONTACT_SUITES
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
-"""Weights of the reward's terms in suites in which nothing is touched."""
+"""Weights of the reward's terms where nothing is touched."""
 
 CONTACT_WEIGHTS = {"position": 0.35, "effort": 0.3, "tension": 0.05, "contact": 0.3}
-"""Weights in suites with obstacles: a bump counts as much as the effort, and all of them sum to 1 as well."""
+"""Weights where there are obstacles: a bump counts as much as the effort, and all of them sum to 1 as well."""
 
 MOST_WEIGHT = 1e6
 
@@ -67,7 +67,7 @@ def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[st
 
 
 def default_weights(suite: str) -> dict[str, float]:
-    """Return the weights that a suite's reward has unless others are asked for."""
+    """Return the weights that the reward of a suite or family has unless others are asked for."""
     return dict(CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS)
 
 
