@@ -11,6 +11,7 @@ import amulett_gym
 from amulett_gym.config import load_profile
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.laws.contenders import contender_names, parse_contender
 from amulett_gym.laws.parametric import (
     EQ6_TUNED,
@@ -178,17 +179,27 @@ def test_a_tuned_law_is_a_contender_like_any_other(name):
     assert env.action_space.contains(policy(env.reset(seed=0)[0]))
 
 
-def test_a_bare_name_means_the_suite_at_hand():
-    env = gym.make(TENSION, suite="steps")
+def test_a_bare_name_means_the_law_tuned_on_the_mix_wherever_it_acts():
     rows = np.random.default_rng(3).uniform(-1, 1, (50, len(OBSERVATIONS))).astype(np.float32)
-    here, there = (amulett_gym.load_policy(f"parametric{suite}", env)(rows) for suite in ("", ":mixed"))
-    assert (here == amulett_gym.load_policy("parametric:steps", env)(rows)).all()
-    assert (here != there).any()
+    for suite in ("steps", "hold-push"):
+        env = gym.make(TENSION, suite=suite)
+        bare, mixed, steps = (
+            amulett_gym.load_policy(f"parametric{tuned}", env)(rows) for tuned in ("", ":mixed", ":steps")
+        )
+        assert (bare == mixed).all()
+        assert (bare != steps).any()
+
+
+def test_tuned_laws_are_compared_with_the_others():
+    results = evaluate(["eq6-tuned", "parametric:steps", "constant:6"], episodes=10)
+    cost = {name: values["cost"].mean() for name, values in results.values.items()}
+    assert cost["parametric:steps"] < cost["constant:6"] < cost["eq6"]
+    assert set(results.schedules) == {"eq6-tuned", "parametric:steps", "constant:6"}
 
 
 def test_what_was_not_tuned_is_refused_with_what_was():
-    with pytest.raises(AmulettError, match="not tuned on the suite 'paper-step'.*parametric:steps"):
-        amulett_gym.load_policy("parametric", gym.make(TENSION, suite="paper-step"))
+    with pytest.raises(AmulettError, match="not tuned on the suite 'paper-step'.*parametric:mixed"):
+        tuned_content("parametric", load_profile("testbed"), "paper-step")
     with pytest.raises(AmulettError, match="on this device it was not tuned at all"):
         amulett_gym.load_policy("parametric:steps", gym.make(TENSION, profile="simulation"))
     with pytest.raises(AmulettError, match="did you mean 'parametric:steps'"):

@@ -47,6 +47,9 @@ from amulett_gym.model.plant import inertia
 RANGE = (4.0, 15.0)
 """Tension setpoints that the laws choose from [N]: those of the environments' default actions."""
 
+DEFAULT_SUITE = "mixed"
+"""On which a law was tuned if its name does not say."""
+
 TUNED = ("laws", "tuned")
 """Folder of the tuned parameters in the package: ``<profile>/<law>-<suite>.json``."""
 
@@ -327,14 +330,14 @@ LAWS = {law.name: law for law in (EQ6_TUNED, PARAMETRIC)}
 def tuned_names() -> dict[str, str]:
     """Return the tuned laws by name, each with a one-line description.
 
-    A law's bare name means the parameters tuned on the suite that it meets, ``<law>:<suite>`` those of one suite.
+    ``<law>:<suite>`` has the parameters tuned on that suite, a law's bare name those tuned on the mix of all: one law
+    for everything, as one policy is learned for everything.
     """
-    names = {law.name: f"{law.description} (those of the suite it meets)" for law in LAWS.values()}
-    suites = {(law, suite): None for _, law, suite in _shipped()}
-    return names | {f"{law}:{suite}": f"{law} as tuned on {suite}" for law, suite in suites}
+    names = {law.name: f"{law.description}; as {law.name}:{DEFAULT_SUITE}" for law in LAWS.values()}
+    return names | {f"{law}:{suite}": f"{law}, tuned on {suite}" for _, law, suite in _shipped()}
 
 
-def tuned_vector(name: str, profile: Profile, suite: str) -> tuple[Law, Values]:
+def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
     """Return a tuned law and its parameters.
 
     Parameters
@@ -343,16 +346,14 @@ def tuned_vector(name: str, profile: Profile, suite: str) -> tuple[Law, Values]:
         From `tuned_names`.
     profile : Profile
         A profile that is based on a shipped one has that one's parameters.
-    suite : str
-        The suite that the law meets.
 
     Raises
     ------
     AmulettError
-        If nothing was tuned for that device and suite.
+        If nothing was tuned for that device.
     """
-    law_name, _, chosen = name.partition(":")
-    content = tuned_content(law_name, profile, chosen or suite)
+    law_name, _, suite = name.partition(":")
+    content = tuned_content(law_name, profile, suite or DEFAULT_SUITE)
     law = LAWS[law_name]
     return law, law.vector({key: entry["value"] for key, entry in content["parameters"].items()})
 

@@ -66,7 +66,7 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     if name.startswith(CONSTANT):
         return _constant(constant_tension(name), tension_range)
     if name in tuned_names():
-        return _tuned(name, base.profile, base.episodes.suite, tension_range, base.episodes.agent_period)
+        return _tuned(name, base.profile, tension_range, base.episodes.agent_period)
     if name in ("eq6-held", "eq6-held-printed"):
         return _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
     return _from_bundle(read_bundle(bundle_folder(name)), tension_range, base.episodes.agent_period)
@@ -112,10 +112,10 @@ def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) ->
     return _for_one_or_many(act)
 
 
-def _tuned(name: str, profile: Profile, suite: str, tension_range: tuple[float, float], agent_period: float) -> Policy:
+def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agent_period: float) -> Policy:
     """Follow a law with parameters that were tuned on a suite."""
     _check_reach(f"'{name}'", *RANGE, tension_range)
-    law, vector = tuned_vector(name, profile, suite)
+    law, vector = tuned_vector(name, profile)
     device = Device.of(profile, agent_period)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
