@@ -493,7 +493,8 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path)
     assert first.stderr == ""
     assert set(LAWS) | {str(out / "ppo")} == set(json.loads(first.stdout)["policies"])
     laws = {name for name in contender_names() if not name.endswith(">")}
-    assert laws <= set(LAWS)
+    elsewhere = {"eq6-tuned", "parametric", "eq6-tuned:mixed", "parametric:mixed"}  # tuned on another suite
+    assert laws - elsewhere <= set(LAWS)
     again = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert "Replacing the earlier run" in again
     assert f"amulett play {out / 'ppo'}" in again
