@@ -8,7 +8,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from amulett_gym.evaluation.plots import BLACK, BLUE, GREY, PRINT_WIDTH, RED, styled, save_figure
+from amulett_gym.evaluation.plots import BLACK, BLUE, GREY, PRINT_WIDTH, RED, save_figure, styled
 
 Data = Mapping[str, Any]
 
