@@ -253,7 +253,7 @@ def capture(model: PPO) -> tuple[ModelState, Arrays]:
         progress_remaining=float(model._current_progress_remaining),
         episodes=list(model.ep_info_buffer or ()),
         log={
-            name: [repr(float(value)), logger.name_to_count.get(name, 0), logger.name_to_excluded[name]]
+            name: [repr(float(value)), logger.name_to_count.get(name, 0), list(logger.name_to_excluded[name])]
             for name, value in logger.name_to_value.items()
         },
         python_random=[python_version, list(python_words), gauss],
