@@ -222,13 +222,20 @@ def test_killed_at_random_moments_and_resumed_a_run_ends_with_the_same_bits(name
     assert outcome(out) == uninterrupted[name]
 
 
-@pytest.mark.parametrize("kill", range(KILLS))
-def test_killed_between_or_within_operations_on_its_files_it_does_too(kill, uninterrupted, tmp_path):
+@pytest.mark.parametrize("moment", ["first", "at the fourth", "five before the last", "last", *range(KILLS)])
+def test_killed_between_or_within_operations_on_its_files_it_does_too(moment, uninterrupted, tmp_path):
     out = tmp_path / "run"
-    die_at = int(np.random.default_rng().integers(1, uninterrupted["operations"]))
+    generator, operations = np.random.default_rng(), uninterrupted["operations"]
+    named = {"first": 1, "at the fourth": 4, "five before the last": operations - 5, "last": operations}
+    die_at = named.get(moment, int(generator.integers(1, operations)))
     process = started(live, out, PLAIN, die_at)
     process.join()
     assert process.exitcode == -signal.SIGKILL
+    if (out / "config.yaml").exists() and moment not in named:
+        again = int(generator.integers(1, 60))  # where what was written is brought back to the checkpoint
+        process = started(live, out, PLAIN, again)
+        process.join()
+        die_at = die_at, again
     if (out / "config.yaml").exists():
         resume(out, progress=False)
     else:  # it died before it wrote down its recipe: there is nothing to resume, and nothing in the way

@@ -13,7 +13,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -175,9 +175,11 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
     out = Path(out)
     if not (out / RUN_MARKS[0]).is_file():
         raise AmulettError(f"'{out}' holds no training run: there is no {RUN_MARKS[0]}")
+    if is_finished(out):
+        with suppress(AmulettError), locked_folder(out):  # it may have been killed just then
+            remove_checkpoints(out)
+        return _read_result(out)
     with locked_folder(out):
-        if (out / FINISHED).is_file():
-            return _read_result(out)
         config = load_train_config(out / RUN_MARKS[0])
         checkpoint = newest_checkpoint(out)
         if checkpoint is None and (out / "evaluations.csv").exists():
@@ -529,7 +531,8 @@ def warm_up(config: TrainConfig) -> None:
 
 
 def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
-    """Clear away an earlier run, its marks last, and write down what this one is."""
+    """Clear away an earlier run, all but its marks, and write down what this one is in their place."""
+    _remove_leftovers(out)
     for name in _OUTPUTS:
         path = out / name
         if path.is_dir():
