@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text, write_text
+from amulett_gym.files import between_marks, check_writable, read_text, write_text
 
 SECTIONS = ("speed", "c", "ppo", "time-to-beat", "scale", "peers")
 
@@ -73,8 +72,7 @@ def update(path: str | Path, texts: Mapping[str, str]) -> None:
     """
     document = read_text(path, "document")
     for section, text in texts.items():
-        begin, end = _place(document, section, path)
-        document = f"{document[:begin]}{marks(section)[0]}\n\n{text}\n\n{document[end:]}"
+        document = between_marks(document, path, *marks(section), text)
     write_text(path, document)
 
 
@@ -88,17 +86,8 @@ def check(path: str | Path, sections: Iterable[str]) -> None:
     """
     document = read_text(path, "document")
     for section in sections:
-        _place(document, section, path)
-    write_text(path, document)
-
-
-def _place(document: str, section: str, path: str | Path) -> tuple[int, int]:
-    """Return where a section's first mark and its second one begin."""
-    first, last = marks(section)
-    begin, end = document.find(first), document.find(last)
-    if begin < 0 or end < begin or document.count(first) != 1 or document.count(last) != 1:
-        raise AmulettError(f"document '{path}' has to hold the line '{first}' once, and after it '{last}' once")
-    return begin, end
+        between_marks(document, path, *marks(section), "")
+    check_writable(path)
 
 
 def marks(section: str) -> tuple[str, str]:

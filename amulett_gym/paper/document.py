@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text, write_text
+from amulett_gym.files import between_marks, read_text, write_text
 from amulett_gym.paper.claims import CheckedClaim
 from amulett_gym.paper.evidence import Evidence
 from amulett_gym.paper.figures import with_remark
@@ -78,7 +78,7 @@ def check(path: str | Path) -> None:
     AmulettError
         If the file or the figures beside it cannot be written, or it has not both marks once, in their order.
     """
-    _around(path)
+    between_marks(read_text(path, "document"), path, BEGIN, END, "")
     if not os.access(path, os.W_OK):
         raise AmulettError(f"cannot write document '{path}': it is read-only")
     folder = Path(path).parent
@@ -99,17 +99,7 @@ def update(path: str | Path, text: str) -> None:
     AmulettError
         If the file cannot be read or written, or has not both marks once, in their order.
     """
-    before, after = _around(path)
-    write_text(path, f"{before}{BEGIN}\n\n{text}\n\n{after}")
-
-
-def _around(path: str | Path) -> tuple[str, str]:
-    """Return what is before a document's first mark, and what follows from its second one on."""
-    document = read_text(path, "document")
-    begin, end = document.find(BEGIN), document.find(END)
-    if begin < 0 or end < begin or document.count(BEGIN) != 1 or document.count(END) != 1:
-        raise AmulettError(f"document '{path}' has to hold the line '{BEGIN}' once, and after it '{END}' once")
-    return document[:begin], document[end:]
+    write_text(path, between_marks(read_text(path, "document"), path, BEGIN, END, text))
 
 
 def _rows(reproduction: Reproduction) -> str:
