@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import check_writable
+from amulett_gym.files import check_writable, write_json
 
 HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
 EXAMPLES = """  amulett bench
@@ -65,7 +65,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
     _check(arguments)
     from amulett_gym.evaluation import performance
-    from amulett_gym.files import write_json
 
     asked = [name for name in performance.SECTIONS if name == "speed" or getattr(arguments, name.replace("-", "_"))]
     recipes = {section: _recipe(arguments, section) for section in asked if section in ("ppo", "time-to-beat")}
