@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -337,12 +338,20 @@ def _followed(trials: Trials, name: str) -> Actions:
     contender = parse_contender(name)
     if contender.policy_name is None:
         raise AmulettError(f"'{name}' acts inside the loop and has no schedule at agent rate; it cannot be a start")
-    env = gym.make(ENV_IDS[1], disable_env_checker=True, **trials.protocol.keywords(contender))
+    keywords = {**trials.protocol.keywords(contender), "action_range": TENSION_RANGE}  # what the trials' actions mean
+    env = gym.make(ENV_IDS[1], disable_env_checker=True, **keywords)
     policy = load_contender(contender, env)
+    hold = keywords["agent_period"] / trials.protocol.agent_period
+    if not math.isclose(hold, round(hold), rel_tol=1e-9):
+        raise AmulettError(
+            f"'{name}' acts every {keywords['agent_period']} s, which is no multiple of the schedules' "
+            f"{trials.protocol.agent_period} s; it cannot be a start"
+        )
     steps: list[Actions] = []
 
     def choose(step: int, observations: NDArray[np.float32]) -> Actions:
-        steps.append(np.clip(policy(observations)[:, 0], -1.0, 1.0))
+        due = step % round(hold) == 0
+        steps.append(np.clip(policy(observations)[:, 0], -1.0, 1.0) if due else steps[-1])
         return steps[-1]
 
     trials.play(np.arange(len(trials.rows)), choose)

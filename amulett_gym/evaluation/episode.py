@@ -14,7 +14,7 @@ from amulett_gym.envs.reward import prices
 from amulett_gym.envs.transition import FIRST_METRIC, METRICS
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, load_contender
-from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.laws.policies import action_to_tension
 from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.simulation.trajectory import Trajectory, record
@@ -45,7 +45,7 @@ class Episode:
 
 
 def record_episode(
-    name: str, protocol: Protocol, scenario: str | Path | Mapping[str, Any] | Scenario | None = None
+    name: str | Contender, protocol: Protocol, scenario: str | Path | Mapping[str, Any] | Scenario | None = None
 ) -> Episode:
     """Play one episode with a contender and keep every control tick.
 
@@ -53,8 +53,8 @@ def record_episode(
 
     Parameters
     ----------
-    name : str
-        A contender's name or a policy bundle's folder.
+    name : str or Contender
+        A contender, by its name or a policy bundle's folder.
     protocol : Protocol
         Its first scenario is played; `episodes` does not matter.
     scenario : str, Path, mapping or Scenario, optional
@@ -65,7 +65,7 @@ def record_episode(
     AmulettError
         If a name is unknown or a scenario is wrong.
     """
-    contender = parse_contender(name)
+    contender = name if isinstance(name, Contender) else parse_contender(name)
     keywords = protocol.keywords(contender)
     env: Any = gym.make(protocol.env_id, disable_env_checker=True, **keywords).unwrapped
     policy = load_contender(contender, env)
@@ -94,4 +94,4 @@ def record_episode(
     family = int(episodes.scenario(0)["family"])
     values = derive(raw, np.array([charge]), prices(protocol.profile, protocol.suite)[[family]])
     metrics = {metric: float(values[metric][0]) for metric in UNITS if metric in values}
-    return Episode(name, trajectory, env.scenario, metrics, failure)
+    return Episode(contender.name, trajectory, env.scenario, metrics, failure)

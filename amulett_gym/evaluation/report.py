@@ -101,7 +101,7 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
     protocol = results.protocol
     first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
     names = [name for name in results.values if name in first]
-    trajectories = {name: record_episode(name, protocol).trajectory for name in names}
+    trajectories = {name: record_episode(results.contender(name), protocol).trajectory for name in names}
     figures = {"cost": plots.cost_figure(summary)}
     if results.schedules:
         figures["schedule"] = plots.schedule_figure(results.schedules, protocol.profile.variable_stiffness)

@@ -134,12 +134,32 @@ class Schedule:
         1: the joint moved towards its setpoint, -1: away from it, 0: it stood.
     tension_range : tuple of float
         Tension setpoints that the policy can choose from [N].
+    approach : ndarray
+        Measured joint rate, positive towards the setpoint [deg/s].
     """
 
     error: Values
     tension: Values
     phase: NDArray[np.int64]
     tension_range: tuple[float, float]
+    approach: Values
+
+
+@dataclass(frozen=True)
+class Own(Contender):
+    """A contender of one's own: any callable that chooses actions.
+
+    ``Own("mine", {"agent_period": 0.1}, act=function)`` competes with the environment's keywords that it needs. Nothing
+    is known of the callable but what it does: it is never taken from a file.
+
+    Attributes
+    ----------
+    act : callable
+        Maps observations, shape (N, 13), to actions, shape (N, 1) or (N,), in [-1, 1]. It is called once an agent step
+        with all scenarios, from the first step on; if it has a method ``reset``, that is called before with N.
+    """
+
+    act: Callable[[NDArray[np.float32]], Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -165,6 +185,7 @@ class Results:
         What a reader has to know about this comparison: policies from elsewhere, divisors of another profile.
     command : str or None
         The command that makes these results again.
+    contenders : dict of str to Contender
     """
 
     protocol: Protocol
@@ -176,10 +197,15 @@ class Results:
     push_failures: dict[str, int] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
     command: str | None = None
+    contenders: dict[str, Contender] = field(default_factory=dict)
+
+    def contender(self, name: str) -> Contender:
+        """Return what acted under a name."""
+        return self.contenders.get(name) or parse_contender(name)
 
 
 def evaluate(
-    policies: Sequence[str],
+    policies: Sequence[str | Contender],
     suite: str = "steps",
     profile: str | Path | Mapping[str, Any] | Profile = "testbed",
     episodes: int = 100,
@@ -197,9 +223,9 @@ def evaluate(
 
     Parameters
     ----------
-    policies : sequence of str
-        Names of contenders (`laws.contenders.contender_names`) or folders of policy bundles. One that is named twice,
-        in whatever words, runs once.
+    policies : sequence of str or Contender
+        Names of contenders (`laws.contenders.contender_names`), folders of policy bundles, or policies of one's own
+        (:class:`Own`). One that is named twice, in whatever words, runs once.
     suite, split, env_id : str
     profile : str, Path, mapping or Profile
     episodes, seed : int
@@ -219,8 +245,9 @@ def evaluate(
         If a name is unknown or a value is out of its range; nothing runs then.
     """
     protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period)
-    names = list(dict.fromkeys([*policies] if YARDSTICK in policies else [YARDSTICK, *policies]))
-    contenders, remarks = _unique([parse_contender(name) for name in names])
+    listed = YARDSTICK in policies
+    asked = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
+    contenders, remarks = _unique(asked if listed else [parse_contender(YARDSTICK), *asked])
     remarks += _remarks(protocol, contenders)
 
     from tqdm import tqdm
@@ -239,22 +266,23 @@ def evaluate(
             protocol,
             {},
             {},
-            listed=YARDSTICK in policies,
+            listed=listed,
             push_suite=suite if push_protocol is None else PUSH_SUITE,
             remarks=remarks,
+            contenders={contender.name: contender for contender in contenders},
         )
         total = sum(env.max_episode_steps for env, _ in [*players, *pushed_players])
         bar = stack.enter_context(tqdm(total=total, unit="step", disable=not progress, leave=False))
         for k, contender in enumerate(contenders):
             bar.set_description(contender.name[-30:])
-            run = _run(protocol, *players[k], bar.update)
+            run = play(protocol, *players[k], bar.update)
             if push_protocol is not None:
-                pushed = _run(push_protocol, *pushed_players[k], bar.update)
+                pushed = play(push_protocol, *pushed_players[k], bar.update)
                 run.values["push_deflection"] = pushed.values["push_deflection"]
                 results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
             results.failures[contender.name] = run.failures
-            if contender.policy_name is not None:
+            if acts_from_outside(contender):
                 results.schedules[contender.name] = run.schedule
     return results
 
@@ -263,6 +291,11 @@ def labels(names: Sequence[str]) -> dict[str, str]:
     """Return a short label for each contender: of a bundle's folder only the end that tells it from the others."""
     short = {name: _short(name) for name in names}
     return {name: label if list(short.values()).count(label) == 1 else name for name, label in short.items()}
+
+
+def acts_from_outside(contender: Contender) -> bool:
+    """Tell whether a contender chooses the tension by what it observes, and not the loop itself."""
+    return contender.policy_name is not None or isinstance(contender, Own)
 
 
 def is_bundle(name: str) -> bool:
@@ -323,9 +356,15 @@ def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]
             policy = constant_tension(policy)
         elif policy is not None and is_bundle(policy):
             policy = Path(policy).resolve()
-        first = kept.setdefault((policy, repr(contender.env_keywords)), contender)
-        if first is not contender:
+        key = (policy, repr(contender.env_keywords), contender.act if isinstance(contender, Own) else None)
+        first = kept.setdefault(key, contender)
+        if first is not contender and first.name != contender.name:
             remarks.append(f"{contender.name} is the same as {first.name}, and ran once")
+    names = [contender.name for contender in kept.values()]
+    for contender in kept.values():
+        taken = isinstance(contender, Own) and contender.name in contender_names()
+        if taken or names.count(contender.name) > 1:
+            raise AmulettError(f"two contenders would be called '{contender.name}'; give one of them another name")
     return list(kept.values()), remarks
 
 
@@ -340,9 +379,23 @@ def _remarks(protocol: Protocol, contenders: Sequence[Contender]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Run:
+class Run:
+    """What one contender did in each scenario.
+
+    Attributes
+    ----------
+    values : dict of str to ndarray, shape (episodes,)
+        Metric -> value; NaN where not reached.
+    failures : list of str
+        Why its device failed, an empty string where it did not.
+    families : ndarray of int, shape (episodes,)
+        Of each scenario, an index into `simulation.layout.FAMILIES`.
+    schedule : Schedule
+    """
+
     values: dict[str, Values]
     failures: list[str]
+    families: NDArray[np.int64]
     schedule: Schedule
 
 
@@ -352,9 +405,40 @@ def _make(protocol: Protocol, contender: Contender) -> Any:
 
 def load_contender(contender: Contender, env: Any) -> Policy:
     """Return what acts for a contender in its environment: a batch of observations -> a batch of actions."""
+    if isinstance(contender, Own):
+        return _own(contender, env)
     if contender.policy_name is None:
         return lambda observations: np.zeros((len(observations), 1), dtype=np.float32)
     return load_policy(contender.policy_name, env)
+
+
+def play_alone(protocol: Protocol, contender: Contender) -> Run:
+    """Let one contender meet the protocol's scenarios."""
+    env = _make(protocol, contender)
+    try:
+        return play(protocol, env, load_contender(contender, env))
+    finally:
+        env.close()
+
+
+def _own(contender: Own, env: Any) -> Policy:
+    """Return one's own callable, whose actions are checked; a wrong shape must not be broadcast."""
+    act = contender.act
+    if not callable(act):
+        raise AmulettError(f"contender '{contender.name}' has nothing to act with: give it a callable, act=...")
+    if callable(getattr(act, "reset", None)):
+        act.reset(getattr(env, "num_envs", 1))  # type: ignore[attr-defined]
+
+    def policy(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        actions = np.asarray(act(observations), dtype=np.float32)
+        if actions.shape not in ((len(observations),), (len(observations), 1)):
+            raise AmulettError(
+                f"contender '{contender.name}' returned actions of shape {actions.shape} for observations of shape "
+                f"{observations.shape}; it has to be ({len(observations)}, 1)"
+            )
+        return actions.reshape(-1, 1)
+
+    return policy
 
 
 def _has_pushes(env: Any, seed: int) -> bool:
@@ -362,23 +446,23 @@ def _has_pushes(env: Any, seed: int) -> bool:
     return any(scenario.pushes for scenario in env.scenarios)
 
 
-def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], Any]) -> _Run:
+def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], Any] = lambda steps: None) -> Run:
     """Play one episode with each device; a device's values are those of the step in which its episode ended."""
     count = protocol.episodes
     metrics = {name: np.empty(count) for name in METRICS}
     returns, charges = np.zeros(count), np.zeros(count)
     failures = [""] * count
     running = np.ones(count, dtype=bool)
-    seen: list[tuple[Values, Values, NDArray[np.int64]]] = []
+    seen: list[tuple[Values, Values, NDArray[np.int64], Values]] = []
     observations, _ = env.reset(seed=protocol.seed)
     families = env.episodes.simulation.read_scenarios(np.arange(count))["family"]
     for _ in range(env.max_episode_steps):
-        error, phase = _look(env)
+        error, phase, approach = _look(env)
         observations, rewards, terminated, truncated, info = env.step(policy(observations))
         advance(1)
         returns[running] += rewards[running]
         kept = np.flatnonzero(running[:SCHEDULE_EPISODES])
-        seen.append((error[kept], info["tension_setpoint"][kept], phase[kept]))
+        seen.append((error[kept], info["tension_setpoint"][kept], phase[kept], approach[kept]))
         ended = running & (terminated | truncated)
         for name, column in metrics.items():
             column[ended] = info["metrics"][name][ended]
@@ -388,14 +472,15 @@ def _run(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
         running &= ~ended
     values = derive(metrics, charges, prices(protocol.profile, protocol.suite)[families])
     values["return"] = returns
-    error, tension, phase = (np.concatenate(column) for column in zip(*seen, strict=True))
-    return _Run({name: values[name] for name in UNITS}, failures, Schedule(error, tension, phase, env.tension_range))
+    error, tension, phase, approach = (np.concatenate(column) for column in zip(*seen, strict=True))
+    schedule = Schedule(error, tension, phase, env.tension_range, approach)
+    return Run({name: values[name] for name in UNITS}, failures, families.astype(np.int64), schedule)
 
 
-def _look(env: Any) -> tuple[Values, NDArray[np.int64]]:
-    """Return each device's absolute position error [deg] and phase, as its microcontroller sees them now."""
+def _look(env: Any) -> tuple[Values, NDArray[np.int64], Values]:
+    """Return each device's absolute position error [deg], phase and approach, as its microcontroller sees them now."""
     simulation = env.episodes.simulation
     error = simulation.read("setpoint") - simulation.read("measured_angle")
     velocity = simulation.read("measured_velocity")
     phase = np.where(np.abs(velocity) < _MOVING, 0, np.sign(velocity * error)).astype(np.int64)
-    return np.degrees(np.abs(error)), phase
+    return np.degrees(np.abs(error)), phase, np.degrees(velocity * np.sign(error))
