@@ -35,7 +35,7 @@ PACKAGE = Path(__file__).parent
 NAME = "amulett-gym"
 
 SOURCES = (
-    *("code_cache.py", "compiled.py", "config.py", "errors.py", "files.py"),
+    *("code_cache.py", "compiled.py", "config.py", "errors.py", "files.py", "safe_yaml.py"),
     *("control/*.py", "model/*.py", "simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
     *("tasks/*.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
 )

@@ -15,17 +15,25 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.files import read_text
+from amulett_gym.safe_yaml import parse_yaml
 
 SOURCES = ("paper", "datasheet", "identified", "assumed")
+
+MAX_BYTES = 100_000
+"""Largest YAML file accepted; the shipped ones have 5 kB."""
+
+_MOST_ERRORS = 10
+_MOST_SHOWN = 100
 
 Positive = Annotated[float, Field(gt=0)]
 Gain = Annotated[float, Field(ge=0, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0)]
+Seconds = Annotated[float, Field(ge=0, le=100)]
+Degrees = Annotated[float, Field(ge=0, le=180)]
 
 
 class Group(BaseModel):
@@ -59,7 +67,7 @@ class PointMass(Group):
 class Plant(Sourced):
     """The arm and its pulleys (eqs. 1-5)."""
 
-    masses: list[PointMass] = Field(min_length=1, description="m_i and l_i of eqs. 2-3")
+    masses: list[PointMass] = Field(min_length=1, max_length=100, description="m_i and l_i of eqs. 2-3")
     orientation: Literal["horizontal", "vertical"] = Field(
         description="plane in which the forearm swings; in the horizontal one gravity does no work"
     )
@@ -78,10 +86,12 @@ class Plant(Sourced):
 class Spring(Sourced):
     """The non-linear spring assembly in each string (Figure 5a), or a measured curve in its place."""
 
-    stiffness: Positive = Field(description="stiffness of each of the two linear springs [N/m]")
-    half_width: Positive = Field(description="distance of each spring's anchor from the string's axis [m]")
-    free_length: NonNegative = Field(description="length of an unloaded linear spring [m], at most half_width")
-    max_deflection: Positive = Field(description="string deflection at which the table ends [m]; force is held beyond")
+    stiffness: float = Field(gt=0, le=1e7, description="stiffness of each of the two linear springs [N/m]")
+    half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
+    free_length: float = Field(ge=0, le=10, description="length of an unloaded linear spring [m], at most half_width")
+    max_deflection: float = Field(
+        ge=1e-6, le=10, description="string deflection at which the table ends [m]; force is held beyond"
+    )
     measured_curve: str | None = Field(
         default=None, description="CSV file that replaces the geometric model (see model.spring.read_curve)"
     )
@@ -102,10 +112,10 @@ class Damping(Sourced):
     fit: Literal["shifted", "printed"] = Field(
         description="shifted: a exp(b (x + c)) + d, as Figure 3 shows; printed: a exp(b x + c) + d, as its caption says"
     )
-    a: float = Field(le=0, description="[1/s]; not positive: friction grows with preload")
-    b: float = Field(lt=0, description="[1/N]")
-    c: float = Field(description="[N] if shifted, dimensionless if printed")
-    d: NonNegative = Field(description="decay rate at large preload [1/s]")
+    a: float = Field(ge=-1e6, le=0, description="[1/s]; not positive: friction grows with preload")
+    b: float = Field(ge=-1e6, lt=0, description="[1/N]")
+    c: float = Field(ge=-1e6, le=1e6, description="[N] if shifted, dimensionless [1] if printed")
+    d: float = Field(ge=0, le=1e6, description="decay rate at large preload [1/s]")
     preload: Literal["mean", "smaller"] = Field(description="which of the two true string forces is the preload x")
     keeps: Literal["torque", "rate"] = Field(
         description="what stays the same when a payload changes the inertia: the damping torque, or the decay rate"
@@ -115,21 +125,25 @@ class Damping(Sourced):
 class Drives(Sourced):
     """Both motors."""
 
-    lag: NonNegative = Field(description="time constant of the motor position [s]; 0: the motor follows at once")
-    rate_limit_deg: float | None = Field(default=None, gt=0, description="largest motor speed [deg/s]; null: none")
-    command_limit_deg: float | None = Field(default=None, gt=0, description="largest |command| [deg]; null: none")
+    lag: Seconds = Field(description="time constant of the motor position [s]; 0: the motor follows at once")
+    rate_limit_deg: float | None = Field(
+        default=None, gt=0, le=1e6, description="largest motor speed [deg/s]; null: none"
+    )
+    command_limit_deg: float | None = Field(
+        default=None, gt=0, le=1e6, description="largest |command| [deg]; null: none"
+    )
 
 
 class Sensors(Sourced):
     """Joint encoder and the potentiometers on the linear springs."""
 
-    encoder_bits: int = Field(ge=0, le=32, description="bits per revolution; 0: exact")
-    encoder_noise_deg: NonNegative = Field(description="standard deviation [deg]")
-    potentiometer_bits: int = Field(ge=0, le=32, description="bits over the travel; 0: exact")
-    potentiometer_travel: Positive = Field(description="travel of the slider [m]")
-    potentiometer_noise: NonNegative = Field(description="standard deviation [m]")
-    force_filter: NonNegative = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
-    force_floor: NonNegative = Field(description="forces estimated below this are not trusted [N]; 0: all are")
+    encoder_bits: int = Field(ge=0, le=32, description="resolution of a revolution [bit]; 0: exact")
+    encoder_noise_deg: Degrees = Field(description="standard deviation [deg]")
+    potentiometer_bits: int = Field(ge=0, le=32, description="resolution of the travel [bit]; 0: exact")
+    potentiometer_travel: float = Field(gt=0, le=1, description="travel of the slider [m]")
+    potentiometer_noise: float = Field(ge=0, le=1, description="standard deviation [m]")
+    force_filter: Seconds = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
+    force_floor: float = Field(ge=0, le=1e6, description="forces estimated below this are not trusted [N]; 0: all are")
     below_floor: Literal["clamp", "hold", "ignore"] = Field(
         description="clamp: report the floor; hold: repeat the last trusted value; ignore: report the raw estimate, "
         "but let the tension controller see no error"
@@ -139,18 +153,20 @@ class Sensors(Sourced):
 class Pid(Group):
     """Gains of one PID controller. Position: deg/deg. Tension: deg/N."""
 
-    kp: Gain = Field(description="proportional gain")
-    ki: Gain = Field(description="integral gain [1/s]")
-    kd: Gain = Field(description="derivative gain [s]")
-    derivative_filter: NonNegative = Field(description="time constant of the derivative's filter [s]; 0: none")
-    derivative_on: Literal["error", "measurement"] = "error"
+    kp: Gain = Field(description="proportional gain [1], or [deg/N] of tension")
+    ki: Gain = Field(description="integral gain [1/s], or [deg/(N s)]")
+    kd: Gain = Field(description="derivative gain [s], or [deg s/N]")
+    derivative_filter: Seconds = Field(description="time constant of the derivative's filter [s]; 0: none")
+    derivative_on: Literal["error", "measurement"] = Field(
+        default="error", description="what is differentiated; by the measurement, setpoint steps do not kick"
+    )
 
 
 class Loop(Sourced):
     """The decentralised loop of section 2.2."""
 
-    control_period: float = Field(gt=0, le=0.1, description="time between two control ticks [s]")
-    substeps: int = Field(ge=1, le=1000, description="integration steps in a control period")
+    control_period: float = Field(ge=1e-6, le=0.1, description="time between two control ticks [s]")
+    substeps: int = Field(ge=1, le=1000, description="integration steps in a control period [1]")
     position: Pid = Field(description="joint position controller")
     tension: Pid = Field(description="string tension controller")
     position_only: Pid = Field(description="joint position controller used without the tension controller")
@@ -159,17 +175,19 @@ class Loop(Sourced):
         description="the antagonist follows position plus tension controller, or the tension controller alone"
     )
     agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or one drive throughout")
-    switch_filter: NonNegative = Field(
+    switch_filter: Seconds = Field(
         description="time constant of the low-pass over the difference of both springs' deflections [s]; 0: none"
     )
-    switch_hysteresis: NonNegative = Field(
-        description="the other spring has to be deflected this much more than the agonist's before they switch [m]"
+    switch_hysteresis: float = Field(
+        ge=0,
+        le=1,
+        description="the other spring has to be deflected this much more than the agonist's before they switch [m]",
     )
-    tie_width: NonNegative = Field(description="spring deflections closer than this are equal [m]")
-    tie_error_deg: NonNegative = Field(
+    tie_width: float = Field(ge=0, le=1, description="spring deflections closer than this are equal [m]")
+    tie_error_deg: Degrees = Field(
         description="at equal deflections the desired motion decides, if the error is at least this [deg]"
     )
-    velocity_filter: Positive = Field(description="time constant of the measured joint velocity [s]")
+    velocity_filter: float = Field(gt=0, le=100, description="time constant of the measured joint velocity [s]")
 
     @model_validator(mode="after")
     def _check_hysteresis(self) -> Loop:
@@ -183,9 +201,9 @@ class Loop(Sourced):
 class VariableStiffness(Sourced):
     """Parameters of eq. 6 (Figure 6)."""
 
-    nominal_tension: Positive = Field(description="sigma, desired string tension [N]")
-    minimum_tension: Positive = Field(description="sigma_min, minimum desired string tension [N]")
-    error_offset_deg: Positive = Field(description="d_offset, error at which the factor is smallest [deg]")
+    nominal_tension: float = Field(gt=0, le=1e6, description="sigma, desired string tension [N]")
+    minimum_tension: float = Field(gt=0, le=1e6, description="sigma_min, minimum desired string tension [N]")
+    error_offset_deg: float = Field(gt=0, le=360, description="d_offset, error at which the factor is smallest [deg]")
 
     @model_validator(mode="after")
     def _check_order(self) -> VariableStiffness:
@@ -200,16 +218,16 @@ class VariableStiffness(Sourced):
 class Profile(Group):
     """A device with its loop: everything the simulation has to know that is not part of a scenario."""
 
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, max_length=200, description="of the device, in reports")
     base: str | None = Field(default=None, description="the shipped profile this one started from")
-    description: str = ""
-    plant: Plant
-    spring: Spring
-    damping: Damping
-    drives: Drives
-    sensors: Sensors
-    loop: Loop
-    variable_stiffness: VariableStiffness
+    description: str = Field(default="", description="a line for `amulett list`")
+    plant: Plant = Field(description="arm and pulleys")
+    spring: Spring = Field(description="spring assembly in each string")
+    damping: Damping = Field(description="decay rate by preload")
+    drives: Drives = Field(description="both motors")
+    sensors: Sensors = Field(description="encoder and potentiometers")
+    loop: Loop = Field(description="controllers and their switching")
+    variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
 
     @property
     def root(self) -> str:
@@ -265,14 +283,9 @@ def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
     Raises
     ------
     AmulettError
-        If the file cannot be read, is no YAML or holds something else than a mapping.
+        If the file cannot be read, `parse_yaml` refuses its text, or it holds something else than a mapping.
     """
-    try:
-        content = yaml.safe_load(read_text(path, what))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        if isinstance(error, AmulettError):
-            raise
-        raise AmulettError(f"{what} '{path}' is not valid YAML: {error}") from error
+    content = parse_yaml(read_text(path, what, MAX_BYTES), f"{what} '{path}'")
     if not isinstance(content, dict):
         raise AmulettError(f"{what} '{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
     return content
@@ -281,18 +294,21 @@ def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
 def describe(error: ValidationError, model: type[BaseModel], what: str) -> AmulettError:
     """Turn a pydantic error into one that names key, value, what is allowed and the nearest valid key."""
     lines = []
-    for item in error.errors():
+    errors = error.errors(include_url=False)
+    for item in errors[:_MOST_ERRORS]:
         location = item["loc"]
-        key = ".".join(str(part) for part in location)
+        key = _shorten(".".join(str(part) for part in location))
         if item["type"] == "extra_forbidden":
             choices = _keys_at(model, location[:-1])
-            lines.append(f"unknown key '{key}'{nearest(str(location[-1]), choices)} (allowed: {', '.join(choices)})")
+            lines.append(f"unknown key '{key}'{nearest(key.split('.')[-1], choices)} (allowed: {', '.join(choices)})")
         elif item["type"] == "missing":
             lines.append(f"'{key}' is missing")
         else:
-            value = "" if isinstance(item["input"], dict | list) else f" is {item['input']!r}"
-            message = item["msg"].removeprefix("Value error, ")
+            value = "" if isinstance(item["input"], dict | list) else f" is {_shorten(repr(item['input']))}"
+            message = _shorten(item["msg"].removeprefix("Value error, "), 10 * _MOST_SHOWN)
             lines.append(f"'{key}'{value}: {message}" if key else message)
+    if len(errors) > _MOST_ERRORS:
+        lines.append(f"and {len(errors) - _MOST_ERRORS} more")
     return AmulettError(f"{what}: " + "; ".join(lines))
 
 
@@ -332,10 +348,13 @@ def _validate(content: Mapping[str, Any], what: str) -> Profile:
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Return the keys allowed at `location` inside `model`, looking through lists and optional groups."""
     for part in location:
-        if isinstance(part, int):
-            continue
-        model = _group_in(model.model_fields[part].annotation) or model
+        if part in model.model_fields:
+            model = _group_in(model.model_fields[str(part)].annotation) or model
     return list(model.model_fields)
+
+
+def _shorten(text: str, most: int = _MOST_SHOWN) -> str:
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def _group_in(annotation: Any) -> type[BaseModel] | None:

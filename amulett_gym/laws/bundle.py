@@ -10,17 +10,16 @@ A bundle is a folder:
 ``manifest.json``        the SHA-256 of every other file
 =======================  ==============================================================================
 
-Nothing is unpickled, and nothing is believed before the manifest has vouched for it. No running normalisation has to be
-kept: observations are scaled by constants.
+Nothing is unpickled, no name in a bundle is a path or a module, and nothing is believed before the manifest has vouched
+for it. The manifest proves that a bundle is whole, not who made it: whoever changes a file can write a new manifest. No
+running normalisation has to be kept: observations are scaled by constants.
 """
 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
-import stat
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,15 +32,22 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 from safetensors import SafetensorError
 
-from amulett_gym.config import Group, describe
+from amulett_gym import ENV_IDS
+from amulett_gym.config import Group, describe, profile_names
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError
-from amulett_gym.files import write_json
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.files import parse_json, read_bytes, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
 MAX_BYTES = 16_000_000
 """Largest file accepted in a bundle; the shipped recipes' networks have 20 kB."""
+
+FORMAT = 1
+"""Version of the format, in the manifest and in ``policy.json``."""
+
+MAX_WEIGHT = 1e6
+"""Largest magnitude of a weight: no network of the sizes allowed can overflow then."""
 
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -89,9 +95,21 @@ class PolicyDescription(Group):
 class TrainingEnv(Group):
     """Content of ``env.json``: what ``gym.make(id, max_episode_steps=..., **keywords)`` needs."""
 
-    id: str
-    keywords: dict[str, Any] = Field(description="JSON-serialisable keywords of the environment")
-    max_episode_steps: int = Field(ge=1)
+    id: str = Field(description="of `amulett_gym.ENV_IDS`")
+    keywords: dict[str, Any] = Field(
+        description="JSON-serialisable keywords of the environment; its profile by a shipped name, or whole"
+    )
+    max_episode_steps: int = Field(ge=1, le=10**9, description="length of an episode [1]")
+
+    @model_validator(mode="after")
+    def _check_names(self) -> TrainingEnv:
+        """Refuse an id that would make Gymnasium import a module, and a profile that would have a file read."""
+        if self.id not in ENV_IDS:
+            raise unknown("environment", self.id[:100], ENV_IDS)
+        profile = self.keywords.get("profile", {})
+        if not isinstance(profile, dict) and profile not in profile_names():
+            raise unknown("profile", str(profile)[:100], profile_names())
+        return self
 
 
 class Manifest(Group):
@@ -170,7 +188,11 @@ def read_bundle(folder: str | Path) -> Bundle:
         amulett-gym. The error names the file.
     """
     folder = Path(folder)
-    if not folder.is_dir():
+    try:
+        is_folder = folder.is_dir()
+    except OSError as error:
+        raise AmulettError(f"cannot read policy bundle '{folder}': {error.strerror or error}") from error
+    if not is_folder:
         raise AmulettError(f"cannot read policy bundle '{folder}': it is no folder")
     manifest = _parse(Manifest, _read(folder / MANIFEST), folder / MANIFEST)
     contents = _verified(folder, manifest)
@@ -255,10 +277,13 @@ def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     """Return the content of every file that the manifest lists, none of them changed, missing or unlisted."""
     for name in sorted(set(manifest.sha256) ^ set(FILES)):
         lists = "lists" if name in manifest.sha256 else "does not list"
-        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name!r}; a bundle holds {', '.join(FILES)}")
-    for path in sorted(folder.iterdir()):
-        if path.name not in manifest.sha256 and path.name != MANIFEST:
-            raise AmulettError(f"'{path}' is not listed in the bundle's manifest")
+        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}")
+    try:
+        for path in folder.iterdir():
+            if path.name not in manifest.sha256 and path.name != MANIFEST:
+                raise AmulettError(f"'{path}' is not listed in the bundle's manifest")
+    except OSError as error:
+        raise AmulettError(f"cannot read policy bundle '{folder}': {error.strerror or error}") from error
     contents = {}
     for name, digest in manifest.sha256.items():
         contents[name] = _read(folder / name)
@@ -276,7 +301,7 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
     for k, (inputs, outputs) in enumerate(zip(network.layers, network.layers[1:], strict=False)):
         shapes[f"layer_{k}.weight"], shapes[f"layer_{k}.bias"] = (outputs, inputs), (outputs,)
     if set(tensors) != set(shapes):
-        wrong = ", ".join(sorted(set(tensors) ^ set(shapes)))
+        wrong = ", ".join(sorted(set(tensors) ^ set(shapes)))[:200]
         raise AmulettError(f"'{path}' does not hold the weights that {POLICY} describes: {wrong} missing or too many")
     for name, shape in shapes.items():
         tensor = tensors[name]
@@ -286,6 +311,8 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
             )
         if not np.isfinite(tensor).all():
             raise AmulettError(f"'{path}': '{name}' holds a number that is not finite")
+        if np.abs(tensor).max() > MAX_WEIGHT:
+            raise AmulettError(f"'{path}': '{name}' holds a number beyond +-{MAX_WEIGHT:g}")
     return [(tensors[f"layer_{k}.weight"], tensors[f"layer_{k}.bias"]) for k in range(len(network.layers) - 1)]
 
 
@@ -304,6 +331,10 @@ def _check_observations(policy: PolicyDescription, path: Path) -> None:
 
 def _parse(model: type[Any], content: bytes, path: Path) -> Any:
     value = _json(content, path)
+    found = value.get("version", FORMAT)
+    if "version" in model.model_fields and isinstance(found, int) and found != FORMAT:
+        hint = "update amulett-gym" if found > FORMAT else "train again, or write the bundle anew with this amulett-gym"
+        raise AmulettError(f"'{path}': 'version' is {str(found)[:20]}; this amulett-gym reads {FORMAT}: {hint}")
     try:
         return model.model_validate(value)
     except ValidationError as error:
@@ -312,25 +343,17 @@ def _parse(model: type[Any], content: bytes, path: Path) -> Any:
 
 def _json(content: bytes, path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise AmulettError(f"'{path}' is not valid JSON: {error}") from error
+        text = content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise AmulettError(f"'{path}' is not UTF-8 text") from error
+    value = parse_json(text, f"'{path}'")
     if not isinstance(value, dict):
         raise AmulettError(f"'{path}' has to hold a JSON object, not {type(value).__name__}")
     return value
 
 
 def _read(path: Path) -> bytes:
-    try:
-        status = path.stat()
-        size = status.st_size
-        if not stat.S_ISREG(status.st_mode):
-            raise AmulettError(f"'{path}' is no ordinary file")
-        if size > MAX_BYTES:
-            raise AmulettError(f"'{path}' has {size} bytes; at most {MAX_BYTES} are allowed")
-        return path.read_bytes()
-    except OSError as error:
-        raise AmulettError(f"cannot read '{path}': {error.strerror or error}") from error
+    return read_bytes(path, "bundle file", MAX_BYTES, follow=False)
 
 
 def _digest(content: bytes) -> str:

@@ -34,6 +34,9 @@ from amulett_gym.files import read_text
 
 CELLS = 256
 CURVE_COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
+_MOST = {"deflection_m": 10.0, "force_N": 1e6, "spring_deflection_m": 10.0}
+_LEAST_RISE = 1e-9  # [m]: far below what anybody measures, and far above where slopes overflow
+_MAX_CURVE_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -111,20 +114,21 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
     ------
     AmulettError
         If the file is unreadable or empty, a column is missing, a cell is no finite number, a value is negative, a
-        deflection does not rise or a force falls.
+        deflection rises by less than a nanometre or a force falls, or a value is out of its range (10 m, 1e6 N).
     """
-    text = read_text(path, "measured spring curve").removeprefix("\ufeff")
+    text = read_text(path, "measured spring curve", _MAX_CURVE_BYTES).removeprefix("\ufeff")
     delimiter = ";" if ";" in text.partition("\n")[0] else ","
     try:
-        rows = list(csv.DictReader(io.StringIO(text), delimiter=delimiter))
+        header, *rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if row] or [[]]
     except csv.Error as error:
         raise AmulettError(f"measured spring curve '{path}' is not valid CSV: {error}") from error
     if not rows:
         raise AmulettError(f"measured spring curve '{path}' is empty; it needs a header and at least 3 rows")
-    missing = [column for column in CURVE_COLUMNS[:2] if column not in rows[0]]
+    missing = [column for column in CURVE_COLUMNS[:2] if column not in header]
     if missing:
-        raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {list(rows[0])}")
-    columns = [_column(rows, name, path) for name in CURVE_COLUMNS if name in rows[0]]
+        has = ", ".join(header)[:200]
+        raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {has}")
+    columns = [_column(rows, header, name, path) for name in CURVE_COLUMNS if name in header]
     starts = {name: float(column[0]) for name, column in zip(CURVE_COLUMNS, columns, strict=False)}
     if all(start > 0 for start in starts.values()):
         columns = [np.insert(column, 0, 0.0) for column in columns]
@@ -134,8 +138,9 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
         raise AmulettError(f"measured spring curve '{path}', column 'force_N' has no force above 0")
     for name, column in zip(CURVE_COLUMNS, columns, strict=False):
         step = np.diff(column)
-        if (step < 0).any() or (name != "force_N" and (step == 0).any()):
-            row = int(np.argmax(step < 0 if name == "force_N" else step <= 0)) + 1
+        wrong = step < (0.0 if name == "force_N" else _LEAST_RISE)
+        if wrong.any():
+            row = int(np.argmax(wrong)) + 1
             raise AmulettError(
                 f"measured spring curve '{path}', column '{name}' has to rise from row to row; {column[row]} follows "
                 f"{column[row - 1]}"
@@ -227,13 +232,16 @@ def _coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.ascontiguousarray(pchip.c[::-1].T)
 
 
-def _column(rows: list[dict[str, str]], name: str, path: str | Path) -> NDArray[np.float64]:
+def _column(rows: list[list[str]], header: list[str], name: str, path: str | Path) -> NDArray[np.float64]:
+    what, index, most = f"measured spring curve '{path}', column '{name}'", header.index(name), _MOST[name]
     try:
-        values = np.array([float(row[name]) for row in rows])
-    except (TypeError, ValueError) as error:
-        raise AmulettError(f"measured spring curve '{path}', column '{name}': every cell has to be a number") from error
+        values = np.array([float(row[index]) for row in rows])
+    except (IndexError, ValueError) as error:
+        raise AmulettError(f"{what}: every cell has to be a number") from error
     if values.size < 3 or not np.isfinite(values).all():
-        raise AmulettError(f"measured spring curve '{path}', column '{name}': at least 3 finite numbers are needed")
+        raise AmulettError(f"{what}: at least 3 finite numbers are needed")
     if values[0] < 0.0:
-        raise AmulettError(f"measured spring curve '{path}', column '{name}' starts at {values[0]}; it has to be >= 0")
+        raise AmulettError(f"{what} starts at {values[0]}; it has to be >= 0")
+    if values.max() > most:
+        raise AmulettError(f"{what} reaches {values.max()}; it has to be at most {most:g}")
     return values

@@ -5,7 +5,6 @@ A scenario can be written as JSON, read back and replayed bit for bit.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulett_gym.config import Group, Profile, describe
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text
+from amulett_gym.files import read_json
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
     FAMILIES,
@@ -28,6 +27,9 @@ from amulett_gym.simulation.layout import (
     Orientation,
     load_arm,
 )
+
+MAX_BYTES = 100_000
+"""Largest scenario file accepted; the largest that can be described has 10 kB."""
 
 _DIGITS = 9  # of angles in degrees and ramps in seconds: suites sample far coarser, so that packing loses nothing
 
@@ -173,11 +175,7 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     what = "scenario"
     if isinstance(scenario, str | Path):
         what = f"scenario '{scenario}'"
-        try:
-            content = read_text(scenario, "scenario")
-            scenario = json.loads(content)
-        except (ValueError, RecursionError) as error:
-            raise AmulettError(f"{what} is not valid JSON: {error}") from error
+        scenario = read_json(scenario, "scenario", MAX_BYTES)
     try:
         return Scenario.model_validate(scenario)
     except ValidationError as error:
