@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs import transition
+from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.batch import Simulation
@@ -49,6 +50,9 @@ class Episodes:
     simulation : Simulation
     tension_range : tuple of float
         Tension setpoint at action -1 and +1 [N].
+    privileged : bool
+    observation_size : int
+        Entries of an observation: 13, or with what no device can know behind them (see `envs.privileged`).
     started : ndarray of bool, shape (N,)
         Which devices have started an episode.
     """
@@ -67,6 +71,7 @@ class Episodes:
         observation_noise: float,
         failure_horizon: int,
         threads: int = 1,
+        privileged: bool = False,
     ) -> None:
         self.profile = load_profile(profile)
         check_names(suite, split)
@@ -79,7 +84,11 @@ class Episodes:
             raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")
         if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
             raise AmulettError(f"threads is {threads!r}; it has to be a whole number of at least 1")
+        if not isinstance(privileged, bool):
+            raise AmulettError(f"privileged is {privileged!r}; it has to be True or False")
         self.suite, self.split = suite, split
+        self.privileged = privileged
+        self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if privileged else 0)
         self.tension_range = tension_range
         self.simulation = Simulation(self.profile, num_devices, control, tension_law)
         self._settings = np.zeros(1, dtype=transition.SETTINGS)
@@ -142,7 +151,7 @@ class Episodes:
 
         Returns
         -------
-        ndarray of float32, shape (len(devices), 13)
+        ndarray of float32, shape (len(devices), observation_size)
         """
         keys = episode_keys(self._keys[devices], self._episodes[devices], self.split)
         rows = sample(self.suite, keys, self.profile, self._max_force, self.split)
@@ -153,11 +162,11 @@ class Episodes:
         return self.observe(devices)
 
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
-        """Return what the given devices (all if None) sense now, shape (len(devices), 13)."""
+        """Return what the given devices (all if None) sense now, shape (len(devices), observation_size)."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         observations = np.empty((devices.size, len(transition.OBSERVATIONS)), dtype=np.float32)
         transition.observe_devices(*self._arrays, devices, observations)
-        return observations
+        return self._with_privileged(observations, devices)
 
     def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
         """Take one agent step with all devices.
@@ -169,7 +178,7 @@ class Episodes:
 
         Returns
         -------
-        observations : ndarray of float32, shape (N, 13)
+        observations : ndarray of float32, shape (N, observation_size)
         report : ndarray, shape (N, 37)
             Reward, terms, readings and metrics; see `envs.transition`.
 
@@ -187,7 +196,7 @@ class Episodes:
             transition.step(*self._arrays, actions, observations, report)
         else:
             self._step_in_threads(actions, observations, report)
-        return observations, report
+        return self._with_privileged(observations, np.arange(num_devices)), report
 
     def _step_in_threads(self, actions: NDArray[np.floating[Any]], observations: Observations, report: Report) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
@@ -256,6 +265,11 @@ class Episodes:
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
         self.started[...] = state["started"]
+
+    def _with_privileged(self, observations: Observations, devices: NDArray[np.int64]) -> Observations:
+        if not self.privileged:
+            return observations
+        return np.concatenate([observations, observe_privileged(self.simulation, devices)], axis=1)
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys

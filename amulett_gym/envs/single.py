@@ -21,7 +21,6 @@ from amulett_gym.envs.transition import (
     FIRST_TERM,
     MAY_BE_MISSING,
     METRICS,
-    OBSERVATIONS,
     READINGS,
 )
 from amulett_gym.errors import AmulettError, unknown
@@ -83,6 +82,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         observation_noise: float = 0.0,
         failure_horizon: int = DEFAULT_STEPS,
         render_mode: str | None = None,
+        privileged: bool = False,
     ) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise unknown("render_mode", render_mode, RENDER_MODES)
@@ -99,8 +99,9 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             agent_period,
             observation_noise,
             failure_horizon,
+            privileged=privileged,
         )
-        self.observation_space = Box(-1.0, 1.0, (len(OBSERVATIONS),), np.float32)
+        self.observation_space = Box(-1.0, 1.0, (self.episodes.observation_size,), np.float32)
         self.action_space = Box(-1.0, 1.0, (1,), np.float32)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(round(1 / agent_period), 1)}
@@ -140,7 +141,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
         Returns
         -------
-        observation : ndarray of float32, shape (13,)
+        observation : ndarray of float32, shape (13,), longer if `privileged`
         info : dict
 
         Raises
@@ -174,7 +175,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
         Returns
         -------
-        observation : ndarray of float32, shape (13,)
+        observation : ndarray of float32, shape (13,), longer if `privileged`
         reward : float
         terminated : bool
             Whether the device left its limits.
@@ -357,6 +358,8 @@ class ScalingEnv(TensionEnv):
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
     | `failure_horizon`   | 500               | steps by which a failure is charged: set it with `max_episode_steps` |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
+    | `privileged`        | False             | append what no device can know (:mod:`amulett_gym.envs.privileged`): |
+    |                     |                   | for the causal reference; without `observation_noise`                |
 
     Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.
 

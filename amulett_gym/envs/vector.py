@@ -69,6 +69,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         failure_horizon: int = DEFAULT_STEPS,
         render_mode: str | None = None,
         threads: int = 1,
+        privileged: bool = False,
     ) -> None:
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise unknown("render_mode", render_mode, self.metadata["render_modes"])
@@ -87,6 +88,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             observation_noise,
             failure_horizon,
             render_mode,
+            privileged,
         )
         self.num_envs = num_envs
         self.max_episode_steps = max_episode_steps
@@ -105,6 +107,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             observation_noise,
             failure_horizon,
             threads,
+            privileged,
         )
         self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
         self.observation_space = _batched(single.observation_space, num_envs)
@@ -142,7 +145,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
         Returns
         -------
-        observations : ndarray of float32, shape (num_envs, 13)
+        observations : ndarray of float32, shape (num_envs, 13), longer if `privileged`
         info : dict
 
         Raises
