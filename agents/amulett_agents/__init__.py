@@ -10,12 +10,14 @@ if TYPE_CHECKING:
     from amulett_agents.adapter import SB3VecEnv, make_sb3_env
     from amulett_agents.config import TrainConfig, load_train_config
     from amulett_agents.ppo import save_policy
+    from amulett_agents.sb3_zip import load_sb3_zip
     from amulett_agents.training import TrainResult, resume, train
 
 __all__ = [
     "SB3VecEnv",
     "TrainConfig",
     "TrainResult",
+    "load_sb3_zip",
     "load_train_config",
     "make_sb3_env",
     "resume",
@@ -27,6 +29,7 @@ _MODULES = {
     "SB3VecEnv": "adapter",
     "TrainConfig": "config",
     "TrainResult": "training",
+    "load_sb3_zip": "sb3_zip",
     "load_train_config": "config",
     "make_sb3_env": "adapter",
     "resume": "training",

@@ -8,6 +8,7 @@ import shlex
 import sys
 from contextlib import nullcontext
 
+from amulett_gym.cli.own_policies import add_trust, with_zips
 from amulett_gym.files import output_folder
 
 HELP = "compare laws and policies with eq. 6 on the same scenarios"
@@ -24,8 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="NAME",
-        help="laws by name (see: amulett list) or folders of policy bundles; eq6 always runs, as the yardstick",
+        help="laws by name (see: amulett list), folders of policy bundles, or zips of Stable-Baselines3 that you trust "
+        "(--trust-pickle); eq6 always runs, as the yardstick",
     )
+    add_trust(parser)
     parser.add_argument("--suite", default="steps", help="suite of scenarios (default: steps)")
     parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
     parser.add_argument("--episodes", type=int, default=100, help="number of scenarios (default: 100)")
@@ -40,18 +43,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the comparison, print its table, and write its files."""
     from dataclasses import replace
 
+    from amulett_gym.config import load_profile
     from amulett_gym.evaluation.results import COMPARISON_MARKS, in_words, summarise
     from amulett_gym.evaluation.runner import evaluate
 
-    out = arguments.out
+    out, env_id, profile = arguments.out, arguments.env_id.split(":")[-1], load_profile(arguments.profile)
+    policies = with_zips(arguments.policies, profile, env_id, arguments.trust_pickle)
     with nullcontext(False) if out is None else output_folder(out, "comparison", [COMPARISON_MARKS]) as earlier:
         results = evaluate(
-            arguments.policies,
+            policies,
             suite=arguments.suite,
-            profile=arguments.profile,
+            profile=profile,
             episodes=arguments.episodes,
             seed=arguments.seed,
-            env_id=arguments.env_id.split(":")[-1],
+            env_id=env_id,
             split=arguments.split,
             progress=sys.stderr.isatty() and not arguments.json,
         )
@@ -78,4 +83,6 @@ def _command(arguments: argparse.Namespace) -> str:
         value = getattr(arguments, option)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", str(value)]
+    if arguments.trust_pickle:
+        words.append("--trust-pickle")
     return shlex.join(words)

@@ -85,7 +85,9 @@ def parse_contender(name: str) -> Contender:
         constant_tension(name)
         return Contender(name, policy_name=name)
     folder = bundle_folder(name)
-    return Contender(name, {"agent_period": read_bundle(folder).policy.agent_period}, str(folder))
+    policy = read_bundle(folder).policy
+    told = {"privileged": True} if policy.is_privileged else {}
+    return Contender(name, {"agent_period": policy.agent_period, **told}, str(folder))
 
 
 def constant_tension(name: str) -> float:
@@ -123,7 +125,8 @@ def bundle_folder(name: str) -> Path:
     if folder.is_dir():
         raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
     if folder.exists():
-        raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json")
+        hint = "; a zip of Stable-Baselines3 is loaded by amulett_agents.load_sb3_zip" if name.endswith(".zip") else ""
+        raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json{hint}")
     if os.sep in name:
         raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist")
     raise unknown("policy", name, contender_names())
