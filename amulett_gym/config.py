@@ -35,6 +35,12 @@ NonNegative = Annotated[float, Field(ge=0)]
 Seconds = Annotated[float, Field(ge=0, le=100)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 
+LEAST_INERTIA = 1e-9
+"""Of an arm [kg m2]: a gram at 1 mm."""
+
+STABLE_STEP = 2.5
+"""Time constants, or radians of a swing, that an integration step may cover; Runge-Kutta is stable up to 2.78."""
+
 
 class Group(BaseModel):
     """A frozen group of settings; unknown keys and non-finite numbers are refused."""
@@ -71,22 +77,24 @@ class Plant(Sourced):
     orientation: Literal["horizontal", "vertical"] = Field(
         description="plane in which the forearm swings; in the horizontal one gravity does no work"
     )
-    drive_pulley_radius: float = Field(gt=0, le=0.2, description="R_1 [m]")
-    joint_pulley_radius: float = Field(gt=0, le=0.2, description="R_2 [m]")
+    drive_pulley_radius: float = Field(ge=1e-4, le=0.2, description="R_1 [m]")
+    joint_pulley_radius: float = Field(ge=1e-4, le=0.2, description="R_2 [m]")
     angle_limit_deg: float = Field(gt=0, le=180, description="the device fails beyond +- this joint angle [deg]")
     velocity_limit_deg: float = Field(gt=0, le=100_000, description="the device fails beyond +- this rate [deg/s]")
 
     @model_validator(mode="after")
     def _check_inertia(self) -> Plant:
-        if not any(item.mass * item.arm > 0 for item in self.masses):
-            raise ValueError("masses give no inertia; at least one needs a mass and an arm above 0")
+        if not any(item.mass * item.arm**2 >= LEAST_INERTIA for item in self.masses):
+            raise ValueError(
+                f"masses give no inertia; at least one needs {LEAST_INERTIA} kg m2 (mass times arm squared) or more"
+            )
         return self
 
 
 class Spring(Sourced):
     """The non-linear spring assembly in each string (Figure 5a), or a measured curve in its place."""
 
-    stiffness: float = Field(gt=0, le=1e7, description="stiffness of each of the two linear springs [N/m]")
+    stiffness: float = Field(ge=1e-3, le=1e7, description="stiffness of each of the two linear springs [N/m]")
     half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
     free_length: float = Field(ge=0, le=10, description="length of an unloaded linear spring [m], at most half_width")
     max_deflection: float = Field(
@@ -103,6 +111,11 @@ class Spring(Sourced):
                 f"free_length is {self.free_length} m; it has to be at most half_width, {self.half_width} m, "
                 "or the springs would push the string out of its axis"
             )
+        if self.half_width > 100 * self.max_deflection:
+            raise ValueError(
+                f"half_width is {self.half_width} m; it has to be at most 100 times max_deflection, "
+                f"{self.max_deflection} m, or the sliders would hardly move"
+            )
         return self
 
 
@@ -113,8 +126,8 @@ class Damping(Sourced):
         description="shifted: a exp(b (x + c)) + d, as Figure 3 shows; printed: a exp(b x + c) + d, as its caption says"
     )
     a: float = Field(ge=-1e6, le=0, description="[1/s]; not positive: friction grows with preload")
-    b: float = Field(ge=-1e6, lt=0, description="[1/N]")
-    c: float = Field(ge=-1e6, le=1e6, description="[N] if shifted, dimensionless [1] if printed")
+    b: float = Field(ge=-10, lt=0, description="[1/N]")
+    c: float = Field(ge=-50, le=50, description="[N] if shifted, dimensionless [1] if printed")
     d: float = Field(ge=0, le=1e6, description="decay rate at large preload [1/s]")
     preload: Literal["mean", "smaller"] = Field(description="which of the two true string forces is the preload x")
     keeps: Literal["torque", "rate"] = Field(
@@ -125,7 +138,9 @@ class Damping(Sourced):
 class Drives(Sourced):
     """Both motors."""
 
-    lag: Seconds = Field(description="time constant of the motor position [s]; 0: the motor follows at once")
+    lag: Seconds = Field(
+        description="time constant of the motor position [s], 0.4 integration steps or more; 0: it follows at once"
+    )
     rate_limit_deg: float | None = Field(
         default=None, gt=0, le=1e6, description="largest motor speed [deg/s]; null: none"
     )
@@ -140,7 +155,7 @@ class Sensors(Sourced):
     encoder_bits: int = Field(ge=0, le=32, description="resolution of a revolution [bit]; 0: exact")
     encoder_noise_deg: Degrees = Field(description="standard deviation [deg]")
     potentiometer_bits: int = Field(ge=0, le=32, description="resolution of the travel [bit]; 0: exact")
-    potentiometer_travel: float = Field(gt=0, le=1, description="travel of the slider [m]")
+    potentiometer_travel: float = Field(ge=1e-6, le=1, description="travel of the slider [m]")
     potentiometer_noise: float = Field(ge=0, le=1, description="standard deviation [m]")
     force_filter: Seconds = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
     force_floor: float = Field(ge=0, le=1e6, description="forces estimated below this are not trusted [N]; 0: all are")
@@ -187,7 +202,7 @@ class Loop(Sourced):
     tie_error_deg: Degrees = Field(
         description="at equal deflections the desired motion decides, if the error is at least this [deg]"
     )
-    velocity_filter: float = Field(gt=0, le=100, description="time constant of the measured joint velocity [s]")
+    velocity_filter: float = Field(ge=1e-6, le=100, description="time constant of the measured joint velocity [s]")
 
     @model_validator(mode="after")
     def _check_hysteresis(self) -> Loop:
@@ -201,9 +216,11 @@ class Loop(Sourced):
 class VariableStiffness(Sourced):
     """Parameters of eq. 6 (Figure 6)."""
 
-    nominal_tension: float = Field(gt=0, le=1e6, description="sigma, desired string tension [N]")
-    minimum_tension: float = Field(gt=0, le=1e6, description="sigma_min, minimum desired string tension [N]")
-    error_offset_deg: float = Field(gt=0, le=360, description="d_offset, error at which the factor is smallest [deg]")
+    nominal_tension: float = Field(ge=1e-3, le=1e6, description="sigma, desired string tension [N]")
+    minimum_tension: float = Field(ge=1e-3, le=1e6, description="sigma_min, minimum desired string tension [N]")
+    error_offset_deg: float = Field(
+        ge=1e-3, le=360, description="d_offset, error at which the factor is smallest [deg]"
+    )
 
     @model_validator(mode="after")
     def _check_order(self) -> VariableStiffness:
@@ -228,6 +245,16 @@ class Profile(Group):
     sensors: Sensors = Field(description="encoder and potentiometers")
     loop: Loop = Field(description="controllers and their switching")
     variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
+
+    @model_validator(mode="after")
+    def _check_lag(self) -> Profile:
+        step = self.loop.control_period / self.loop.substeps
+        if 0 < self.drives.lag < step / STABLE_STEP:
+            raise ValueError(
+                f"drives.lag is {self.drives.lag} s; with integration steps of {step:g} s (loop.control_period over "
+                f"loop.substeps) it has to be 0, or at least {step / STABLE_STEP:g} s"
+            )
+        return self
 
     @property
     def root(self) -> str:
