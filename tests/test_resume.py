@@ -62,6 +62,8 @@ SMOOTH = [
     "ppo.final_std=0.1",
     "env.observation_noise=0.01",
     "env.suite=reach",
+    "env.history=3",
+    "env.privileged=true",
     "seed=3",
 ]
 ROLLOUTS = 10

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 from safetensors import SafetensorError
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecFrameStack, unwrap_vec_wrapper
 
 from amulett_agents.adapter import SB3VecEnv
 from amulett_gym.config import Group, describe
@@ -295,6 +296,9 @@ def restore(model: PPO, checkpoint: Checkpoint) -> None:
         for name, total in adapter._terms.items():
             total[...] = devices["terms"][name]
         model._last_obs, model._last_episode_starts = observations, starts
+        assert model.env is not None
+        if (stack := unwrap_vec_wrapper(model.env, VecFrameStack)) is not None:
+            stack.stacked_obs.stacked_obs = observations.copy()
         model.num_timesteps = model._num_timesteps_at_start = state.steps
         model._n_updates, model._current_progress_remaining = state.updates, state.progress_remaining
         assert model.ep_info_buffer is not None

@@ -30,7 +30,10 @@ class EnvSettings(Group):
     max_episode_steps: int = Field(default=500, ge=1)
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
     observation_noise: float = Field(default=0.0, ge=0, description="standard deviation, in the observation's unit")
-
+    history: int = Field(
+        default=1, ge=1, le=100, description="observations that the policy sees, one an agent step; the newest last"
+    )
+    privileged: bool = Field(default=False, description="also show what no device can know: for the causal reference")
     threads: int = Field(
         default=1, ge=1, le=256, description="that step the devices; the results are the same, 2 help on two free cores"
     )
@@ -75,6 +78,7 @@ class EnvSettings(Group):
             "observation_noise": self.observation_noise,
             "failure_horizon": self.max_episode_steps,
             "threads": self.threads,
+            "privileged": self.privileged,
         }
 
 

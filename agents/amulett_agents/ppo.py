@@ -17,12 +17,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, unwrap_vec_wrapper
 
 import amulett_gym
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.config import TrainConfig
 from amulett_gym.config import profile_names
+from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
@@ -99,13 +100,15 @@ def make_model(config: TrainConfig, tensorboard: str | Path | None = None) -> PP
         If the environment refuses its settings.
     """
     env_settings, ppo, network = config.env, config.ppo, config.network
-    env = make_sb3_env(
+    env: VecEnv = make_sb3_env(
         env_settings.id,
         config.num_envs,
         split="train",
         max_episode_steps=env_settings.max_episode_steps,
         **env_settings.keywords(),
     )
+    if env_settings.history > 1:
+        env = VecFrameStack(env, env_settings.history)
 
     def falling(left: float) -> float:
         return left * ppo.learning_rate
@@ -197,10 +200,21 @@ def save_policy(model: OnPolicyAlgorithm, folder: str | Path, provenance: Mappin
     if not env.has_attr("tension_range"):
         raise AmulettError("the model was not trained in an AMULETT environment")
     layers, network = extract_network(model.policy)
+    names, scales = OBSERVATIONS, OBSERVATION_SCALES
+    if env.get_attr("episodes")[0].privileged:
+        names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
+    stack = unwrap_vec_wrapper(env, VecFrameStack)
+    history = 1 if stack is None else stack.stacked_obs.n_stack
+    if network.layers[0] != history * len(names):
+        raise AmulettError(
+            f"the policy sees {network.layers[0]} numbers, its environment shows {history} times {len(names)}; "
+            "wrappers that change the observation cannot be kept in a bundle, but for VecFrameStack"
+        )
     description = PolicyDescription(
         network=network,
-        observations=list(OBSERVATIONS),
-        observation_scales=dict(OBSERVATION_SCALES),
+        observations=list(names),
+        observation_scales=dict(scales),
+        history=history,
         tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
         agent_period=env.get_attr("episodes")[0].agent_period,
     )

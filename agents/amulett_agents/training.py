@@ -52,6 +52,7 @@ from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path, locked_folder, output_folder, read_text, write_json, write_text
 from amulett_gym.laws.bundle import forward
+from amulett_gym.laws.history import History
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""
@@ -347,7 +348,7 @@ class _Run(BaseCallback):
         self._bar.update(self.num_timesteps)
 
     def _validate(self, model: Any) -> None:
-        scores = evaluate(model, self.validation, self.config.validation.seed)
+        scores = evaluate(model, self.validation, self.config.validation.seed, self.config.env.history)
         row = {"steps": model.num_timesteps, "seconds": round(time.monotonic() - self._started, 2), **scores}
         self._rows.append(row)
         if row["cost"] <= self._rows[self._best]["cost"]:
@@ -488,7 +489,7 @@ def _read_result(out: Path) -> TrainResult:
     return replace(result, out=out, best=out / "best", last=out / "last")
 
 
-def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> dict[str, float]:
+def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, history: int = 1) -> dict[str, float]:
     """Return the mean cost per episode of a model's deterministic policy, by the arithmetic of its bundle.
 
     Parameters
@@ -498,6 +499,8 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) ->
         Each of its devices plays one episode.
     seed : int
         Device i is seeded with ``seed + i``.
+    history : int
+        How many observations the policy sees.
 
     Returns
     -------
@@ -506,12 +509,13 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) ->
         ``exploration_std``.
     """
     layers, network = extract_network(model.policy)
+    seen = History(env, history, env.single_observation_space.shape[0])  # type: ignore[index]
     observations, info = env.reset(seed=seed)
     playing = np.ones(env.num_envs, dtype=bool)
     costs = dict.fromkeys(TERMS, 0.0)
     failures = 0
     while playing.any():
-        observations, _, terminated, truncated, info = env.step(forward(layers, network, observations))
+        observations, _, terminated, truncated, info = env.step(forward(layers, network, seen.add(observations)))
         for term in TERMS:
             costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
         failures += int((terminated & playing).sum())

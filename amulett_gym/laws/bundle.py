@@ -34,6 +34,7 @@ from safetensors import SafetensorError
 
 from amulett_gym import ENV_IDS
 from amulett_gym.config import Group, describe, profile_names
+from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.files import parse_json, read_bytes, write_json
@@ -77,19 +78,31 @@ class PolicyDescription(Group):
     tension_range: list[float] = Field(
         min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
     )
-    agent_period: float = Field(gt=0, description="time an action is held [s]")
+    agent_period: float = Field(gt=0, le=100, description="time an action is held [s]")
+    history: int = Field(
+        default=1,
+        ge=1,
+        le=100,
+        description="how many observations the network sees, one an agent step, the newest last; 0 before the first",
+    )
 
     @model_validator(mode="after")
     def _check_sizes(self) -> PolicyDescription:
         inputs, outputs = self.network.layers[0], self.network.layers[-1]
-        if (inputs, outputs) != (len(self.observations), 1):
+        if (inputs, outputs) != (self.history * len(self.observations), 1):
+            times = f"{self.history} times " if self.history > 1 else ""
             raise ValueError(
-                f"the network maps {inputs} numbers to {outputs}; it has to map the {len(self.observations)} "
+                f"the network maps {inputs} numbers to {outputs}; it has to map {times}the {len(self.observations)} "
                 "observations to 1 action"
             )
-        if not 0 < self.tension_range[0] < self.tension_range[1]:
-            raise ValueError(f"tension_range is {self.tension_range}; it has to be 0 < low < high")
+        if not 0 < self.tension_range[0] < self.tension_range[1] <= 1e6:
+            raise ValueError(f"tension_range is {self.tension_range}; it has to be 0 < low < high, at most 1e6 N")
         return self
+
+    @property
+    def is_privileged(self) -> bool:
+        """Whether it has to be told what no device can know."""
+        return len(self.observations) > len(OBSERVATIONS)
 
 
 class TrainingEnv(Group):
@@ -146,6 +159,7 @@ class Bundle:
         Parameters
         ----------
         observations : array_like, shape (N, inputs)
+            The last `history` ones of each device, the newest last (see `laws.history`).
 
         Returns
         -------
@@ -318,10 +332,11 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
 
 def _check_observations(policy: PolicyDescription, path: Path) -> None:
     """Refuse a policy whose observations are not, name by name and scale by scale, those of this version."""
-    if tuple(policy.observations) != OBSERVATIONS:
+    if tuple(policy.observations) not in (OBSERVATIONS, OBSERVATIONS + PRIVILEGED):
         different = ", ".join(sorted(set(policy.observations) ^ set(OBSERVATIONS))) or "their order"
         raise AmulettError(f"'{path}': the observations are not those of this amulett-gym; what differs: {different}")
-    for name, scale in OBSERVATION_SCALES.items():
+    scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {})}
+    for name, scale in scales.items():
         theirs = policy.observation_scales.get(name, math.nan)
         if not math.isclose(theirs, scale, rel_tol=1e-12):
             raise AmulettError(

@@ -22,10 +22,14 @@ from amulett_gym.laws.contenders import (
     contender_names,
     parse_contender,
 )
+from amulett_gym.laws.history import History
 from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
+
+Act = Callable[[NDArray[np.float64]], NDArray[np.float32]]
+"""The same of a batch alone."""
 
 _POSITION_ERROR = OBSERVATIONS.index("position_error")
 _TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
@@ -41,12 +45,13 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
         bundle's folder (or a training run's, for its best policy).
     env : gymnasium.Env or VectorEnv
         An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
-        an action.
+        an action. The policy is for this environment: one that remembers (`laws.history`) reads its clock.
 
     Returns
     -------
     callable
-        Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1].
+        Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1]. In a
+        privileged environment observations are longer, and every policy takes what it knows of them.
 
     Raises
     ------
@@ -64,12 +69,14 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
             f"'{name}' acts inside the loop, not on observations: make the environment with {key}='{value}' instead"
         )
     if name.startswith(CONSTANT):
-        return _constant(constant_tension(name), tension_range)
-    if name in tuned_names():
-        return _tuned(name, base.profile, tension_range, base.episodes.agent_period)
-    if name in ("eq6-held", "eq6-held-printed"):
-        return _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
-    return _from_bundle(read_bundle(bundle_folder(name)), tension_range, base.episodes.agent_period)
+        act = _constant(constant_tension(name), tension_range)
+    elif name in tuned_names():
+        act = _tuned(name, base.profile, tension_range, base.episodes.agent_period)
+    elif name in ("eq6-held", "eq6-held-printed"):
+        act = _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
+    else:
+        act = _from_bundle(read_bundle(bundle_folder(name)), base)
+    return _for_one_or_many(act, base.episodes.observation_size)
 
 
 def tension_to_action(tension: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[np.float64]:
@@ -84,17 +91,17 @@ def action_to_tension(action: NDArray[np.floating[Any]], tension_range: tuple[fl
     return low + 0.5 * (np.asarray(action, dtype=np.float64) + 1.0) * (high - low)
 
 
-def _constant(tension: float, tension_range: tuple[float, float]) -> Policy:
+def _constant(tension: float, tension_range: tuple[float, float]) -> Act:
     _check_reach(f"the tension of constant:{tension:g}", tension, tension, tension_range)
     action = tension_to_action(np.array([tension]), tension_range).astype(np.float32)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         return np.repeat(action[None], len(batch), axis=0)
 
-    return _for_one_or_many(act)
+    return act
 
 
-def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) -> Policy:
+def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) -> Act:
     """Eq. 6 at agent rate, by the observed position error, which reaches 90 deg."""
     law = profile.variable_stiffness
     _check_reach("eq. 6", law.minimum_tension, law.nominal_tension, tension_range)
@@ -109,10 +116,10 @@ def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) ->
         factors = _factors(batch[:, _POSITION_ERROR] * scale, law.nominal_tension, law.minimum_tension, offset, printed)
         return tension_to_action(factors * law.nominal_tension, tension_range).astype(np.float32)[:, None]
 
-    return _for_one_or_many(act)
+    return act
 
 
-def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agent_period: float) -> Policy:
+def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agent_period: float) -> Act:
     """Follow a law with parameters that were tuned on a suite."""
     _check_reach(f"'{name}'", *RANGE, tension_range)
     law, vector = tuned_vector(name, profile)
@@ -122,7 +129,7 @@ def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agen
         tensions = law.tensions(batch, vector[None], device, tension_range)
         return tension_to_action(tensions, tension_range).astype(np.float32)[:, None]
 
-    return _for_one_or_many(act)
+    return act
 
 
 @compiled
@@ -136,9 +143,15 @@ def _factors(errors, nominal, minimum, offset, printed):  # type: ignore[no-unty
     return factors
 
 
-def _from_bundle(bundle: Bundle, tension_range: tuple[float, float], agent_period: float) -> Policy:
+def _from_bundle(bundle: Bundle, env: Any) -> Act:
     """Run a bundle; where its action range is not the environment's, actions are converted through tensions."""
-    trained = bundle.policy.agent_period
+    tension_range, agent_period = env.tension_range, env.episodes.agent_period
+    trained, size = bundle.policy.agent_period, len(bundle.policy.observations)
+    if bundle.policy.is_privileged and not env.episodes.privileged:
+        raise AmulettError(
+            f"policy bundle '{bundle.folder}' has to be told what no device can know; "
+            "make the environment with privileged=True"
+        )
     if not np.isclose(trained, agent_period, rtol=1e-9):
         raise AmulettError(
             f"policy bundle '{bundle.folder}' acts every {trained} s, this environment every {agent_period} s; "
@@ -146,18 +159,23 @@ def _from_bundle(bundle: Bundle, tension_range: tuple[float, float], agent_perio
         )
     low, high = bundle.policy.tension_range
     own_range = (low, high)
+    history = History(env, bundle.policy.history, size) if bundle.policy.history > 1 else None
+
+    def remembered(batch: NDArray[np.float64]) -> NDArray[np.float64]:
+        return batch if history is None else history.add(batch)
+
     if own_range == tuple(tension_range):
-        return _for_one_or_many(bundle.act)
+        return lambda batch: bundle.act(remembered(batch[:, :size]))
     _check_reach(f"policy bundle '{bundle.folder}'", low, high, tension_range)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
-        converted = batch.copy()
+        converted = batch[:, :size].copy()
         setpoint = action_to_tension(batch[:, _TENSION_SETPOINT], tension_range)
         converted[:, _TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
-        tension = action_to_tension(bundle.act(converted), own_range)
+        tension = action_to_tension(bundle.act(remembered(converted)), own_range)
         return tension_to_action(tension, tension_range).astype(np.float32)
 
-    return _for_one_or_many(act)
+    return act
 
 
 def _check_reach(what: str, lowest: float, highest: float, tension_range: tuple[float, float]) -> None:
@@ -167,16 +185,13 @@ def _check_reach(what: str, lowest: float, highest: float, tension_range: tuple[
         raise AmulettError(f"{what} needs {needed}; the actions of this environment reach from {low:g} to {high:g} N")
 
 
-def _for_one_or_many(act: Callable[[NDArray[np.float64]], NDArray[np.float32]]) -> Policy:
+def _for_one_or_many(act: Act, size: int) -> Policy:
     """Let a function of a batch take a single observation, too."""
 
     def policy(observation: ArrayLike) -> NDArray[np.float32]:
         observations = np.asarray(observation, dtype=np.float64)
-        if observations.ndim not in (1, 2) or observations.shape[-1] != len(OBSERVATIONS):
-            raise AmulettError(
-                f"the observation has shape {observations.shape}; it has to be ({len(OBSERVATIONS)},) or "
-                f"(N, {len(OBSERVATIONS)})"
-            )
+        if observations.ndim not in (1, 2) or observations.shape[-1] != size:
+            raise AmulettError(f"the observation has shape {observations.shape}; it has to be ({size},) or (N, {size})")
         actions = act(np.atleast_2d(observations))
         return actions[0] if observations.ndim == 1 else actions
 
