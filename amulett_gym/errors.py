@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 100
+"""Characters of a name that are shown, and of one for which the nearest is looked for."""
+
 
 class AmulettError(ValueError):
     """Wrong input: a configuration, a name, a file or an action that cannot be used."""
@@ -12,6 +15,8 @@ class AmulettError(ValueError):
 
 def nearest(name: str, choices: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the choice nearest to `name`, or an empty string."""
+    if len(name) > _LONGEST:
+        return ""
     matches = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.5)
     return f"; did you mean '{matches[0]}'?" if matches else ""
 
@@ -34,4 +39,5 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
         To be raised by the caller.
     """
     listed = sorted(choices)
-    return AmulettError(f"unknown {kind} '{name}'; choose from {', '.join(listed)}{nearest(name, listed)}")
+    shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
+    return AmulettError(f"unknown {kind} '{shown}'; choose from {', '.join(listed)}{nearest(name, listed)}")

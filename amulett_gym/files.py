@@ -263,14 +263,17 @@ def parse_json(text: str, what: str) -> Any:
 
 
 def check_tree(value: Any, finite: bool = True) -> None:
-    """Raise ValueError if a tree of lists and mappings is too deep, or has a number that is too long or not finite."""
+    """Raise ValueError if plain data is nested too deeply, or a number is too long or not finite, or a text is none."""
     waiting = [(value, 1)]
     while waiting:
         item, depth = waiting.pop()
         if isinstance(item, dict | list):
             if depth > MAX_DEPTH:
                 raise ValueError(f"it is nested more than {MAX_DEPTH} levels deep")
-            waiting += [(below, depth + 1) for below in (item.values() if isinstance(item, dict) else item)]
+            below = [*item.keys(), *item.values()] if isinstance(item, dict) else item
+            waiting += [(part, depth + 1) for part in below]
+        elif isinstance(item, str):
+            item.encode("utf-8")  # half of a surrogate pair is no text
         elif isinstance(item, float):
             if finite and not math.isfinite(item):
                 raise ValueError("it holds a number that is not finite")
