@@ -11,7 +11,19 @@ from typing import Any, NoReturn
 
 from amulett_gym.errors import AmulettError, nearest
 
-COMMANDS = ("quickstart", "train", "evaluate", "simulate", "play", "reproduce", "identify", "check", "list", "bench")
+COMMANDS = (
+    "quickstart",
+    "train",
+    "evaluate",
+    "benchmark",
+    "simulate",
+    "play",
+    "reproduce",
+    "identify",
+    "check",
+    "list",
+    "bench",
+)
 
 
 class Parser(argparse.ArgumentParser):

@@ -211,7 +211,9 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
 
 
 @styled
-def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
+def step_response_figure(
+    trajectories: Mapping[str, Trajectory], title: str = "", colour: Mapping[str, str] | None = None
+) -> Figure:
     """Draw what several contenders do in the same scenario, side by side, eq. 6 behind each.
 
     Parameters
@@ -219,9 +221,11 @@ def step_response_figure(trajectories: Mapping[str, Trajectory], title: str = ""
     trajectories : mapping of str to Trajectory
         By contender.
     title : str
+    colour : mapping of str to str, optional
+        Of each contender; `colours` if None.
     """
     names = list(trajectories)
-    label, colour = labels(names), colours(names)
+    label, colour = labels(names), colours(names) if colour is None else colour
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)
     figure = Figure(figsize=(WIDTH, 0.8 + 3.0 * rows), layout="constrained")
@@ -355,7 +359,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
         cost = policies[name]["cost"]
         inside = cost["mean"] <= end
         if inside:
-            panel.errorbar(cost["mean"], row, xerr=_reach(cost), color=BLACK, capsize=3, linewidth=1.1)
+            panel.errorbar(cost["mean"], row, xerr=reach(cost), color=BLACK, capsize=3, linewidth=1.1)
         texts = (pretty(number(cost["mean"])) + ("" if inside else " ▶"), span(cost["ratio_to_eq6"]))
         for text, column in zip(texts, _COLUMNS, strict=True):
             panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
@@ -396,8 +400,8 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
         panel.errorbar(
             position["mean"],
             effort["mean"],
-            xerr=_reach(position),
-            yerr=_reach(effort),
+            xerr=reach(position),
+            yerr=reach(effort),
             color=colour[name],
             marker=_MARKERS[k % len(_MARKERS)],
             markersize=7,
@@ -603,7 +607,7 @@ _DOTS = (0, (1, 1))
 _ARROW = {"arrowstyle": "->", "color": GREY}
 
 
-def _reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
+def reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
     """Return how far an interval reaches below and above its mean, as matplotlib wants it; None without an interval."""
     middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
     if middle is None or low is None or high is None:

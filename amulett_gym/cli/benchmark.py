@@ -1,0 +1,89 @@
+"""`amulett benchmark`: every contender on every suite, references, claims, and one page that shows them."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+
+HELP = "run the benchmark: train what is missing, judge all on all suites, and check the claims; resumes by itself"
+EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
+  amulett benchmark --config configs/benchmark.yaml --out runs/benchmark
+  amulett benchmark --config configs/benchmark.yaml --runs runs/stored --out runs/benchmark --doc docs/benchmark.md
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    from amulett_gym.cli.own_policies import add_trust
+
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder; what is finished in it is not done again")
+    parser.add_argument(
+        "--config", metavar="FILE", help="description in YAML (default: that of configs/benchmark.yaml, in code)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few suites, scenarios and seeds, short training: a few minutes"
+    )
+    parser.add_argument(
+        "--runs",
+        metavar="DIR",
+        help="folder of training runs, <entry>/seed-<k>; what is missing is trained there (default: DIR/runs in --out)",
+    )
+    parser.add_argument(
+        "--policies", nargs="+", default=[], metavar="NAME", help="further contenders: laws, bundles, or trusted zips"
+    )
+    add_trust(parser)
+    parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what is not done yet, print claims and ranking, and write the files."""
+    from amulett_gym import ENV_IDS
+    from amulett_gym.cli.bench import machine
+    from amulett_gym.cli.own_policies import with_zips
+    from amulett_gym.evaluation.benchmark.claims import check_claims
+    from amulett_gym.evaluation.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
+    from amulett_gym.evaluation.benchmark.document import check_document, write_document
+    from amulett_gym.evaluation.benchmark.page import PAGE, in_words, write_benchmark
+    from amulett_gym.evaluation.benchmark.results import content
+    from amulett_gym.evaluation.benchmark.stages import run_benchmark
+    from amulett_gym.laws.contenders import Contender, parse_contender
+
+    description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
+    if arguments.quick:
+        description = quick(description)
+    if arguments.doc is not None:
+        check_document(arguments.doc)
+    profile = load_profile_of(description, recipes)
+    named = with_zips(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
+    own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
+    evidence = run_benchmark(
+        description,
+        arguments.out,
+        recipes,
+        arguments.runs,
+        own,
+        say=lambda line: print(line, flush=True),
+        progress=sys.stderr.isatty(),
+    )
+    print("Drawing intervals and figures ...", flush=True)
+    found = content(evidence, _command(arguments), machine())
+    claims = check_claims(found)
+    figures = write_benchmark(evidence, found, claims, arguments.out)
+    if arguments.doc is not None:
+        write_document(found, claims, figures, arguments.doc)
+        print(f"Renewed: {arguments.doc}")
+    print(f"\n{in_words(found, claims)}\n")
+    print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures, and the scenarios that it loses.")
+    return 0
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """Return the command that makes the same again; where it writes to is nobody else's business."""
+    words = ["amulett", "benchmark"]
+    if arguments.config is not None:
+        words += ["--config", arguments.config]
+    words += ["--quick"] * arguments.quick
+    if arguments.policies:
+        words += ["--policies", *arguments.policies, *(["--trust-pickle"] * arguments.trust_pickle)]
+    return shlex.join(words)
