@@ -1,4 +1,7 @@
-"""Shared fixtures: the shipped profiles and environments."""
+"""Shared fixtures: the shipped profiles and environments. Hypothesis: 200 examples, or 10,000 by its profile `nightly`.
+
+``pytest --hypothesis-profile=nightly`` chooses it; tests that name their own number of examples keep that.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +14,9 @@ from amulett_gym.config import Profile, load_profile
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 
-settings.register_profile("amulett", deadline=None)  # the first example of a process may have to compile
-settings.load_profile("amulett")
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option for a night's run."""
-    parser.addoption("--nightly", action="store_true", help="try 10,000 random inputs where 200 are tried by default")
-
-
-@pytest.fixture(scope="session")
-def tries(request: pytest.FixtureRequest) -> int:
-    """How many random inputs to try."""
-    return 10_000 if request.config.getoption("--nightly") else 200
+settings.register_profile("ci", max_examples=200, deadline=None)
+settings.register_profile("nightly", max_examples=10_000, deadline=None)
+settings.load_profile("ci")
 
 
 @pytest.fixture(params=["testbed", "simulation"])
