@@ -1,6 +1,7 @@
 """Files from strangers: refused with an error that says why, or loaded within their ranges; never run, never endless.
 
-`pytest --nightly` damages every kind of file 10,000 times where 200 times is the default.
+Every kind of file is damaged as often as hypothesis would try: 200 times, and 10,000 times by
+``pytest --hypothesis-profile=nightly``.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hypothesis import settings
 
 from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.config import Profile, load_profile
@@ -89,6 +91,11 @@ KINDS = {
 }
 
 each_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+
+
+@pytest.fixture(scope="session")
+def tries() -> int:
+    return settings.default.max_examples
 
 
 def is_refused(kind: Kind, path: Path) -> bool:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import shlex
 import sys
-from contextlib import nullcontext
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
 
 from amulett_gym.cli.own_policies import add_trust, with_zips
-from amulett_gym.files import output_folder
+from amulett_gym.errors import AmulettError
+from amulett_gym.files import locked_folder, output_folder
 
 HELP = "compare laws and policies with eq. 6 on the same scenarios"
 EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:10 position-only --out comparison
@@ -41,48 +46,103 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the comparison, print its table, and write its files."""
-    from dataclasses import replace
+    from amulett_gym.evaluation.results import in_words
 
-    from amulett_gym.config import load_profile
-    from amulett_gym.evaluation.results import COMPARISON_MARKS, in_words, summarise
-    from amulett_gym.evaluation.runner import evaluate
-
-    out, env_id, profile = arguments.out, arguments.env_id.split(":")[-1], load_profile(arguments.profile)
-    policies = with_zips(arguments.policies, profile, env_id, arguments.trust_pickle)
-    with nullcontext(False) if out is None else output_folder(out, "comparison", [COMPARISON_MARKS]) as earlier:
-        results = evaluate(
-            policies,
-            suite=arguments.suite,
-            profile=profile,
-            episodes=arguments.episodes,
-            seed=arguments.seed,
-            env_id=env_id,
-            split=arguments.split,
-            progress=sys.stderr.isatty() and not arguments.json,
-        )
-        results = replace(results, command=_command(arguments))
-        if out is None:
-            summary = summarise(results)
-        else:
-            from amulett_gym.evaluation.report import write_report
-
-            summary = write_report(results, out)
+    summary, earlier = compare(
+        resolve(arguments), arguments.out, _command(arguments), sys.stderr.isatty() and not arguments.json
+    )
     if arguments.json:
         print(json.dumps(summary, indent=2, allow_nan=False))
         return 0
     print(in_words(summary))
-    if out is not None:
+    if arguments.out is not None:
         replaced = ", in the place of the comparison that was there" if earlier else ""
-        print(f"Written to {out}: report.html, results.json, scenarios.csv and figures{replaced}.")
+        print(f"Written to {arguments.out}: report.html, results.json, scenarios.csv and figures{replaced}.")
     return 0
 
 
-def _command(arguments: argparse.Namespace) -> str:
+def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return all that a comparison hangs on, as plain data: the profile whole, and the SHA-256 of learned policies."""
+    from amulett_gym.config import load_profile
+
+    return {
+        "policies": list(arguments.policies),
+        "sha256": {name: digest for name in arguments.policies if (digest := policy_digest(name))},
+        "suite": arguments.suite,
+        "split": arguments.split,
+        "profile": load_profile(arguments.profile).model_dump(),
+        "env_id": arguments.env_id.split(":")[-1],
+        "episodes": arguments.episodes,
+        "seed": arguments.seed,
+        "trust_pickle": arguments.trust_pickle,
+    }
+
+
+def compare(
+    config: Mapping[str, Any], out: str | None, words: Sequence[str], progress: bool = False
+) -> tuple[dict[str, Any], bool]:
+    """Run a comparison.
+
+    Parameters
+    ----------
+    config : mapping
+        From :func:`resolve`.
+    out : str or None
+        Folder for the report.
+    words : sequence of str
+        Of the command.
+    progress : bool
+
+    Returns
+    -------
+    summary : dict
+        The content of ``results.json``.
+    earlier : bool
+        Whether there was a comparison in `out`, which is replaced.
+    """
+    from dataclasses import replace
+
+    from amulett_gym.config import load_profile
+    from amulett_gym.evaluation.results import COMPARISON_MARKS, summarise
+    from amulett_gym.evaluation.runner import evaluate
+
+    profile = load_profile(config["profile"])
+    keywords = {key: config[key] for key in ("suite", "split", "env_id", "episodes", "seed")}
+    policies = with_zips(config["policies"], profile, config["env_id"], config["trust_pickle"])
+    with ExitStack() as stack:
+        earlier = False
+        if out is not None:
+            earlier = stack.enter_context(output_folder(out, "comparison", [COMPARISON_MARKS]))
+            stack.enter_context(locked_folder(out))
+        results = evaluate(policies, profile=profile, progress=progress, **keywords)
+        results = replace(results, command=shlex.join(words))
+        if out is None:
+            return summarise(results), earlier
+
+        from amulett_gym.evaluation.report import write_report
+        from amulett_gym.provenance import write_provenance
+
+        seeds = range(config["seed"], config["seed"] + config["episodes"])
+        write_provenance(out, "evaluate", config, seeds, words)
+        return write_report(results, out), earlier
+
+
+def policy_digest(name: str) -> str | None:
+    """Return the SHA-256 of a bundle's manifest or of a zip; None for a law's name."""
+    from amulett_gym.laws.bundle import MANIFEST
+
+    places = (Path(name), Path(name) / MANIFEST, Path(name) / "best" / MANIFEST)
+    try:
+        file = next((place for place in places if place.is_file()), None)
+        return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError as error:
+        raise AmulettError(f"cannot read policy '{name[:100]}': {error.strerror or error}") from error
+
+
+def _command(arguments: argparse.Namespace) -> list[str]:
     words = ["amulett", "evaluate", "--policies", *arguments.policies]
     for option in ("suite", "profile", "episodes", "seed", "env_id", "split", "out"):
         value = getattr(arguments, option)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", str(value)]
-    if arguments.trust_pickle:
-        words.append("--trust-pickle")
-    return shlex.join(words)
+    return [*words, *["--trust-pickle"] * arguments.trust_pickle]

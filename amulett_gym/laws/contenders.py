@@ -119,9 +119,12 @@ def bundle_folder(name: str) -> Path:
     if not name:
         raise unknown("policy", name, contender_names())
     folder = Path(name)
-    for candidate in (folder, folder / "best"):
-        if (candidate / MANIFEST).is_file():
-            return candidate
+    try:
+        for candidate in (folder, folder / "best"):
+            if (candidate / MANIFEST).is_file():
+                return candidate
+    except OSError as error:
+        raise AmulettError(f"cannot read policy bundle '{name[:100]}': {error.strerror or error}") from error
     if folder.is_dir():
         raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
     if folder.exists():

@@ -37,9 +37,9 @@ _DIGITS = 9  # of angles in degrees and ramps in seconds: suites sample far coar
 class Move(Group):
     """A move of the position setpoint: a step, or a minimum-jerk reach."""
 
-    time: float = Field(ge=0, description="when it begins [s]; acts from the first control tick at or after it")
+    time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
     angle_deg: float = Field(ge=-180, le=180, description="where it goes [deg]")
-    duration: float = Field(default=0.0, ge=0, description="[s]; 0: a step")
+    duration: float = Field(default=0.0, ge=0, le=1e6, description="[s]; 0: a step")
 
 
 class Wave(Group):
@@ -51,17 +51,19 @@ class Wave(Group):
     amplitude_deg: float = Field(gt=0, le=180, description="A [deg]")
     frequency: float = Field(ge=0, le=50, description="f, at its beginning [Hz]")
     chirp: float = Field(default=0.0, ge=-50, le=50, description="by which the frequency changes a second [Hz/s]")
-    time: float = Field(default=0.0, ge=0, description="when it begins [s]")
-    duration: float = Field(gt=0, description="[s]")
+    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
+    duration: float = Field(gt=0, le=1e6, description="[s]")
 
 
 class Push(Group):
     """An external torque for a while: at once (a pulse), or with ramps (a slow push)."""
 
-    time: float = Field(ge=0, description="when it begins [s]; acts from the first control tick at or after it")
-    duration: float = Field(gt=0, description="ramps included [s]")
+    time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
+    duration: float = Field(gt=0, le=1e6, description="ramps included [s]")
     torque: float = Field(ge=-100, le=100, description="positive in flexion [N m]")
-    rise: float = Field(default=0.0, ge=0, description="how long it rises, and falls again at its end [s]; 0: a pulse")
+    rise: float = Field(
+        default=0.0, ge=0, le=1e6, description="how long it rises, and falls again at its end [s]; 0: a pulse"
+    )
 
     @model_validator(mode="after")
     def _check_ramps(self) -> Push:
@@ -81,15 +83,15 @@ class Shake(Group):
 
     rms: float = Field(gt=0, le=100, description="root mean square [N m]")
     bandwidth: float = Field(gt=0, le=100, description="corner frequency of each low-pass [Hz]")
-    time: float = Field(default=0.0, ge=0, description="when it begins [s]")
-    duration: float = Field(gt=0, description="[s]")
+    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
+    duration: float = Field(gt=0, le=1e6, description="[s]")
 
 
 class Obstacle(Group):
     """Something compliant in the way of the forearm."""
 
     angle_deg: float = Field(ge=-180, le=180, description="where it begins [deg]")
-    blocks: Literal["flexion", "extension"] = "flexion"
+    blocks: Literal["flexion", "extension"] = Field(default="flexion", description="the motion that meets it")
     stiffness: float = Field(gt=0, le=10_000, description="[N m/rad]")
     damping: float = Field(default=0.0, ge=0, le=100, description="[N m s/rad]")
 
@@ -104,13 +106,13 @@ class Payload(Group):
 class Device(Group):
     """How this device differs from its profile, which is all that its microcontroller knows."""
 
-    spring_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force")
-    spring_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force")
-    pulley_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1")
-    pulley_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1")
-    inertia: float = Field(default=1.0, ge=0.5, le=2, description="factor of J, the payload's share included")
-    damping: float = Field(default=1.0, ge=0, le=4, description="factor of delta")
-    noise: float = Field(default=1.0, ge=0, le=10, description="factor of the sensors' noise")
+    spring_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
+    spring_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
+    pulley_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1 [1]")
+    pulley_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1 [1]")
+    inertia: float = Field(default=1.0, ge=0.5, le=2, description="factor of J, the payload's share included [1]")
+    damping: float = Field(default=1.0, ge=0, le=4, description="factor of delta [1]")
+    noise: float = Field(default=1.0, ge=0, le=10, description="factor of the sensors' noise [1]")
     encoder_bias_deg: float = Field(default=0.0, ge=-30, le=30, description="added to the joint angle's reading [deg]")
     slider_bias_biceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
     slider_bias_triceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
@@ -118,7 +120,7 @@ class Device(Group):
         default=0.0,
         ge=0,
         le=0.9,
-        description="probability that a control tick comes too late: its commands are held for one more period",
+        description="probability that a control tick comes too late: its commands are held for one more period [1]",
     )
 
 
@@ -127,14 +129,17 @@ class Scenario(Group):
 
     initial_angle_deg: float = Field(default=0.0, ge=-180, le=180, description="at rest there at the start [deg]")
     initial_tension: float | None = Field(
-        default=None, gt=0, description="of the antagonist at the start [N]; null: the profile's nominal tension"
+        default=None,
+        gt=0,
+        le=1e6,
+        description="of the antagonist at the start [N]; null: the profile's nominal tension",
     )
-    moves: list[Move] = Field(default=[], max_length=MAX_MOVES)
-    wave: Wave | None = None
-    pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES)
-    shake: Shake | None = None
-    obstacle: Obstacle | None = None
-    payload: Payload | None = None
+    moves: list[Move] = Field(default=[], max_length=MAX_MOVES, description="of the setpoint, in their order")
+    wave: Wave | None = Field(default=None, description="on top of the moves; null: none")
+    pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES, description="from outside")
+    shake: Shake | None = Field(default=None, description="a random torque; null: none")
+    obstacle: Obstacle | None = Field(default=None, description="in the forearm's way; null: none")
+    payload: Payload | None = Field(default=None, description="that the forearm carries; null: none")
     orientation: Orientation = Field(
         default="profile", description="plane in which the forearm swings; gravity acts in the vertical one"
     )
@@ -142,13 +147,14 @@ class Scenario(Group):
     measure_from: float = Field(
         default=0.0,
         ge=0,
+        le=1e6,
         description="metrics, rewards and setpoint steps count from here [s]; before, the arm settles",
     )
     family: Family | None = Field(
         default=None, description="suite by whose costs the reward is scaled; null: that of the environment"
     )
     noise_seed: int | None = Field(
-        default=None, ge=0, lt=2**64, description="key of the sensor noise; null: drawn by the environment"
+        default=None, ge=0, lt=2**64, description="key of the sensor noise [1]; null: drawn by the environment"
     )
 
     @model_validator(mode="after")

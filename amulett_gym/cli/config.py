@@ -1,0 +1,117 @@
+"""`amulett config`: check a file that somebody wrote, and show what it comes to."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+HELP = "check a device, recipe, scenario or benchmark file, or a policy bundle; show its resolved values"
+EXAMPLES = """  amulett config validate configs/my_device.yaml
+  amulett config validate configs/ppo.yaml --show
+  amulett config validate my_scenario.json --json
+"""
+
+
+class Found(NamedTuple):
+    """What a file turned out to be: its kind in words, and its resolved content, None of a policy bundle."""
+
+    kind: str
+    name: str
+    content: BaseModel
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("action", choices=("validate",), help="validate: refuse what is wrong, say what is right")
+    parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or a policy bundle's folder")
+    parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
+    parser.add_argument("--json", action="store_true", help="print kind and resolved values as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Validate; whatever is wrong is an error that names the key."""
+    found = validate(arguments.file)
+    if arguments.json:
+        content = {"kind": found.kind, "name": found.name, "content": found.content.model_dump(mode="json")}
+        print(json.dumps(content, indent=2, allow_nan=False))
+    elif arguments.show:
+        print(f"# {found.name}, valid: {found.kind}")
+        print("\n".join(show(found.content)))
+    else:
+        print(f"{arguments.file}: valid, {found.kind} ({found.name})")
+    return 0
+
+
+def validate(path: str | Path) -> Found:
+    """Tell what a file is, by its keys, and validate it as that.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, is nothing that is known, or is not valid.
+    """
+    path = Path(path)
+    if path.is_dir():
+        from amulett_gym.laws.bundle import read_bundle
+
+        return Found("a policy bundle", path.name, read_bundle(path).policy)
+    if path.suffix == ".json":
+        from amulett_gym.tasks.scenario import load_scenario
+
+        return Found("a scenario", path.stem, load_scenario(path))
+    if path.suffix not in (".yaml", ".yml"):
+        raise AmulettError(f"'{path}' is neither .yaml (device, recipe, benchmark), .json (scenario) nor a bundle")
+
+    from amulett_agents.config import TrainConfig, load_train_config
+    from amulett_gym.config import Profile, load_profile, read_yaml
+    from amulett_gym.evaluation.benchmark.description import Benchmark, load_benchmark
+
+    kinds: Mapping[str, tuple[type[BaseModel], Any]] = {
+        "a device profile": (Profile, load_profile),
+        "a training recipe": (TrainConfig, load_train_config),
+        "a benchmark's description": (Benchmark, load_benchmark),
+    }
+    keys = set(read_yaml(path, "file"))
+    known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
+    kind = max(known, key=lambda kind: known[kind])
+    if not known[kind]:
+        allowed = "; ".join(f"{kind}: {', '.join(model.model_fields)}" for kind, (model, _) in kinds.items())
+        raise AmulettError(f"'{path}' has no key of any kind of file ({allowed})")
+    content = kinds[kind][1](path)
+    return Found(kind, getattr(content, "name", path.stem), content)
+
+
+def show(model: BaseModel, indent: str = "") -> list[str]:
+    """Return resolved values as lines of YAML, each with what its field's description says."""
+    from pydantic import BaseModel
+
+    lines = []
+    for key, field in type(model).model_fields.items():
+        value = getattr(model, key)
+        remark = f"  # {field.description}" if field.description else ""
+        if isinstance(value, BaseModel):
+            lines += [f"{indent}{key}:{remark}", *show(value, f"{indent}  ")]
+        else:
+            lines.append(f"{indent}{key}: {_flow(value)}{remark}")
+    return lines
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    import yaml
+    from pydantic import BaseModel
+
+    def plain(item: Any) -> Any:
+        return item.model_dump(mode="json") if isinstance(item, BaseModel) else str(item)
+
+    content = json.loads(json.dumps(value, default=plain))  # without references to what occurs twice
+    text: str = yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    return text.removesuffix("...\n").strip()

@@ -1,0 +1,213 @@
+"""`amulett rerun`: do again what filled a folder, and say whether the numbers are the same."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import hashlib
+import io
+import json
+import shlex
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amulett_gym.cli.own_policies import add_trust
+from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from amulett_gym.provenance import Provenance
+
+HELP = "do again what filled a folder, in a new one, and say whether the numbers are the same"
+EXAMPLES = """  amulett rerun comparison --out comparison-again
+  amulett rerun runs/first --out runs/first-again
+  amulett rerun runs/first --out runs/first-again --json
+"""
+
+Numbers = dict[str, Any]
+
+_NOT_NUMBERS = ("command", "machine", "versions", "seconds", "sha256")
+"""Keys, at any depth, that are no results."""
+
+_MOST_SHOWN = 10
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("folder", metavar="DIR", help="folder that train, evaluate, benchmark, tune or identify filled")
+    parser.add_argument("--out", required=True, metavar="NEW", help="folder for what is done again")
+    add_trust(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do it again; exit code 1 if a number is another one."""
+    from amulett_gym.provenance import read_provenance, software_changes
+
+    old, new = Path(arguments.folder).resolve(), Path(arguments.out).resolve()
+    if old == new or old in new.parents or new in old.parents:
+        raise AmulettError(f"--out '{arguments.out}' has to be another folder than '{arguments.folder}', and not in it")
+    if new.exists() and (not new.is_dir() or any(new.iterdir())):
+        raise AmulettError(f"--out '{arguments.out}' is there already; choose a new folder")
+    note = read_provenance(old)
+    kind = note.kind or "train"
+    if kind not in _KINDS:
+        raise AmulettError(f"'{arguments.folder}' was filled by '{kind}', which this version cannot do again")
+    if not arguments.trust_pickle and (note.config.get("trust_pickle") or "--trust-pickle" in (note.command or [])):
+        raise AmulettError(
+            f"what filled '{arguments.folder}' opened zips of Stable-Baselines3, which are pickles and can run any "
+            "code of whoever made them; if you trust them, say so here, too: --trust-pickle"
+        )
+    again, read = _KINDS[kind]
+    expected = read(old)  # a folder that is not finished is refused before anything is done
+    warnings = [f"the software is another one: {change}" for change in software_changes(note)]
+    with _working_folder(note) as moved:
+        warnings += moved
+        warnings += _changed_inputs(note)
+        if not arguments.json:
+            for warning in warnings:
+                print(f"Warning: {warning}")
+            print(f"Again: {shlex.join(note.command or ['amulett', kind])}", flush=True)
+        with contextlib.redirect_stdout(sys.stderr) if arguments.json else contextlib.nullcontext():
+            again(note, old, new)
+    changed = _different(expected, read(new))
+    if arguments.json:
+        result = {"kind": kind, "same": not changed, "differences": changed, "warnings": warnings, "out": str(new)}
+        print(json.dumps(result, indent=2))
+    elif changed:
+        print(f"{len(changed)} of {_count(_numbers(expected))} numbers are not the same:")
+        for line in changed[:_MOST_SHOWN]:
+            print(f"  {line}")
+        if len(changed) > _MOST_SHOWN:
+            print(f"  and {len(changed) - _MOST_SHOWN} more (--json has them all)")
+    else:
+        print(f"All {_count(_numbers(expected))} numbers are the same. What was done again is in {arguments.out}.")
+    return 1 if changed else 0
+
+
+@contextlib.contextmanager
+def _working_folder(note: Provenance) -> Any:
+    """Go where the command was given, so that its relative paths mean the same; yield a warning if that is gone."""
+    place = note.working_folder
+    if place is None or not Path(place).is_dir():
+        yield [] if place is None else [f"the folder where the command was given is gone: {place}"]
+        return
+    with contextlib.chdir(place):
+        yield []
+
+
+def _changed_inputs(note: Provenance) -> list[str]:
+    """Say which learned policies are others than those that were compared."""
+    from amulett_gym.cli.evaluate import policy_digest
+
+    then = note.config.get("sha256", {}) if note.kind == "evaluate" else {}
+    return [f"the policy '{name}' is another one than then" for name in then if policy_digest(name) != then[name]]
+
+
+def _train_again(note: Provenance, old: Path, new: Path) -> None:
+    from amulett_gym.cli.train import check_installed
+
+    check_installed()
+    from amulett_agents import load_train_config, train
+
+    config = load_train_config(old / "config.yaml")
+    if config.max_seconds is not None:
+        print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
+    if "profile" in note.config:  # as it was, whatever the file that described it says by now
+        config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
+    result = train(config, new, progress=sys.stderr.isatty(), command=note.command)
+    if result.interrupted:
+        raise KeyboardInterrupt
+
+
+def _trained(folder: Path) -> Numbers:
+    """Return a finished run's validations, their times aside, and digests of its weights."""
+    from amulett_gym.files import read_bytes, read_text
+
+    if not (folder / "finished.json").is_file():
+        raise AmulettError(f"the run in '{folder}' is not finished: amulett train --resume {folder}")
+    rows = list(csv.DictReader(io.StringIO(read_text(folder / "evaluations.csv", "a run's validations"))))
+    weights = {
+        name: hashlib.sha256(read_bytes(folder / name / "weights.safetensors", "weights", 16_000_000)).hexdigest()
+        for name in ("best", "last")
+    }
+    validations = [{key: value for key, value in row.items() if key != "seconds"} for row in rows]
+    return {"validations": validations, "weights": weights}
+
+
+def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
+    from amulett_gym.cli.evaluate import compare
+
+    try:
+        compare(note.config, str(new), note.command or ["amulett", "evaluate"], sys.stderr.isatty())
+    except (KeyError, TypeError) as error:
+        raise AmulettError(f"'{old / 'command.json'}' does not describe a comparison: {error!r}") from error
+
+
+def _compared(folder: Path) -> Numbers:
+    """Return a comparison's numbers, in each scenario too."""
+    from amulett_gym.files import read_json, read_text
+
+    rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
+    policies = read_json(folder / "results.json", "a comparison's results", 40_000_000)["policies"]
+    return {"policies": policies, "scenarios": {f"{row['policy']} {row['scenario']}": row for row in rows}}
+
+
+def _command_again(note: Provenance, old: Path, new: Path) -> None:
+    """Give a command's words again, with another output folder, and without touching a document."""
+    from amulett_gym.cli import main
+
+    words = list(note.command or [])[1:]
+    if words[:1] != [note.kind] or "--out" not in words[:-1]:
+        raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' with --out to be given again")
+    words[words.index("--out") + 1] = str(new)
+    if "--doc" in words[:-1]:
+        del words[words.index("--doc") : words.index("--doc") + 2]
+    code = main(words)
+    if code == 130:
+        raise KeyboardInterrupt
+    if code:
+        raise AmulettError(f"doing it again ended with exit code {code}")
+
+
+def _reader(pattern: str) -> Callable[[Path], Numbers]:
+    """Return a reader of the JSON files of a finished folder that match a pattern."""
+
+    def read(folder: Path) -> Numbers:
+        from amulett_gym.files import read_json
+
+        found = sorted(folder.glob(pattern))
+        if not found:
+            raise AmulettError(f"'{folder}' is not finished: there is no {pattern}")
+        return {path.relative_to(folder).as_posix(): read_json(path, "results", 400_000_000) for path in found}
+
+    return read
+
+
+_KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], Numbers]]] = {
+    "train": (_train_again, _trained),
+    "evaluate": (_evaluate_again, _compared),
+    "identify": (_command_again, _reader("identification.json")),
+    "benchmark": (_command_again, _reader("benchmark.json")),
+    "tune": (_command_again, _reader("trials.json")),
+}
+
+
+def _different(old: Any, new: Any) -> list[str]:
+    from amulett_gym.provenance import differences
+
+    return differences(_numbers(old), _numbers(new))
+
+
+def _numbers(tree: Any) -> Any:
+    if isinstance(tree, dict):
+        return {key: _numbers(value) for key, value in tree.items() if key not in _NOT_NUMBERS}
+    return [_numbers(item) for item in tree] if isinstance(tree, list) else tree
+
+
+def _count(tree: Any) -> int:
+    """Return the number of leaves."""
+    below = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else None
+    return 1 if below is None else sum(map(_count, below))
