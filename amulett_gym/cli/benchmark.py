@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.benchmark.results import content
     from amulett_gym.evaluation.benchmark.stages import run_benchmark
     from amulett_gym.laws.contenders import Contender, parse_contender
+    from amulett_gym.provenance import write_provenance
 
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:
@@ -67,9 +68,19 @@ def run(arguments: argparse.Namespace) -> int:
         progress=sys.stderr.isatty(),
     )
     print("Drawing intervals and figures ...", flush=True)
-    found = content(evidence, _command(arguments), machine())
+    words = _command(arguments)
+    found = content(evidence, shlex.join(words), machine())
     claims = check_claims(found)
     figures = write_benchmark(evidence, found, claims, arguments.out)
+    resolved = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
+    seeds = [seed for entry in description.learned.values() for seed in entry.seeds]
+    write_provenance(
+        arguments.out,
+        "benchmark",
+        {**resolved, "trust_pickle": arguments.trust_pickle},
+        [description.seed, *seeds],
+        [*words, "--out", arguments.out],
+    )
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
         print(f"Renewed: {arguments.doc}")
@@ -78,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _command(arguments: argparse.Namespace) -> str:
+def _command(arguments: argparse.Namespace) -> list[str]:
     """Return the command that makes the same again; where it writes to is nobody else's business."""
     words = ["amulett", "benchmark"]
     if arguments.config is not None:
@@ -86,4 +97,4 @@ def _command(arguments: argparse.Namespace) -> str:
     words += ["--quick"] * arguments.quick
     if arguments.policies:
         words += ["--policies", *arguments.policies, *(["--trust-pickle"] * arguments.trust_pickle)]
-    return shlex.join(words)
+    return words

@@ -6,11 +6,12 @@ import argparse
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from itertools import count
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import output_folder
+from amulett_gym.files import locked_folder, output_folder
 
 HELP = "search for the parameters that the paper does not print (about 20 minutes on two cores)"
 EXAMPLES = """  amulett identify --out runs/identify
@@ -43,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Identify, print what was found, and write the files."""
     from amulett_gym.paper.reproduction import Readings
     from amulett_gym.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
+    from amulett_gym.provenance import write_provenance
 
     chosen: dict[str, Any] = {name: getattr(arguments, name) for name in ("seeds", *_COUNTS)}
     for name, value in {**chosen, "processes": arguments.processes}.items():
@@ -63,11 +65,17 @@ def run(arguments: argparse.Namespace) -> int:
             shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"
             print(f"{next(numbers):3d} of {total}  {name:32} {shown}", flush=True)
 
-    with output_folder(arguments.out, "study", [STUDY_MARKS]):
+    with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out):
         content = study(arguments.out, recipe, Readings(), arguments.processes, report, arguments.overwrite)
+        write_provenance(arguments.out, "identify", asdict(recipe), recipe.seeds, _command(arguments.out, recipe))
     if arguments.json:
         print(json.dumps(content, indent=2, allow_nan=False))
         return 0
     print(in_words(content))
     print(f"Written to {arguments.out}: identification.json, simulation.yaml and testbed.yaml.")
     return 0
+
+
+def _command(out: str, recipe: Any) -> list[str]:
+    sizes = [word for name in _COUNTS for word in (f"--{name}", str(getattr(recipe, name)))]
+    return ["amulett", "identify", "--seeds", *map(str, recipe.seeds), *sizes, "--out", out]
