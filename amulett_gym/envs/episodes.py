@@ -15,15 +15,16 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import Profile, load_profile
+from amulett_gym.config import STABLE_STEP, Profile, load_profile
 from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, Control
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack
 from amulett_gym.tasks.suites import check_names, episode_keys, sample
 
 DEFAULT_STEPS = 500
@@ -86,6 +87,7 @@ class Episodes:
             raise AmulettError(f"threads is {threads!r}; it has to be a whole number of at least 1")
         if not isinstance(privileged, bool):
             raise AmulettError(f"privileged is {privileged!r}; it has to be True or False")
+        _check_step(self.profile)
         self.suite, self.split = suite, split
         self.privileged = privileged
         self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if privileged else 0)
@@ -260,7 +262,18 @@ class Episodes:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`."""
+        """Go back to a snapshot taken by `get_state`, here or in another process.
+
+        Raises
+        ------
+        AmulettError
+            If it is one of another number of devices.
+        """
+        count, here = len(state["keys"]), self.simulation.num_devices
+        if count != here:
+            raise AmulettError(
+                f"a snapshot of {count} device{'s' * (count > 1)} does not fit: this environment has {here}"
+            )
         self.simulation.set_state(state["simulation"])
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
@@ -338,6 +351,24 @@ def check_range(name: str, value: Any) -> tuple[float, float]:
     if not 0 < low < high < math.inf:
         raise AmulettError(f"{name} is {value!r}; it has to be 0 < low < high")
     return low, high
+
+
+def _check_step(profile: Profile) -> None:
+    """Refuse a device that swings or slows down faster than its integration steps can follow.
+
+    Between two strings at their stiffest; a device that differs from its profile may still end as unstable.
+    """
+    step = profile.loop.control_period / profile.loop.substeps
+    stiffness = 2.0 * build_tables(profile.spring).max_stiffness * profile.plant.joint_pulley_radius**2
+    swing = step * math.sqrt(stiffness / float(empty_rows(1, profile)["inertia"][0]))
+    slowing = 2.0 * step * profile.damping.d
+    if max(swing, slowing) > STABLE_STEP:
+        what = f"swings by {swing:.3g} rad" if swing > slowing else f"is slowed down by {slowing:.3g} time constants"
+        raise AmulettError(
+            f"the device '{profile.name}' {what} in an integration step of {step:g} s; at most {STABLE_STEP} can be "
+            f"computed: loop.substeps has to be at least "
+            f"{math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)}"
+        )
 
 
 def _ticks(agent_period: float, control_period: float) -> int:

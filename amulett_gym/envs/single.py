@@ -219,14 +219,18 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._renderer = None
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of the episode and the random generator."""
+        """Return a snapshot of the episode and the random generator: a dict that can be pickled.
+
+        From it on, an environment made alike gives the same bits, later episodes included, in any process.
+        What wrappers count is theirs: `gym.make`'s time limit is not in it.
+        """
         return {
             "episodes": self.episodes.get_state(),
             "np_random": self.np_random.bit_generator.state,
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`."""
+        """Go back to a snapshot taken by `get_state`; AmulettError if it is one of another number of devices."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
 
@@ -259,7 +263,7 @@ class ScalingEnv(TensionEnv):
 
     ## Action Space
 
-    `Box(-1, 1, (1,), float32)`, held for `agent_period`:
+    `Box(-1, 1, (1,), float32)`, reached on a ramp that takes the `agent_period`:
 
     | Num | Action                          | Min       | Max       | Unit |
     |-----|---------------------------------|-----------|-----------|------|
@@ -354,7 +358,7 @@ class ScalingEnv(TensionEnv):
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
     | `reward_weights`    | None              | mapping of term to weight, in the place of each family's default     |
     | `action_range`      | None              | what action -1 and +1 stand for                                      |
-    | `agent_period`      | 0.02              | time an action is held [s]; a multiple of the control period         |
+    | `agent_period`      | 0.02              | time from action to action [s]; a multiple of the control period     |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
     | `failure_horizon`   | 500               | steps by which a failure is charged: set it with `max_episode_steps` |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |

@@ -228,7 +228,10 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._renderers = []
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of all episodes and the random generator."""
+        """Return a snapshot of all episodes and the random generator: a dict that can be pickled.
+
+        From it on, an environment made alike gives the same bits, later episodes included, in any process.
+        """
         return {
             "episodes": self.episodes.get_state(),
             "np_random": self.np_random.bit_generator.state,
@@ -236,7 +239,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`."""
+        """Go back to a snapshot taken by `get_state`; AmulettError if it is one of another number of devices."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
         self._ended = state["ended"].copy()

@@ -68,6 +68,12 @@ class SpringTables:
         """Force at which the assembly saturates [N]."""
         return float(look_up(self.force, 1.0))
 
+    @property
+    def max_stiffness(self) -> float:
+        """Steepest slope of the force between two of the table's knots [N/m]."""
+        start, end = self.force[:, 1], self.force @ [0.0, 1.0, 2.0, 3.0]
+        return float(max(start.max(), end.max())) * CELLS / self.max_deflection
+
     def force_at(self, deflection: float) -> float:
         """Return f(Delta l) [N] at a string deflection [m]."""
         return float(look_up(self.force, deflection / self.max_deflection))
