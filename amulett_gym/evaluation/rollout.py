@@ -39,6 +39,8 @@ class Trials:
         Scenario i is the one that `evaluation.runner.evaluate` would play with it; the action's range is the default.
     control, tension_law : str
         As of the environments.
+    threads : int
+        How many step at once; what an episode costs is the same.
 
     Attributes
     ----------
@@ -53,8 +55,11 @@ class Trials:
         If the protocol's duration is no whole number of agent steps.
     """
 
-    def __init__(self, protocol: Protocol, control: Control = "decentralized", tension_law: str = "agent") -> None:
+    def __init__(
+        self, protocol: Protocol, control: Control = "decentralized", tension_law: str = "agent", threads: int = 1
+    ) -> None:
         self.protocol = protocol
+        self._threads = threads
         self.steps: int = protocol.keywords(parse_contender(f"{CONSTANT}10"))["max_episode_steps"]
         self._laws: tuple[Control, str] = (control, tension_law)
         self._batches: dict[int, Episodes] = {}
@@ -119,6 +124,7 @@ class Trials:
                 agent_period=self.protocol.agent_period,
                 observation_noise=0.0,
                 failure_horizon=self.steps,
+                threads=self._threads,
             )
         return self._batches[devices]
 

@@ -122,6 +122,8 @@ class Benchmark(Group):
                 raise ValueError(f"'{name}' cannot be a learned entry's name: use up to 40 letters, digits and dashes")
         if self.learned and self.best_learned not in self.learned:
             raise unknown("learned entry", self.best_learned, self.learned)
+        if self.learned and self.learned[self.best_learned].reference:
+            raise ValueError(f"best_learned is '{self.best_learned}', which is a reference and no contender")
         for term in self.ablations:
             if term not in COST_TERMS:
                 raise unknown("reward term", term, COST_TERMS)

@@ -7,6 +7,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
     content = hashlib.sha256(protocol.profile.model_dump_json().encode())
     settings = [
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
-        *(VERSION, fingerprint(), keep_schedule, contender.env_keywords, list(UNITS)),
+        *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
         prices(protocol.profile, protocol.suite).tolist(),
     ]
     content.update(json.dumps(settings, default=str).encode())
@@ -98,6 +99,12 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
     else:
         content.update(name.encode())
     return content.hexdigest()
+
+
+@cache
+def _code() -> str:
+    """Return the fingerprint of the code that this process runs, whatever happens to its files meanwhile."""
+    return fingerprint()
 
 
 def _write(path: Path, digest: str, run: Run, with_schedule: bool) -> None:

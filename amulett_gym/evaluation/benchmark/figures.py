@@ -36,7 +36,7 @@ _REFERENCES = ((plots.ORANGE, "^"), ("#B8860B", "^"))
 _ABLATION = ("#c9a0a0", ".")
 _BEST_CONSTANT = (plots.BLUE, "o")
 
-SPEED_LIMIT = 150.0
+SPEED_LIMIT = 120.0
 """Largest joint rate that the law is drawn for [deg/s]."""
 
 MOST_MEMBERS = 4
@@ -328,12 +328,12 @@ def velocity_figure(schedules: Mapping[str, Schedule], law: Any) -> Figure:
         for x in middles
     ]
     maps["eq. 6, text"] = np.repeat(np.array(eq6)[None], len(rates) - 1, axis=0)
-    columns = min(3, len(maps))
-    lines = -(-len(maps) // columns)
+    lines = -(-len(maps) // 4)
+    columns = -(-len(maps) // lines)
     low = min(float(np.nanmin(values)) for values in maps.values())
     high = max(float(np.nanmax(values)) for values in maps.values())
     figure = Figure(figsize=(plots.WIDTH, 0.7 + 2.6 * lines), layout="constrained")
-    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
     for k, panel in enumerate(grid.flat):
         if k >= len(maps):
             panel.set_axis_off()
@@ -346,7 +346,6 @@ def velocity_figure(schedules: Mapping[str, Schedule], law: Any) -> Figure:
         panel.set_facecolor("#ececec")
         if k % columns == 0:
             panel.set_ylabel("rate towards\nthe setpoint [deg/s]")
-        panel.tick_params(labelbottom=True)
         if k + columns >= len(maps):
             panel.set_xlabel("|position error| [deg]")
     figure.colorbar(grid[0, 0].collections[0], ax=grid, label="median tension setpoint [N]", shrink=0.9)

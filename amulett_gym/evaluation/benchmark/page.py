@@ -122,9 +122,14 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
 
 def in_words(found: Content, claims: Sequence[Claim]) -> str:
     """Return the benchmark for the terminal: claims, ranking, verdict."""
-    made = tables(found, claims)
-    shown = [made[name].text() for name in ("claims", "ranking") if name in made]
-    return "\n\n".join([*shown, verdict(found, claims)])
+    words = {True: "yes", False: "NO", None: "-"}
+    lines = [
+        f"{words[claim.holds]:4}{number(claim.measured):>7} {interval(claim.low, claim.high):16} {claim.about}: "
+        f"{claim.claim}"
+        for claim in claims
+    ]
+    heading = ["What the learned policy is to show: does it hold, measured, 95 %"] if claims else []
+    return "\n\n".join(["\n".join([*heading, *lines]), tables(found, claims)["ranking"].text(), verdict(found, claims)])
 
 
 def _as_page(table: Table) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,8 +17,11 @@ from amulett_gym.evaluation.benchmark.description import Benchmark
 from amulett_gym.evaluation.clairvoyant import Effort, Reference, clairvoyant
 from amulett_gym.evaluation.rollout import Trials
 from amulett_gym.evaluation.runner import Own, Protocol, Run, play_alone
+from amulett_gym.laws.contenders import parse_contender
 
 FOLDER = "clairvoyant"
+MOST_THREADS = 4
+
 BLOCK = 10
 """Scenarios that are searched at once: what a kill can lose."""
 
@@ -48,10 +52,24 @@ def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]
     }
 
 
+def check_starts(description: Benchmark) -> None:
+    """Refuse starts that have no schedule, before anything is done.
+
+    Raises
+    ------
+    AmulettError
+        If one is unknown, or acts inside the loop.
+    """
+    for name in description.clairvoyant.starts:
+        if parse_contender(name).policy_name is None:
+            raise AmulettError(f"clairvoyant.starts names '{name}', which acts inside the loop and has no schedule")
+
+
 def blocks(description: Benchmark) -> int:
     """Return how many blocks of scenarios are searched, the second search's among them."""
-    counts = [*description.clairvoyant.scenarios.values()]
-    return sum(-(-count // BLOCK) for count in counts) + bool(description.clairvoyant.check)
+    settings = description.clairvoyant
+    blocks = sum(-(-count // BLOCK) for count in settings.scenarios.values())
+    return blocks + bool(settings.check and description.headline in settings.scenarios)
 
 
 def search(
@@ -76,7 +94,8 @@ def search(
     """
     settings = description.clairvoyant
     effort = _effort(settings.effort)
-    trials = Trials(protocol)
+    threads = min(os.cpu_count() or 1, MOST_THREADS)
+    trials = Trials(protocol, threads=threads)
     found = clairvoyant(
         trials, effort, settings.starts, folder / FOLDER, BLOCK, lambda done, count: advance(protocol.suite)
     )
@@ -91,7 +110,11 @@ def search(
     if count and protocol.suite == description.headline:
         deeper = replace(effort, seed=effort.seed + 1, stages=tuple(_longer(stage, 2.0) for stage in effort.stages))
         again = clairvoyant(
-            Trials(replace(protocol, episodes=count)), deeper, settings.starts, folder / f"{FOLDER}-check", count
+            Trials(replace(protocol, episodes=count), threads=threads),
+            deeper,
+            settings.starts,
+            folder / f"{FOLDER}-check",
+            count,
         )
         advance(protocol.suite)
         first = found.costs[:count].mean()

@@ -68,6 +68,7 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
     for name, entry in description.learned.items():
         for seed in entry.seeds:
             config = training_recipe(entry, seed, recipes)
+            _check_period(description, name, config)
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
     if description.learned:
         best = description.learned[description.best_learned]
@@ -76,6 +77,16 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
             config = training_recipe(best, seed, recipes, [f"env.reward_weights.{term}=0.0"])
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
     return runs
+
+
+def _check_period(description: Benchmark, name: str, config: Any) -> None:
+    """Refuse, before it is trained, a policy that could not be judged."""
+    steps = description.duration / config.env.agent_period
+    if abs(steps - round(steps)) > 1e-9 * steps:
+        raise AmulettError(
+            f"learned entry '{name}' acts every {config.env.agent_period} s; an episode of {description.duration} s is "
+            "no whole number of such steps"
+        )
 
 
 def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:

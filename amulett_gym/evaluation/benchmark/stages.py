@@ -168,6 +168,7 @@ def run_benchmark(
         duration=description.duration,
     )
     laws = _hand_made(description, own)
+    reference.check_starts(description)
     check_frozen(description.suites)
     needed = required_runs(description, recipes, out / RUNS if runs is None else Path(runs))
     overlap = seed_overlap([run.config for run in needed], description.seed, description.episodes)
@@ -176,6 +177,7 @@ def run_benchmark(
     found_hashes = hashes(profile, description.suites)
     with output_folder(out, "benchmark", [[DESCRIPTION]]), locked_folder(out):
         _remember(out / DESCRIPTION, description, recipes, found_hashes)
+        _remove_leftovers(out)
         missing = check_runs(needed)
         say(
             f"{len(needed) - len(missing)} of {len(needed)} training runs are there. Episodes: {overlap['train']:,} "
@@ -309,6 +311,13 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
             run = played(folder, entry.file_labels()[0], there, entry.members[0])
             costs[name] = -float(run.values["return"].mean())
     return costs
+
+
+def _remove_leftovers(out: Path) -> None:
+    """Remove half-written files of a process that was killed; the folder has to be locked."""
+    for path in out.rglob(".*-????????.*"):
+        if path.suffix in (".npz", ".json", ".csv", ".png", ".html") and RUNS not in path.relative_to(out).parts:
+            path.unlink(missing_ok=True)
 
 
 def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: dict[str, Any]) -> None:
