@@ -15,7 +15,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from stable_baselines3 import A2C, PPO, SAC  # noqa: E402
+from stable_baselines3 import A2C, PPO, SAC, TD3  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
-from amulett_agents.ppo import make_model  # noqa: E402
+from amulett_agents.model import make_model  # noqa: E402
 from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
@@ -225,6 +225,43 @@ def test_ppo_and_a2c_learn_on_the_adapter_and_become_bundles(tmp_path, use_sde):
         assert bundle.env.keywords == {"action_range": [6.0, 12.0], "profile": "simulation"}
 
 
+def test_sac_learns_on_the_adapter_and_becomes_a_bundle(tmp_path):
+    env = make_sb3_env(TENSION, num_envs=8, max_episode_steps=50)
+    model = SAC("MlpPolicy", env, seed=0, device="cpu", buffer_size=2000, gradient_steps=2, learning_rate=0.01)
+    bundle = read_bundle(save_policy(model.learn(1500), tmp_path / "bundle"))
+    observations = np.random.default_rng(0).uniform(-1, 1, (200, 13)).astype(np.float32)
+    expected, _ = model.predict(observations, deterministic=True)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(bundle.act(observations), expected, rtol=0, atol=1e-6)
+    assert bundle.policy.network.output == "tanh"
+
+
+def test_the_adapters_state_can_be_put_back():
+    env = make_sb3_env(num_envs=3, max_episode_steps=20)
+    with pytest.raises(AmulettError, match="call reset"):
+        env.get_state()
+    env.seed(0)
+    env.reset()
+    actions = np.random.default_rng(0).uniform(-1, 1, (60, 3, 1)).astype(np.float32)
+
+    def play():
+        return [env.step(action) for action in actions[10:]]
+
+    for action in actions[:10]:
+        env.step(action)
+    state = env.get_state()
+    first, endings = play(), 0
+    env.set_state(state)
+    for before, after in zip(first, play(), strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(before[:3], after[:3], strict=True))
+        for ours, theirs in zip(before[3], after[3], strict=True):
+            if ours:
+                endings += 1
+                assert ours["episode"]["r"] == theirs["episode"]["r"]
+                assert ours["episode_terms"] == theirs["episode_terms"]
+    assert endings == 9
+
+
 def test_an_own_profile_travels_inside_the_bundle(tmp_path):
     env = make_sb3_env(profile={"base": "testbed", "name": "mine", "loop": {"offset_deg": 25.0}})
     model = PPO("MlpPolicy", env, n_steps=4, batch_size=4, device="cpu")
@@ -240,7 +277,7 @@ def test_what_a_bundle_cannot_hold_is_refused(tmp_path):
         (PPO("MlpPolicy", VecNormalize(make_sb3_env()), **small), "VecNormalize"),
         (PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ELU}, **small), "ELU"),
         (PPO("MlpPolicy", make_vec_env("Pendulum-v1"), **small), "AMULETT environment"),
-        (SAC("MlpPolicy", env, device="cpu", buffer_size=10), "SACPolicy"),
+        (TD3("MlpPolicy", env, device="cpu", buffer_size=10), "PPO, A2C or SAC.*TD3Policy"),
     ]
     for model, message in cases:
         with pytest.raises(AmulettError, match=message):
@@ -277,6 +314,9 @@ def test_overrides_are_yaml_and_exponents_are_numbers():
         ("env.reward_weights.efort=1", "did you mean 'effort'"),
         ("env.tension_range=[9, 5]", "0 < low < high"),
         ("ppo.batch_size=1000", "has to divide"),
+        ("algorithm=a2c", "'ppo' or 'sac'"),
+        ("sac.tau=0", r"'sac\.tau' is 0"),
+        ("env.history=0", r"'env\.history' is 0"),
         ("network.initial_tension=20", "tension_range"),
         ("network.hidden=[0]", "from 1 to 1024"),
         ("seed", "key=value"),
@@ -471,6 +511,48 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
     assert result["interrupted"] is True
     assert read_bundle(result["last"]).provenance["steps"] == result["steps"] > 0
     assert read_bundle(result["best"]).provenance["seed"] == 3
+
+
+def test_sac_is_trained_logged_and_kept_like_ppo(tmp_path, monkeypatch):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    monkeypatch.setattr("amulett_agents.training._LOG_EVERY", 500)
+    changes = ["algorithm=sac", "sac.learning_starts=400", "sac.gradient_steps=1", "sac.batch_size=64"]
+    config = load_train_config(None, [*SMALL, *changes, "network.initial_tension=7"])
+    result = train(config, tmp_path / "run", progress=False)
+    bundle = read_bundle(result.last)
+    assert bundle.provenance["algorithm"] == "SAC"
+    header, *rows = (result.out / "evaluations.csv").read_text().splitlines()
+    assert header == ",".join(COLUMNS)
+    assert [int(row.split(",")[0]) for row in rows] == [0, 704, 1408, 2000]
+    assert float(rows[0].split(",")[-1]) == pytest.approx(config.sac.initial_std)
+    env = gym.make_vec(SCALING, num_envs=10, split="validation", max_episode_steps=75)
+    policy, total = amulett_gym.load_policy(result.last, env), 0.0
+    observations, _ = env.reset(seed=config.validation.seed)
+    for _ in range(75):
+        observations, rewards, *_ = env.step(policy(observations))
+        total -= rewards.mean()
+    assert total == pytest.approx(result.last_cost, rel=1e-5)
+    log = EventAccumulator(str(result.out / "tensorboard"))
+    log.Reload()
+    tags = set(log.Tags()["scalars"])
+    assert {f"reward/{term}" for term in TERMS} <= tags
+    assert {"validation/cost", "rollout/ep_rew_mean", "train/critic_loss", "train/ent_coef"} <= tags
+    assert [event.step for event in log.Scalars("time/rollout_steps_per_second")] == [512, 1008, 1504, 2000]
+
+
+def test_the_first_policy_of_sac_is_the_constant_of_the_recipe():
+    for tension in (5.0, 7.0, 8.0):
+        config = load_train_config(None, [*SMALL, "algorithm=sac", f"network.initial_tension={tension}"])
+        observations = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
+        actions, _ = make_model(config).predict(observations, deterministic=True)
+        assert 4 + (actions + 1) / 2 * 4 == pytest.approx(tension, abs=0.01)
+
+
+def test_a_model_leaves_no_folder_behind(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    make_model(load_train_config(None, SMALL)).learn(512)
+    assert not list(tmp_path.iterdir())
 
 
 # --- quickstart

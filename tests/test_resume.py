@@ -20,7 +20,7 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from stable_baselines3 import PPO  # noqa: E402
+from stable_baselines3 import PPO, SAC  # noqa: E402
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.logger import Logger  # noqa: E402
 
@@ -34,7 +34,7 @@ from amulett_agents.checkpoint import (  # noqa: E402
     read_checkpoint,
     restore,
 )
-from amulett_agents.ppo import make_model  # noqa: E402
+from amulett_agents.model import make_model  # noqa: E402
 from amulett_gym import files  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
@@ -66,6 +66,17 @@ SMOOTH = [
     "env.privileged=true",
     "seed=3",
 ]
+REPLAYED = [
+    "algorithm=sac",
+    "sac.train_freq=32",  # rollouts as long as PPO's
+    "sac.gradient_steps=4",
+    "sac.batch_size=64",
+    "sac.buffer_size=1600",  # filled, and begun anew
+    "sac.learning_starts=800",
+    "sac.anneal=true",
+    "env.history=2",
+]
+RECIPES = {"plain": PLAIN, "smooth": SMOOTH, "replayed": REPLAYED}
 ROLLOUTS = 10
 
 processes = multiprocessing.get_context("forkserver")
@@ -135,16 +146,23 @@ def wait_for_checkpoint(process, out: Path, at_least: int = 0) -> None:
 
 def outcome(out: Path) -> dict:
     """Return all numbers that a run leaves but times: networks, optimiser, bundles with their scores, validations."""
-    model = PPO.load(out / "last_sb3.zip", device="cpu")
+    is_sac = load_train_config(out / "config.yaml").algorithm == "sac"
+    model = (SAC if is_sac else PPO).load(out / "last_sb3.zip", device="cpu")
     rows = list(csv.reader((out / "evaluations.csv").read_text().splitlines()))
     numbers = {
         "validations": [[value for name, value in zip(rows[0], row, strict=True) if name != "seconds"] for row in rows]
     }
     for name, tensor in model.policy.state_dict().items():
         numbers[name] = tensor.numpy().tobytes()
-    for index, moments in model.policy.optimizer.state_dict()["state"].items():
-        for name, tensor in moments.items():
-            numbers[f"optimizer {index} {name}"] = tensor.numpy().tobytes()
+    if is_sac:
+        optimizers = [model.actor.optimizer, model.critic.optimizer, model.ent_coef_optimizer]
+        numbers["entropy coefficient"] = model.log_ent_coef.item()
+    else:
+        optimizers = [model.policy.optimizer]
+    for number, optimizer in enumerate(optimizers):
+        for index, moments in optimizer.state_dict()["state"].items():
+            for name, tensor in moments.items():
+                numbers[f"optimizer {number} {index} {name}"] = tensor.numpy().tobytes()
     for name in ("best", "last"):
         bundle = read_bundle(out / name)
         numbers[f"{name} weights"] = [array.tobytes() for layer in bundle.layers for array in layer]
@@ -170,13 +188,14 @@ def outcome(out: Path) -> dict:
 
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
-    """Return what runs of the two recipes leave that nobody disturbs, and how often the first touches its files."""
+    """Return what runs of the recipes leave that nobody disturbs, and how often the first touches its files."""
     folder = tmp_path_factory.mktemp("uninterrupted")
     process = started(live, folder / "plain", PLAIN)
     process.join()
-    train(recipe(SMOOTH), folder / "smooth", progress=False)
+    for name in ("smooth", "replayed"):
+        train(recipe(RECIPES[name]), folder / name, progress=False)
     operations = int((folder / "operations").read_text())
-    kept = {name: outcome(folder / name) for name in ("plain", "smooth")}
+    kept = {name: outcome(folder / name) for name in RECIPES}
     return {**kept, "folder": folder, "operations": operations}
 
 
@@ -185,8 +204,9 @@ class Died(Exception):
 
 
 @pytest.fixture
-def broken_off(tmp_path, monkeypatch):
+def broken_off(tmp_path, monkeypatch, request):
     """Return the folder of a run that stopped dead after its fifth checkpoint, before its fifth rollout."""
+    changes = RECIPES[getattr(request, "param", "plain")]
     write, written = training.write_checkpoint, []
 
     def write_and_die(*arguments):
@@ -197,14 +217,14 @@ def broken_off(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(training, "write_checkpoint", write_and_die)
         with pytest.raises(Died):
-            train(recipe(), tmp_path / "run", progress=False, command=["amulett", "train"])
+            train(recipe(changes), tmp_path / "run", progress=False, command=["amulett", "train"])
     return tmp_path / "run"
 
 
 # --- killed
 
 
-@pytest.mark.parametrize(("name", "changes"), [("plain", PLAIN), ("smooth", SMOOTH)])
+@pytest.mark.parametrize(("name", "changes"), RECIPES.items())
 def test_killed_at_random_moments_and_resumed_a_run_ends_with_the_same_bits(name, changes, uninterrupted, tmp_path):
     generator = np.random.default_rng()
     out = tmp_path / "run"
@@ -289,9 +309,10 @@ def test_tensorboard_shows_what_it_would_have_shown(uninterrupted, broken_off):
     assert shown(broken_off) == expected
 
 
+@pytest.mark.parametrize("broken_off", RECIPES, indirect=True)
 def test_everything_that_is_kept_is_restored(broken_off):
     checkpoint = newest_checkpoint(broken_off)
-    model = make_model(recipe())
+    model = make_model(load_train_config(broken_off / "config.yaml"))
 
     class Look(BaseCallback):
         def _on_rollout_start(self):
@@ -394,6 +415,22 @@ def test_where_files_cannot_be_locked_the_owner_is_looked_for(tmp_path, monkeypa
             pass
 
 
+def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monkeypatch):
+    out, write = tmp_path / "run", training.write_checkpoint
+    written = []
+
+    def write_and_lose(*arguments):
+        written.append(write(*arguments))
+        if len(written) == 3:
+            out.rename(tmp_path / "elsewhere")
+
+    monkeypatch.setattr(training, "write_checkpoint", write_and_lose)
+    with pytest.raises(AmulettError, match="the run's folder .* has vanished"):
+        train(recipe(), out, progress=False)
+    assert not out.exists()
+    newest_checkpoint(tmp_path / "elsewhere")
+
+
 # --- damaged
 
 
@@ -452,7 +489,7 @@ def test_a_checkpoint_of_another_version_is_refused(key, value, broken_off):
 def test_a_changed_recipe_is_refused(broken_off):
     path = broken_off / "config.yaml"
     path.write_text(
-        path.read_text().replace("gamma: 0.99", "gamma: 0.9").replace("seed: 0\nthreads", "seed: 1\nthreads")
+        path.read_text().replace("gamma: 0.99", "gamma: 0.9", 1).replace("seed: 0\nthreads", "seed: 1\nthreads")
     )
     with pytest.raises(
         AmulettError, match=r"recipe was changed.*ppo\.gamma was 0\.99 and is 0\.9; seed was 0 and is 1;"

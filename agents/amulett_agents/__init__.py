@@ -1,4 +1,4 @@
-"""What learns: PPO, the SB3 adapter and the writing of policy bundles.
+"""What learns: PPO and SAC, the SB3 adapter and the writing of policy bundles.
 
 Torch and Stable-Baselines3 are imported when a name that needs them is: a recipe can be checked without them.
 """
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from amulett_agents.adapter import SB3VecEnv, make_sb3_env
+    from amulett_agents.bundles import save_policy
     from amulett_agents.config import TrainConfig, load_train_config
-    from amulett_agents.ppo import save_policy
     from amulett_agents.sb3_zip import load_sb3_zip
     from amulett_agents.training import TrainResult, resume, train
 
@@ -33,7 +33,7 @@ _MODULES = {
     "load_train_config": "config",
     "make_sb3_env": "adapter",
     "resume": "training",
-    "save_policy": "ppo",
+    "save_policy": "bundles",
     "train": "training",
 }
 

@@ -113,6 +113,29 @@ class SB3VecEnv(VecEnv):
                 self.reset_infos[device] = beginning
         return observations, rewards.astype(np.float32), dones, infos
 
+    def get_state(self) -> dict[str, Any]:
+        """Return a snapshot of all episodes, and of the sums that their infos will tell.
+
+        Raises
+        ------
+        AmulettError
+            If there was no reset yet.
+        """
+        if not self._terms:
+            raise AmulettError("call reset() before get_state(): there is no episode yet")
+        return {
+            "venv": self.venv.unwrapped.get_state(),  # type: ignore[attr-defined]
+            "returns": self._returns.copy(),
+            "lengths": self._lengths.copy(),
+            "terms": {name: total.copy() for name, total in self._terms.items()},
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Go back to a snapshot taken by `get_state` from an adapter of the same environment."""
+        self.venv.unwrapped.set_state(state["venv"])  # type: ignore[attr-defined]
+        self._returns[...], self._lengths[...] = state["returns"], state["lengths"]
+        self._terms = {name: total.copy() for name, total in state["terms"].items()}
+
     def close(self) -> None:
         """Close the environment."""
         self.venv.close()

@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
-from amulett_agents.ppo import exploration, make_model
+from amulett_agents.model import exploration, make_model
 from amulett_agents.training import evaluate, warm_up
 from amulett_gym.evaluation.speed import spread
 from amulett_gym.laws.policies import tension_to_action

@@ -3,7 +3,8 @@
 A checkpoint is a folder ``checkpoints/<steps>`` of the run:
 
 ======================  =======================================================================================
-``arrays.safetensors``  weights, optimiser, smooth exploration's noise, random states, devices, last observations
+``arrays.safetensors``  weights, optimisers, SAC's replay buffer and entropy coefficient, smooth exploration's noise,
+                        random states, devices, last observations
 ``run.json``            versions, recipe, profile, counters, validations, and what is yet to be logged
 ``best/``, ``last/``    the bundles of that moment
 ``manifest.json``       the SHA-256 of every other file
@@ -31,10 +32,11 @@ import torch
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 from safetensors import SafetensorError
-from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecFrameStack, unwrap_vec_wrapper
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 
 from amulett_agents.adapter import SB3VecEnv
+from amulett_agents.model import Model
 from amulett_gym.config import Group, describe
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import write_json
@@ -45,12 +47,13 @@ BUNDLES = ("best", "last")
 FORMAT = 1
 _KEPT = 2
 _NOISE = ("exploration_mat", "exploration_matrices")
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 Arrays = dict[str, NDArray[Any]]
 
 
 class ModelState(Group):
-    """What of PPO, its logger and the generators is no array."""
+    """What of a model, its logger and the generators is no array."""
 
     steps: int = Field(ge=0)
     updates: int = Field(ge=0)
@@ -60,6 +63,9 @@ class ModelState(Group):
     python_random: list[Any]
     numpy_random: list[Any]
     devices: dict[str, int | str] = Field(description="of the environment's state what is no array")
+    action_random: dict[str, Any] = Field(default={}, description="SAC: what random actions are drawn with")
+    replay_position: int = Field(default=0, ge=0, description="SAC: where the replay buffer goes on")
+    replay_full: bool = Field(default=False, description="SAC: whether it goes on over older transitions")
 
 
 class RunState(Group):
@@ -108,14 +114,14 @@ class Checkpoint:
     arrays: Arrays
 
 
-def write_checkpoint(out: Path, model: PPO, run: RunState, config: Mapping[str, Any]) -> Path:
+def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str, Any]) -> Path:
     """Keep the state of a run that is about to start a rollout; the last checkpoint but one is removed.
 
     Parameters
     ----------
     out : Path
         Folder of the run. The bundles in it, if there are any, become part of the checkpoint.
-    model : PPO
+    model : PPO or SAC
     run : RunState
     config : mapping
         The resolved recipe.
@@ -231,15 +237,16 @@ def remove_checkpoints(out: Path) -> None:
     shutil.rmtree(out / FOLDER, ignore_errors=True)
 
 
-def capture(model: PPO) -> tuple[ModelState, Arrays]:
+def capture(model: Model) -> tuple[ModelState, Arrays]:
     """Return the state of a model that is about to start a rollout, and of the random generators of the process."""
     adapter = _adapter(model)
-    devices, arrays = _flatten(_state_of(adapter), "devices")
+    devices, arrays = _flatten(adapter.get_state(), "devices")
     for name, tensor in model.policy.state_dict().items():
         arrays[f"policy.{name}"] = _array(tensor)
-    for index, moments in model.policy.optimizer.state_dict()["state"].items():
-        for name, tensor in moments.items():
-            arrays[f"optimizer.{index}.{name}"] = _array(tensor)
+    for optimizer, torchs in _optimizers(model).items():
+        for index, moments in torchs.state_dict()["state"].items():
+            for name, tensor in moments.items():
+                arrays[f"{optimizer}.{index}.{name}"] = _array(tensor)
     for name in _noise_of(model):
         arrays[f"noise.{name}"] = _array(getattr(model.policy.action_dist, name))
     generator, words, *rest = np.random.get_state()  # noqa: NPY002  (what PPO shuffles with)
@@ -248,7 +255,21 @@ def capture(model: PPO) -> tuple[ModelState, Arrays]:
     arrays["last.episode_starts"] = np.array(model._last_episode_starts)
     python_version, python_words, gauss = random.getstate()
     logger = model.logger
+    of_sac: dict[str, Any] = {}
+    if isinstance(model, SAC):
+        replay = model.replay_buffer
+        assert replay is not None
+        for name in _REPLAY:
+            arrays[f"replay.{name}"] = np.ascontiguousarray(getattr(replay, name)[: replay.size()])
+        if model.log_ent_coef is not None:
+            arrays["entropy.log_coefficient"] = _array(model.log_ent_coef)
+        of_sac = {
+            "action_random": model.action_space.np_random.bit_generator.state,
+            "replay_position": replay.pos,
+            "replay_full": replay.full,
+        }
     state = ModelState(
+        **of_sac,
         steps=model.num_timesteps,
         updates=model._n_updates,
         progress_remaining=float(model._current_progress_remaining),
@@ -264,7 +285,7 @@ def capture(model: PPO) -> tuple[ModelState, Arrays]:
     return state, arrays
 
 
-def restore(model: PPO, checkpoint: Checkpoint) -> None:
+def restore(model: Model, checkpoint: Checkpoint) -> None:
     """Bring a new model of the same recipe, in its first rollout's start, to a checkpoint's state.
 
     Raises
@@ -273,31 +294,31 @@ def restore(model: PPO, checkpoint: Checkpoint) -> None:
         If the checkpoint is not of such a model.
     """
     state, arrays, policy = checkpoint.content.model, checkpoint.arrays, model.policy
-    adapter = _adapter(model)
+    adapter, optimizers = _adapter(model), _optimizers(model)
     try:
-        devices = _unflatten(_state_of(adapter), "devices", state.devices, arrays)
+        devices = _unflatten(adapter.get_state(), "devices", state.devices, arrays)
         weights = {name: _tensor(arrays[f"policy.{name}"]) for name in policy.state_dict()}
-        moments: dict[int, dict[str, torch.Tensor]] = {}
+        moments: dict[str, dict[int, dict[str, torch.Tensor]]] = {name: {} for name in optimizers}
         for name, array in arrays.items():
-            if name.startswith("optimizer."):
-                _, index, moment = name.split(".")
-                moments.setdefault(int(index), {})[moment] = _tensor(array)
+            optimizer, *entry = name.split(".")
+            if optimizer in optimizers:
+                index, moment = entry
+                moments[optimizer].setdefault(int(index), {})[moment] = _tensor(array)
         noise = {name: _tensor(arrays[f"noise.{name}"]) for name in _noise_of(model)}
         observations, starts = arrays["last.observations"], arrays["last.episode_starts"]
         python_version, python_words, gauss = state.python_random
         generator, *rest = state.numpy_random
 
         policy.load_state_dict(weights)
-        policy.optimizer.load_state_dict({**policy.optimizer.state_dict(), "state": moments})
+        for name, torchs in optimizers.items():
+            torchs.load_state_dict({**torchs.state_dict(), "state": moments[name]})
         for name, tensor in noise.items():
             setattr(policy.action_dist, name, tensor)
-        adapter.venv.unwrapped.set_state(devices["venv"])  # type: ignore[attr-defined]
-        adapter._returns[...], adapter._lengths[...] = devices["returns"], devices["lengths"]
-        for name, total in adapter._terms.items():
-            total[...] = devices["terms"][name]
+        if isinstance(model, SAC):
+            _restore_sac(model, state, arrays)
+        adapter.set_state(devices)
         model._last_obs, model._last_episode_starts = observations, starts
-        assert model.env is not None
-        if (stack := unwrap_vec_wrapper(model.env, VecFrameStack)) is not None:
+        if (stack := unwrap_vec_wrapper(_env(model), VecFrameStack)) is not None:
             stack.stacked_obs.stacked_obs = observations.copy()
         model.num_timesteps = model._num_timesteps_at_start = state.steps
         model._n_updates, model._current_progress_remaining = state.updates, state.progress_remaining
@@ -320,24 +341,45 @@ class _OtherVersionError(AmulettError):
     pass
 
 
-def _adapter(model: PPO) -> SB3VecEnv:
+def _restore_sac(model: SAC, state: ModelState, arrays: Arrays) -> None:
+    replay = model.replay_buffer
+    assert replay is not None
+    for name in _REPLAY:
+        kept, place = arrays[f"replay.{name}"], getattr(replay, name)
+        if kept.shape[1:] != place.shape[1:] or len(kept) != (
+            len(place) if state.replay_full else state.replay_position
+        ):
+            raise ValueError(f"'replay.{name}' has shape {kept.shape}; the replay buffer's is another")
+        place[: len(kept)] = kept
+    replay.pos, replay.full = state.replay_position, state.replay_full
+    model.action_space.np_random.bit_generator.state = state.action_random
+    if model.log_ent_coef is not None:
+        with torch.no_grad():
+            model.log_ent_coef.copy_(_tensor(arrays["entropy.log_coefficient"]))
+
+
+def _env(model: Model) -> VecEnv:
     env = model.get_env()
     assert env is not None
-    adapter = env.unwrapped
+    return env
+
+
+def _adapter(model: Model) -> SB3VecEnv:
+    adapter = _env(model).unwrapped
     assert isinstance(adapter, SB3VecEnv)
     return adapter
 
 
-def _state_of(adapter: SB3VecEnv) -> dict[str, Any]:
-    return {
-        "venv": adapter.venv.unwrapped.get_state(),  # type: ignore[attr-defined]
-        "returns": adapter._returns.copy(),
-        "lengths": adapter._lengths.copy(),
-        "terms": {name: total.copy() for name, total in adapter._terms.items()},
-    }
+def _optimizers(model: Model) -> dict[str, torch.optim.Optimizer]:
+    if isinstance(model, PPO):
+        return {"optimizer": model.policy.optimizer}
+    optimizers = {"actor_optimizer": model.actor.optimizer, "critic_optimizer": model.critic.optimizer}
+    if model.ent_coef_optimizer is not None:
+        optimizers["entropy_optimizer"] = model.ent_coef_optimizer
+    return optimizers
 
 
-def _noise_of(model: PPO) -> tuple[str, ...]:
+def _noise_of(model: Model) -> tuple[str, ...]:
     return _NOISE if model.use_sde else ()
 
 

@@ -1,4 +1,4 @@
-"""The training recipe: typed, range-checked settings, whose defaults are the tuned recipe of ``configs/ppo.yaml``."""
+"""The training recipe: typed, range-checked settings, whose defaults are the recipe of ``configs/ppo.yaml``."""
 
 from __future__ import annotations
 
@@ -107,6 +107,25 @@ class PpoSettings(Group):
     sde_sample_freq: int = Field(default=8, ge=-1, description="steps between two draws of it; -1: once a rollout")
 
 
+class SacSettings(Group):
+    """Settings of Stable-Baselines3's SAC; see its documentation."""
+
+    learning_rate: Positive = 1e-3
+    anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
+    buffer_size: int = Field(default=500_000, ge=1, description="transitions of all devices together that are kept")
+    learning_starts: int = Field(default=10_000, ge=0, description="steps of uniformly random actions to begin with")
+    batch_size: int = Field(default=512, ge=2)
+    tau: float = Field(default=0.02, gt=0, le=1, description="by which the target critic follows at each update")
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step")
+    train_freq: int = Field(default=1, ge=1, description="steps of each device between two updates")
+    gradient_steps: int = Field(default=8, ge=1, description="batches of an update")
+    ent_coef: float | None = Field(default=None, ge=0, description="price of certainty; null: it is learned")
+    initial_ent_coef: Positive = Field(default=0.01, description="where it starts if it is learned")
+    target_entropy: float = Field(default=-2.0, description="what it is learned for; -1: an exploration of about 0.1")
+    reward_scale: Positive = Field(default=10.0, description="fixed factor on what SAC sees")
+    initial_std: Positive = Field(default=0.2, description="of the exploration, before the tanh")
+
+
 class NetworkSettings(Group):
     """The policy's network; the critic's is the same."""
 
@@ -135,8 +154,10 @@ class ValidationSettings(Group):
 class TrainConfig(Group):
     """A training run."""
 
+    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="what learns; the other's group is not read")
     env: EnvSettings = EnvSettings()
     ppo: PpoSettings = PpoSettings()
+    sac: SacSettings = SacSettings()
     network: NetworkSettings = NetworkSettings()
     validation: ValidationSettings = ValidationSettings()
     num_envs: int = Field(default=256, ge=1, description="devices that are simulated side by side")
@@ -152,11 +173,15 @@ class TrainConfig(Group):
     @model_validator(mode="after")
     def _check_batch(self) -> TrainConfig:
         rollout = self.num_envs * self.ppo.n_steps
-        if rollout < 2:
+        if self.algorithm == "ppo" and rollout < 2:
             raise ValueError("num_envs times ppo.n_steps is 1; PPO needs a rollout of at least 2 steps")
-        if rollout % self.ppo.batch_size:
+        if self.algorithm == "ppo" and rollout % self.ppo.batch_size:
             raise ValueError(
                 f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
+            )
+        if self.algorithm == "sac" and self.sac.buffer_size < self.num_envs:
+            raise ValueError(
+                f"sac.buffer_size is {self.sac.buffer_size}; it has to hold a step of all {self.num_envs} devices"
             )
         low, high = self.env.tension_range
         start = self.network.initial_tension
@@ -211,7 +236,7 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
     for override in overrides:
         content = merge(content, _parse_override(override))
     try:
-        return TrainConfig.model_validate(_read_numbers(content))
+        return TrainConfig.model_validate(read_numbers(content))
     except ValidationError as error:
         raise describe(error, TrainConfig, "recipe" if path is None else f"recipe '{path}'") from error
 
@@ -230,12 +255,12 @@ def _parse_override(override: str) -> dict[str, Any]:
     return value
 
 
-def _read_numbers(value: Any) -> Any:
+def read_numbers(value: Any) -> Any:
     """Turn ``"3e-4"`` into a number: YAML 1.1, unlike everybody, takes it for a string unless it is ``3.0e-4``."""
     if isinstance(value, Mapping):
-        return {key: _read_numbers(item) for key, item in value.items()}
+        return {key: read_numbers(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_read_numbers(item) for item in value]
+        return [read_numbers(item) for item in value]
     if isinstance(value, str) and re.fullmatch(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+", value):
         return float(value)
     return value

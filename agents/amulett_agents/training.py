@@ -1,4 +1,4 @@
-"""A training run: PPO with logs, validation, checkpoints, and the best and the last policy kept as bundles."""
+"""A training run: PPO or SAC with logs, validation, checkpoints, and the best and the last policy kept as bundles."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ import gymnasium as gym
 import numpy as np
 import torch
 import yaml
-from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from amulett_agents.bundles import extract_network, save_policy
 from amulett_agents.checkpoint import (
     BUNDLES,
     FOLDER,
@@ -39,29 +39,26 @@ from amulett_agents.checkpoint import (
     write_checkpoint,
 )
 from amulett_agents.config import TrainConfig, load_train_config
-from amulett_agents.ppo import (
-    exploration,
-    extract_network,
-    git_revision,
-    make_model,
-    make_validation_env,
-    save_policy,
-    versions,
-)
+from amulett_agents.model import Model, exploration, exploration_std, make_model, make_validation_env
+from amulett_gym.config import load_profile
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path, locked_folder, output_folder, read_text, write_json, write_text
 from amulett_gym.laws.bundle import forward
 from amulett_gym.laws.history import History
+from amulett_gym.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""
 
-RUN_MARKS = ("config.yaml", "command.json")
+RUN_MARKS = ("config.yaml", COMMAND)
 """Files by which a training run's folder is recognised."""
 
 FINISHED = "finished.json"
 """File that a run leaves when it has come to its end: its `TrainResult`."""
+
+_LOG_EVERY = 16_384
+"""Steps between two entries of SAC's log: as many as a rollout of PPO has by default. PPO logs every rollout."""
 
 _OUTPUTS = (FOLDER, FINISHED, "evaluations.csv", "last_sb3.zip", *BUNDLES, "tensorboard")
 
@@ -200,14 +197,18 @@ def is_finished(out: str | Path) -> bool:
     return (Path(out) / FINISHED).is_file()
 
 
-def _learn(model: PPO, run: _Run) -> TrainResult:
+def _learn(model: Model, run: _Run) -> TrainResult:
     """Train until the end, or until somebody interrupts."""
     model.set_logger(_make_logger(run.out / "tensorboard", run.resumed))
     try:
         with _interruptible(run):
-            model.learn(run.config.total_steps, callback=[*exploration(run.config), run])
+            interval = 1 if run.config.algorithm == "ppo" else None  # SB3's SAC logs by single episodes; so we do it
+            model.learn(run.config.total_steps, callback=[*exploration(run.config), run], log_interval=interval)  # type: ignore[arg-type]
     except (KeyboardInterrupt, _Stopped):
         run.interrupted = True
+    except OSError as error:  # of TensorBoard's writer; all else that writes says what it could not write
+        run.check_folder()
+        raise AmulettError(f"cannot write to '{run.out}': {error.strerror or error}") from error
     run.finish(model)
     result = run.result()
     if not run.interrupted:
@@ -243,6 +244,7 @@ class _Run(BaseCallback):
         self._checkpointed_steps = -1
         self._started = time.monotonic()
         self._rollout_started = self._started
+        self._collected, self._collecting = 0, 0.0
         self._rows: list[dict[str, float]] = []
         self._best = 0
         self._validated_steps = -1
@@ -267,7 +269,7 @@ class _Run(BaseCallback):
             self._checkpoint()
         if self.stopping:
             raise _Stopped
-        self._rollout_started = time.monotonic()
+        self._rollout_started, self._rollout_steps = time.monotonic(), self.num_timesteps
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
@@ -277,12 +279,27 @@ class _Run(BaseCallback):
         return limit is None or time.monotonic() - self._started < limit
 
     def _on_rollout_end(self) -> None:
-        took = time.monotonic() - self._rollout_started
-        steps = self.config.num_envs * self.config.ppo.n_steps
-        self.logger.record("time/rollout_steps_per_second", steps / took)
+        self.check_folder()
+        self._collecting += time.monotonic() - self._rollout_started
+        self._collected += self.num_timesteps - self._rollout_steps
+        is_sac = self.config.algorithm == "sac"
+        if is_sac and self.num_timesteps // _LOG_EVERY == self._rollout_steps // _LOG_EVERY:
+            return
+        self.logger.record("time/rollout_steps_per_second", self._collected / self._collecting)
+        self._collected, self._collecting = 0, 0.0
         if self._episodes:
             for term in TERMS:
                 self.logger.record(f"reward/{term}", float(np.mean([terms[term] for terms in self._episodes])))
+        self._show()
+        if is_sac:
+            infos = self.model.ep_info_buffer or ()
+            for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
+                if infos:
+                    self.logger.record(f"rollout/{name}", float(np.mean([info[key] for info in infos])))
+            self.logger.dump(self.num_timesteps)
+
+    def _show(self) -> None:
+        """Bring the progress bar up to date."""
         self._bar.update(min(self.num_timesteps, self.config.total_steps) - self._bar.n)
         episodes = self.model.ep_info_buffer or ()
         shown = {"cost": f"{self._rows[-1]['cost']:.3f}", "best": f"{self._rows[self._best]['cost']:.3f}"}
@@ -328,8 +345,14 @@ class _Run(BaseCallback):
             next_validation=self._next_validation,
             episodes=list(self._episodes),
         )
+        self.check_folder()
         write_checkpoint(self.out, self.model, state, self.config.model_dump())  # type: ignore[arg-type]
         self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
+
+    def check_folder(self) -> None:
+        """Refuse to write to a folder that somebody has taken away: what was in it would be missing in a new one."""
+        if not (self.out / RUN_MARKS[0]).is_file():
+            raise AmulettError(f"the run's folder '{self.out}' has vanished, or its {RUN_MARKS[0]}; training stops")
 
     def _restore(self, checkpoint: Checkpoint) -> None:
         """Go back to the checkpoint, and bring what the run has written back to it."""
@@ -348,6 +371,7 @@ class _Run(BaseCallback):
         self._bar.update(self.num_timesteps)
 
     def _validate(self, model: Any) -> None:
+        self.check_folder()
         scores = evaluate(model, self.validation, self.config.validation.seed, self.config.env.history)
         row = {"steps": model.num_timesteps, "seconds": round(time.monotonic() - self._started, 2), **scores}
         self._rows.append(row)
@@ -360,9 +384,9 @@ class _Run(BaseCallback):
             model.logger.record(f"validation/{name}", value)
         self._validated_steps = model.num_timesteps
 
-    def _save(self, model: PPO, name: str) -> None:
+    def _save(self, model: Model, name: str) -> None:
         provenance = {
-            "algorithm": "PPO",
+            "algorithm": self.config.algorithm.upper(),
             "command": self.command,
             "config": self.config.model_dump(),
             "validation": {"split": "validation", **self.config.validation.model_dump(), **self._rows[-1]},
@@ -412,9 +436,9 @@ def _make_logger(folder: Path, resumed: Checkpoint | None) -> Logger:
     return Logger(str(folder), [output])
 
 
-def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: PPO) -> None:
+def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: Model) -> None:
     """Refuse a recipe or a profile that is not the checkpoint's."""
-    changed = _different(checkpoint.content.config, config.model_dump())
+    changed = differences(checkpoint.content.config, config.model_dump())
     if changed:
         raise AmulettError(
             f"the recipe was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}; "
@@ -422,41 +446,25 @@ def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: PPO) -> No
         )
     env = model.get_env()
     assert env is not None
-    changed = _different(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json"))
+    changed = differences(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json"))
     if changed:
         raise AmulettError(
             f"profile '{config.env.profile}' was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}"
         )
 
 
-def _different(old: Any, new: Any, name: str = "") -> list[str]:
-    """Return in words the keys in which two trees of settings differ."""
-    if not isinstance(old, dict) or not isinstance(new, dict):
-        return [] if old == new else [f"{name} was {old!r} and is {new!r}"]
-    keys = [*old, *(key for key in new if key not in old)]
-    below = [_different(old.get(key), new.get(key), f"{name}.{key}" if name else str(key)) for key in keys]
-    return [difference for differences in below for difference in differences]
-
-
 def _check_versions(out: Path) -> list[str] | None:
     """Return the words of the command that began a run; warn if its bits may differ from now on."""
-    path = out / RUN_MARKS[1]
-    if not path.is_file():  # killed before it was written
+    if not (out / RUN_MARKS[1]).is_file():  # killed before it was written
         return None
-    try:
-        about = json.loads(read_text(path, "a run's command"))
-        command, began = about["command"], {**about["versions"], "git revision": about["git_revision"]}
-    except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, AmulettError):
-            raise
-        raise AmulettError(f"'{path}' is damaged: {error!r}") from error
-    changed = _different(began, {**versions(), "git revision": git_revision()})
+    note = read_provenance(out)
+    changed = software_changes(note)
     if changed:
         warnings.warn(
             f"'{out}' is resumed with other software, so that its numbers may differ: {'; '.join(changed)}",
             stacklevel=3,
         )
-    return command
+    return note.command
 
 
 def _remove_leftovers(out: Path) -> None:
@@ -489,12 +497,12 @@ def _read_result(out: Path) -> TrainResult:
     return replace(result, out=out, best=out / "best", last=out / "last")
 
 
-def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, history: int = 1) -> dict[str, float]:
+def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, history: int = 1) -> dict[str, float]:
     """Return the mean cost per episode of a model's deterministic policy, by the arithmetic of its bundle.
 
     Parameters
     ----------
-    model : PPO
+    model : PPO or SAC
     env : VectorEnv
         Each of its devices plays one episode.
     seed : int
@@ -506,11 +514,12 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, hi
     -------
     dict
         ``cost``, minus the mean return; each reward term's share of it; the number of ``failures``; the present
-        ``exploration_std``.
+        ``exploration_std``, of SAC at the first observations.
     """
     layers, network = extract_network(model.policy)
     seen = History(env, history, env.single_observation_space.shape[0])  # type: ignore[index]
     observations, info = env.reset(seed=seed)
+    std = exploration_std(model, seen.add(observations))
     playing = np.ones(env.num_envs, dtype=bool)
     costs = dict.fromkeys(TERMS, 0.0)
     failures = 0
@@ -520,7 +529,6 @@ def evaluate(model: PPO, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, hi
             costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
         failures += int((terminated & playing).sum())
         playing &= ~(terminated | truncated)
-    std = float(model.policy.log_std.detach().exp().mean())
     return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}
 
 
@@ -544,13 +552,8 @@ def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> N
         else:
             path.unlink(missing_ok=True)
     write_text(out / "config.yaml", yaml.safe_dump(config.model_dump(), sort_keys=False))
-    about = {
-        "command": None if command is None else list(command),
-        "seed": config.seed,
-        "versions": versions(),
-        "git_revision": git_revision(),
-    }
-    write_json(out / "command.json", about)
+    profile = load_profile(config.env.profile).model_dump(mode="json")
+    write_provenance(out, "train", {"profile": profile}, [config.seed], command)
 
 
 def _table(rows: list[dict[str, float]]) -> str:

@@ -126,9 +126,9 @@ def observe_privileged(simulation: Simulation, devices: NDArray[np.int64]) -> ND
     values |= _wave(scenario, time)
     values["counts_in"] = np.maximum(scenario("measure_from") - time, 0.0)
     family = scenario("family")
-    for number, name in enumerate(FAMILIES):
-        if name is not None:
-            values[f"family_{name.replace('-', '_')}"] = (family == number).astype(np.float64)
+    for number, task in enumerate(FAMILIES):
+        if task is not None:
+            values[f"family_{task.replace('-', '_')}"] = (family == number).astype(np.float64)
     scaled = np.stack([values[name] for name in PRIVILEGED], axis=1) / _SCALES
     return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 

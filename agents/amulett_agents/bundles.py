@@ -1,0 +1,139 @@
+"""Policies of Stable-Baselines3 kept as bundles: data that needs neither torch nor trust."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
+from stable_baselines3.sac.policies import SACPolicy
+
+from amulett_gym.config import profile_names
+from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.errors import AmulettError
+from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.provenance import git_revision, versions
+
+ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
+
+
+def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
+    """Return the weights of a policy's deterministic action, and what they are the weights of.
+
+    Raises
+    ------
+    AmulettError
+        If the policy is no plain ``MlpPolicy`` of PPO, A2C or SAC with tanh or ReLU.
+    """
+    if isinstance(policy, ActorCriticPolicy):
+        extractor, hidden, last = policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net
+        kind, squashes = policy.activation_fn, policy.squash_output
+    elif isinstance(policy, SACPolicy):
+        extractor, hidden, last = policy.actor.features_extractor, policy.actor.latent_pi, policy.actor.mu
+        kind, squashes = policy.activation_fn, True
+    else:
+        raise AmulettError(f"only an MlpPolicy of PPO, A2C or SAC can become a bundle, not {type(policy).__name__}")
+    if not isinstance(extractor, FlattenExtractor):
+        raise AmulettError(f"only an MlpPolicy can become a bundle, not {type(policy).__name__}")
+    names = {kind: name for name, kind in ACTIVATIONS.items()}
+    if kind not in names:
+        raise AmulettError(f"the activation {kind.__name__} cannot be kept in a bundle; use Tanh or ReLU")
+    if not isinstance(last, torch.nn.Linear):
+        raise AmulettError("the policy's action is no linear function of its features")
+    linear = [*(module for module in hidden if isinstance(module, torch.nn.Linear)), last]
+    layers = [
+        (layer.weight.detach().cpu().numpy().copy(), layer.bias.detach().cpu().numpy().copy()) for layer in linear
+    ]
+    sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
+    activation: Literal["tanh", "relu"] = "tanh" if names[kind] == "tanh" else "relu"
+    return layers, Network(layers=sizes, activation=activation, output="tanh" if squashes else "clip")
+
+
+def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[str, Any] | None = None) -> Path:
+    """Keep a model's policy as a bundle; `amulett_gym.load_policy` reads it without torch.
+
+    Works for any PPO, A2C or SAC with an ``MlpPolicy``, trained on `make_sb3_env`, in a `VecFrameStack` or not, or on
+    ``gym.make``.
+
+    Parameters
+    ----------
+    model : BaseAlgorithm
+        With its environment.
+    folder : str or Path
+        Replaced if it holds a bundle.
+    provenance : mapping, optional
+        JSON-serialisable; versions, seed and training steps are added.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    AmulettError
+        If the policy or the environment cannot be described by a bundle, or `folder` cannot be written.
+    """
+    env = model.get_env()
+    if env is None:
+        raise AmulettError("the model has no environment; make it with one, so that the bundle knows what actions mean")
+    if model.get_vec_normalize_env() is not None:
+        raise AmulettError("VecNormalize's running statistics cannot be kept in a bundle; train without it")
+    if not env.has_attr("tension_range"):
+        raise AmulettError("the model was not trained in an AMULETT environment")
+    layers, network = extract_network(model.policy)
+    names: tuple[str, ...] = OBSERVATIONS
+    scales = OBSERVATION_SCALES
+    if env.get_attr("episodes")[0].privileged:
+        names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
+    stack = unwrap_vec_wrapper(env, VecFrameStack)
+    history = 1 if stack is None else stack.stacked_obs.n_stack
+    if network.layers[0] != history * len(names):
+        raise AmulettError(
+            f"the policy sees {network.layers[0]} numbers, its environment shows {history} times {len(names)}; "
+            "wrappers that change the observation cannot be kept in a bundle, but for VecFrameStack"
+        )
+    description = PolicyDescription(
+        network=network,
+        observations=list(names),
+        observation_scales=dict(scales),
+        history=history,
+        tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
+        agent_period=env.get_attr("episodes")[0].agent_period,
+    )
+    about = {
+        **(provenance or {}),
+        "seed": model.seed,
+        "steps": int(model.num_timesteps),
+        "versions": versions(),
+        "git_revision": git_revision(),
+    }
+    return write_bundle(folder, layers, description, describe_env(env), about)
+
+
+def describe_env(env: VecEnv) -> TrainingEnv:
+    """Return the id and the keywords that make an environment again; an own profile goes in with all that it says.
+
+    Raises
+    ------
+    AmulettError
+        If the environment was not made by `gym.make` or `gym.make_vec`.
+    """
+    spec = env.get_attr("spec")[0]
+    if spec is None:
+        raise AmulettError("the environment has no spec, so that nobody could make it again; make it with gym.make")
+    keywords = {
+        key: value
+        for key, value in spec.kwargs.items()
+        if key not in ("num_envs", "max_episode_steps", "vectorization_mode", "render_mode", "threads")
+    }
+    if "profile" in keywords and keywords["profile"] not in profile_names():
+        keywords["profile"] = env.get_attr("profile")[0].model_dump()
+    steps = spec.kwargs.get("max_episode_steps", spec.max_episode_steps)
+    return TrainingEnv(id=spec.id, keywords=keywords, max_episode_steps=int(steps))

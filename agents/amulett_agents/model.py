@@ -1,0 +1,99 @@
+"""What learns, and where: a recipe's model with its training environment, and the environment that judges it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack
+
+from amulett_agents.adapter import make_sb3_env
+from amulett_agents.config import TrainConfig
+from amulett_agents.ppo import FadingExploration, make_ppo
+from amulett_agents.sac import make_sac
+from amulett_gym.laws.policies import tension_to_action
+
+Model = PPO | SAC
+
+
+class ScaledRewards(VecEnvWrapper):
+    """Rewards times a fixed factor: what is learned from; the environment inside logs returns as they are."""
+
+    def __init__(self, venv: VecEnv, factor: float) -> None:
+        super().__init__(venv)
+        self.factor = factor
+
+    def reset(self) -> Any:
+        """Start an episode with all devices."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Take one step with all devices."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        return observations, rewards * np.float32(self.factor), dones, infos
+
+
+def make_model(config: TrainConfig) -> Model:
+    """Make a recipe's learner and its training environment.
+
+    Returns
+    -------
+    stable_baselines3.PPO or stable_baselines3.SAC
+        Its first policy is a constant tension. Nothing is logged until it is given a logger.
+
+    Raises
+    ------
+    AmulettError
+        If the environment refuses its settings.
+    """
+    settings, algorithm = config.env, config.ppo if config.algorithm == "ppo" else config.sac
+    env: VecEnv = make_sb3_env(
+        settings.id,
+        config.num_envs,
+        split="train",
+        max_episode_steps=settings.max_episode_steps,
+        **settings.keywords(),
+    )
+    if settings.history > 1:
+        env = VecFrameStack(env, settings.history)
+    env = ScaledRewards(env, algorithm.reward_scale)
+    low, high = settings.tension_range
+    tension = config.network.initial_tension
+    first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
+    model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action)
+    model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
+    return model
+
+
+def exploration(config: TrainConfig) -> list[BaseCallback]:
+    """Return what a recipe's exploration needs besides the model: callbacks for its `learn`."""
+    ppo = config.ppo
+    if config.algorithm != "ppo" or ppo.final_std is None:
+        return []
+    return [FadingExploration(ppo.initial_std, ppo.final_std)]
+
+
+def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:
+    """Return the mean standard deviation of a model's exploration, before SAC's tanh, at some observations."""
+    with torch.no_grad():
+        if isinstance(model, PPO):
+            return float(model.policy.log_std.exp().mean())
+        seen = torch.as_tensor(observations, dtype=torch.float32)
+        return float(model.policy.actor.get_action_dist_params(seen)[1].exp().mean())
+
+
+def make_validation_env(config: TrainConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Make the environment in which policies are compared during training: scenarios that are not trained on."""
+    return gym.make_vec(
+        config.env.id,
+        num_envs=config.validation.episodes,
+        split="validation",
+        max_episode_steps=config.env.max_episode_steps,
+        **config.env.keywords(),
+    )
