@@ -1,0 +1,309 @@
+"""The benchmark, end to end on a tiny description: what it writes, what it refuses, and that a kill costs nothing."""
+
+import csv
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from amulett_gym.cli import build_parser, main
+from amulett_gym.config import load_profile
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.benchmark import episodes, frozen, reference, runs, stages
+from amulett_gym.evaluation.benchmark.claims import check_claims
+from amulett_gym.evaluation.benchmark.description import load_benchmark
+from amulett_gym.evaluation.benchmark.document import BEGIN, END, check_document
+from amulett_gym.evaluation.benchmark.results import content
+from amulett_gym.evaluation.benchmark.stages import run_benchmark
+from amulett_gym.evaluation.clairvoyant import start_schedules
+from amulett_gym.evaluation.rollout import Trials
+from amulett_gym.evaluation.runner import Own, Protocol, evaluate, play_alone
+from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.tasks import suites
+from amulett_gym.tasks.scenario import load_scenario
+
+SHORT = [
+    *("env.suite=mixed", "env.max_episode_steps=100", "network.hidden=[8]", "num_envs=8", "total_steps=512"),
+    *("ppo.n_steps=16", "ppo.batch_size=64", "validation.every_steps=256", "validation.episodes=4"),
+    "checkpoint_seconds=0.0",
+]
+TINY = {
+    "suites": ["mixed", "paper-step"],
+    "episodes": 5,
+    "duration": 2.0,
+    "contenders": ["position-only", "eq6-tuned", "parametric"],
+    "constants": [6.0, 10.0],
+    "learned": {"ppo": {"set": SHORT, "seeds": [3, 4]}},
+    "ablations": ["effort"],
+    "clairvoyant": {"scenarios": {"mixed": 3}, "check": 2, "effort": 0.03, "starts": ["parametric"]},
+    "bootstrap": {"resamples": 100},
+}
+LAWS = {**TINY, "learned": {}, "ablations": [], "clairvoyant": {"scenarios": {}}}
+
+
+def described(folder: Path, content: dict) -> Path:
+    path = folder / "tiny.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def bench(folder: Path, content: dict, **given):
+    path = described(folder, content)
+    return run_benchmark(load_benchmark(path), folder / "out", path.parent, **given)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """Run a benchmark, and return its folder."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    assert main(["benchmark", "--config", str(described(folder, TINY)), "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def found(done):
+    return json.loads((done / "benchmark.json").read_text())
+
+
+def test_it_writes_numbers_tables_figures_and_a_page_that_needs_nothing_else(done, found):
+    assert {path.name for path in (done / "tables").iterdir()} == {
+        *("results.csv", "seeds.csv", "constants.csv", "claims.csv", "families.csv"),
+    }
+    assert {path.stem for path in (done / "figures").iterdir()} >= {
+        *("score", "ratios", "pareto", "constants", "learning", "law", "law_by_velocity", "responses", "resting"),
+    }
+    page = (done / "benchmark.html").read_text()
+    assert page.count("<svg") == len(list((done / "figures").iterdir()))
+    assert "<script" not in page and 'src="' not in page
+    assert found["verdict"].split(",")[0] in page
+    assert all(
+        set(item) == {"mean", "low", "high"} for item in found["results"]["mixed/held-out"]["ppo"]["ratio"].values()
+    )
+
+
+def test_costs_are_those_of_a_paired_comparison(done, found):
+    bundle = str(done / "runs" / "ppo" / "seed-4")
+    values = evaluate(["eq6", "constant:6", bundle], suite="mixed", episodes=5, duration=2.0).values
+    results = found["results"]["mixed/held-out"]
+    assert results["eq6"]["cost"]["mean"] == pytest.approx(values["eq6"]["cost"].mean(), rel=1e-12)
+    assert results["ppo"]["seeds"][1] == pytest.approx(values[bundle]["cost"].mean(), rel=1e-12)
+    expected = values["constant:6"]["cost"].sum() / values["eq6"]["cost"].sum()
+    assert results["constant:6"]["ratio"]["eq6"]["mean"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_constants_are_chosen_on_train(found):
+    for suite, costs in found["constants"]["tried"].items():
+        train = {
+            name: evaluate([name], suite=suite, split="train", episodes=5, duration=2.0).values[name]["cost"].mean()
+            for name in costs
+        }
+        assert costs == pytest.approx(train, rel=1e-12)
+        assert found["constants"]["best"][suite] == min(train, key=lambda name: train[name])
+
+
+def test_the_best_constant_scores_0_and_the_clairvoyant_costs_least(found):
+    goal = found["references"]["clairvoyant"]["mixed"]
+    assert goal["score"][found["constants"]["overall"]]["mean"] == 0.0
+    assert all(score["mean"] <= 1.0 for name, score in goal["score"].items() if name in ("parametric", "constant:6"))
+    curve = np.array(goal["curve"])
+    assert (np.diff(curve[:, 1]) <= 0.0).all() and curve[-1, 1] < goal["best_start"]
+    assert goal["second_search"]["either"] <= 1.0
+
+
+def test_every_claim_of_the_issue_is_judged(found):
+    claims = found["claims"]
+    assert sum(claim["about"] == "mixed, held-out" for claim in claims) >= 9
+    assert sum(claim["about"] == "paper-step" for claim in claims) == 5
+    judged = {claim["claim"]: claim["holds"] for claim in claims}
+    assert judged["combined cost at most 0.65 of eq. 6's (text)"] is (
+        found["results"]["mixed/held-out"]["ppo"]["ratio"]["eq6"]["mean"] <= 0.65
+    )
+
+
+def test_scenarios_that_are_lost_can_be_replayed(done, found, tmp_path):
+    item = found["worst"][0]
+    load_scenario(done / item["file"])
+    words = ["--scenario", str(done / item["file"]), "--suite", "mixed", "--duration", "2", "--law", "parametric"]
+    out = subprocess.run(
+        [sys.executable, "-m", "amulett_gym", "simulate", *words, "--json"], check=True, capture_output=True
+    )
+    assert json.loads(out.stdout)["metrics"]["cost"] == pytest.approx(item["by_hand"], rel=1e-9)
+
+
+def test_no_episode_is_trained_on_and_judged_on(found, monkeypatch):
+    assert found["seeds"]["overlap"] == 0
+    assert found["seeds"]["train"] > 0 and found["seeds"]["judged"] == 10
+    needed = runs.required_runs(load_benchmark(None).model_validate(TINY), Path(), Path())
+    configs = [run.config for run in needed]
+    monkeypatch.setitem(suites.SPLITS, "held-out", suites.SPLITS["train"])
+    assert frozen.seed_overlap(configs, seed=4, episodes=5)["overlap"] > 0
+
+
+def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):
+    def refuse(*given, **more):
+        raise AssertionError("this was done already")
+
+    monkeypatch.setattr(episodes, "play_alone", refuse)
+    monkeypatch.setattr(reference, "_evidence", lambda found: {})
+    monkeypatch.setattr("amulett_gym.evaluation.clairvoyant.improve", refuse)
+    monkeypatch.setattr(runs, "train_run", refuse)
+    evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+    assert len(evidence.entries["ppo"].members) == 2
+
+
+def test_another_description_is_refused_in_the_same_folder(done):
+    description = load_benchmark(done.parent / "tiny.yaml").model_copy(update={"episodes": 6})
+    with pytest.raises(AmulettError, match=r"description\.episodes was 5 and is 6"):
+        run_benchmark(description, done, done.parent)
+
+
+def test_changed_suites_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(frozen, "suite_hash", lambda *given: "0" * 64)
+    with pytest.raises(AmulettError, match=r"frozen.*mixed \(train\)"):
+        bench(tmp_path, LAWS)
+
+
+def test_changed_prices_are_refused(tmp_path, monkeypatch):
+    weights = {"position": 0.6, "effort": 0.35, "tension": 0.05, "contact": 0.0}
+    monkeypatch.setattr(frozen, "default_weights", lambda suite: weights)
+    with pytest.raises(AmulettError, match="divisors or weights"):
+        bench(tmp_path, LAWS)
+
+
+def test_two_benchmarks_cannot_share_a_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "_work", lambda description, out, *rest: bench(tmp_path, LAWS))
+    with pytest.raises(AmulettError, match="in use by process"):
+        bench(tmp_path, LAWS)
+
+
+def test_stored_runs_are_judged_without_what_learns(done, tmp_path, monkeypatch):
+    monkeypatch.setattr(runs, "find_spec", lambda name: None)
+    evidence = bench(tmp_path, TINY, runs=done / "runs")
+    assert [run.is_finished() for run in evidence.runs] == [True] * 3
+    with pytest.raises(AmulettError, match=r"3 of 3 training runs are missing \(ppo, seed 3.*needs torch"):
+        bench(tmp_path, {**TINY, "seed": 0}, runs=tmp_path / "none")
+
+
+def test_runs_of_another_recipe_are_refused(done, tmp_path):
+    other = {**TINY, "learned": {"ppo": {"set": [*SHORT, "ppo.gamma=0.5"], "seeds": [3, 4]}}}
+    with pytest.raises(AmulettError, match=r"seed-3.*another recipe.*ppo\.gamma was 0\.99 and is 0\.5"):
+        bench(tmp_path, other, runs=done / "runs")
+
+
+def test_ones_own_callable_takes_part(tmp_path):
+    def gentle(observations):
+        """Pull with 6 N: what action -0.636 means between 4 and 15 N."""
+        return np.full((len(observations), 1), 2.0 * (6.0 - 4.0) / 11.0 - 1.0)
+
+    evidence = bench(tmp_path, LAWS, own=[Own("gentle", act=gentle)])
+    results = content(evidence)["results"]["mixed/held-out"]
+    assert results["gentle"]["cost"] == pytest.approx(results["constant:6"]["cost"], rel=1e-5)
+    assert check_claims(content(evidence)) == []
+    with pytest.raises(AmulettError, match=r"shape \(5, 13\).*has to be \(5, 1\)"):
+        bench(tmp_path, LAWS, own=[Own("wrong", act=lambda observations: observations)])
+    with pytest.raises(AmulettError, match="two contenders would be called 'eq6'"):
+        bench(tmp_path, LAWS, own=[Own("eq6", act=gentle)])
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    bench(tmp_path, LAWS)
+    path = tmp_path / "out" / "episodes" / "held-out" / "mixed" / "parametric.npz"
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(AmulettError, match=r"parametric\.npz.*delete it"):
+        bench(tmp_path, LAWS)
+
+
+def test_a_document_is_renewed_between_its_marks(done, tmp_path):
+    path = tmp_path / "benchmark.md"
+    path.write_text(f"# Mine\n\n{BEGIN}\nold\n{END}\n\nand more\n")
+    words = ["--config", str(done.parent / "tiny.yaml"), "--out", str(done), "--doc", str(path)]
+    assert main(["benchmark", *words]) == 0
+    text = path.read_text()
+    assert text.startswith("# Mine") and text.endswith("and more\n") and "old\n" not in text
+    assert "| mixed, held-out" in text and "images/benchmark_score.png" in text
+    assert (tmp_path / "images" / "benchmark_score.png").read_bytes().startswith(b"\x89PNG")
+    path.write_text("# No marks\n")
+    with pytest.raises(AmulettError, match="has to hold the line"):
+        check_document(path)
+
+
+KILLED_AT = (
+    "episodes/train/mixed/*.npz",
+    "runs/ppo/seed-3/checkpoints/*",
+    "runs/ppo/seed-4/evaluations.csv",
+    "episodes/held-out/mixed/eq6.npz",
+    "clairvoyant/*/*.npz",
+)
+"""A process is killed as soon as one of these is there, and started again."""
+
+
+def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path):
+    path, out = described(tmp_path, TINY), tmp_path / "out"
+    command = [sys.executable, "-m", "amulett_gym", "benchmark", "--config", str(path), "--out", str(out)]
+    written: dict[Path, int] = {}
+    for pattern in KILLED_AT:
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
+            while process.poll() is None and not list(out.glob(pattern)):
+                time.sleep(0.005)
+            os.kill(process.pid, signal.SIGKILL)
+        files = [*out.glob("episodes/*/*/[!.]*.npz"), *out.glob("clairvoyant*/*/[!.]*.npz")]
+        files += out.glob("runs/*/*/finished.json")
+        for file, changed in written.items():
+            assert file.stat().st_mtime_ns == changed, file
+        written = {file: file.stat().st_mtime_ns for file in files}
+    assert written
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert all(file.stat().st_mtime_ns == changed for file, changed in written.items())
+    again = json.loads((out / "benchmark.json").read_text())
+    for key in ("results", "constants", "references", "worst", "seeds", "families"):
+        assert again[key] == found[key], key
+    assert not [file for file in out.rglob(".*") if file.suffix == ".npz"]
+
+
+def test_a_schedule_of_a_slow_bundle_is_held_as_it_acts(done, tmp_path):
+    bundle = str(done / "runs" / "ppo" / "seed-3")
+    protocol = Protocol(load_profile("testbed"), "mixed", episodes=3, duration=2.0)
+    trials = Trials(protocol)
+    actions = start_schedules(trials, [bundle])[bundle]
+    costs = trials.play(np.arange(3), lambda step, observations: actions[:, step]).sum(axis=0)
+    run = play_alone(protocol, parse_contender(bundle))
+    np.testing.assert_allclose(costs, -run.values["return"], rtol=1e-6)
+
+
+def test_tables_hold_what_the_results_say(done, found):
+    with (done / "tables" / "results.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    (row,) = [
+        row
+        for row in rows
+        if (row["suite"], row["split"], row["entry"], row["quantity"], row["against"])
+        == ("mixed", "held-out", "ppo", "ratio", "eq6")
+    ]
+    assert float(row["mean"]) == found["results"]["mixed/held-out"]["ppo"]["ratio"]["eq6"]["mean"]
+
+
+DOCUMENT = (Path(__file__).parents[1] / "docs" / "benchmark.md").read_text()
+
+
+def test_the_documents_examples_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    example = "\n".join(re.findall(r"```python\n(.*?)```", DOCUMENT, flags=re.DOTALL))
+    exec(compile(example, "docs/benchmark.md", "exec"), {})
+    results = json.loads((tmp_path / "runs" / "mine" / "benchmark.json").read_text())["results"]["mixed/held-out"]
+    assert results["softer when far"]["cost"]["mean"] > 0.0
+
+
+def test_the_documents_commands_parse():
+    commands = re.findall(r"^amulett (.+?)(?: #.*)?$", DOCUMENT, flags=re.MULTILINE)
+    assert len(commands) >= 3
+    for command in commands:
+        assert build_parser().parse_args(shlex.split(command)).out
