@@ -257,6 +257,7 @@ INLINE void control_position(Parameters p, States s, int64_t i, real error) {
 
 INLINE real choose_tension(Parameters p, States s, int64_t i, real error) {
     mask agent = s->law[i] == AGENT, text = s->law[i] == EQ6;
+    s->tension_command[i] += select(agent, s->tension_rate[i], all(0.0));
     if (!any(not(agent))) return s->tension_command[i];
     real factor = scaling_factor(p, error);
     if (any(not(text))) factor = select(text, factor, scaling_factor_printed(p, error));

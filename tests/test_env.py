@@ -478,3 +478,17 @@ def test_gymnasium_wrappers_take_the_vector_environment():
     listed = wrappers.DictInfoToList(gym.make_vec(SCALING, num_envs=2))
     _, infos = listed.reset(seed=0)
     assert infos[1]["metrics"]["position_ise"] == 0.0
+
+
+def test_an_action_is_reached_on_a_ramp_and_then_kept():
+    env = gym.make("Amulett/Tension-v0", agent_period=0.1).unwrapped
+    env.reset(seed=0)
+    ticks = round(0.1 / env.profile.loop.control_period)
+    setpoints = []
+    for action in (-1.0, 1.0, 1.0):  # 4 N, then twice 15 N
+        _, _, _, _, info = env.step(np.array([action], dtype=np.float32))
+        setpoints.append(info["tension_setpoint"])
+    assert setpoints == pytest.approx([4.0, 15.0, 15.0])
+    assert env.episodes.simulation.read("tension_rate") == 0.0
+    env.step(np.array([0.0], dtype=np.float32))
+    assert env.episodes.simulation.read("tension_rate") == pytest.approx((9.5 - 15.0) / ticks)

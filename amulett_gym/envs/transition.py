@@ -121,16 +121,23 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
 @compiled
 def step_block(p, e, c, s, m, first, end, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
-    span = e.high - e.low
     for device in range(first, end):
-        action = min(max(float(actions[device]), -1.0), 1.0)
-        s.tension_command[device - first] = e.low + 0.5 * (action + 1.0) * span
+        i = device - first
+        # On a ramp: a setpoint that jumps would pay, in effort, for how rarely the agent acts.
+        s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
     advance_block(p, c, s, m, end - first, e.ticks)
     for device in range(first, end):
         i = device - first
+        s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding
         observe(p, e, c, s, i, observations[device])
         pay(e, c, s, i, report[device])
         tell(p, s, i, report[device])
+
+
+@compiled
+def wanted_tension(e, action):
+    """Return the tension setpoint [N] that an action asks for."""
+    return e.low + 0.5 * (min(max(float(action), -1.0), 1.0) + 1.0) * (e.high - e.low)
 
 
 @compiled

@@ -74,10 +74,19 @@ def record_episode(
     simulation = episodes.simulation
     ticks_per_step = round(keywords["agent_period"] / simulation.control_period)
 
+    command = wanted = simulation.read("tension_command")
+    rate = np.zeros(1)
+
     def act(tick: int) -> None:
+        """Do tick by tick what a step of the environment does, bit for bit."""
+        nonlocal command, wanted, rate
         if tick % ticks_per_step == 0:
+            command = wanted
             action = np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)
-            simulation.command_tension(action_to_tension(action, env.tension_range))
+            wanted = action_to_tension(action, env.tension_range)
+            rate = (wanted - command) / ticks_per_step
+        command = command + rate
+        simulation.command_tension(command)
 
     trajectory = record(simulation, keywords["max_episode_steps"] * ticks_per_step, before_tick=act)
     failure = FAILURES[int(simulation.read("failure")[0])]

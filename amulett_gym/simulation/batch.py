@@ -105,6 +105,7 @@ class Simulation:
             raise AmulettError(f"the tension command is {tension!r}; it has to be finite")
         block, lane = np.divmod(np.arange(self.num_devices), LANES)
         self.states["tension_command"][block, lane] = tension
+        self.states["tension_rate"][block, lane] = 0.0
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""

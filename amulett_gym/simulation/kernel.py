@@ -307,8 +307,9 @@ def control_position(p, s, i, error):
 
 @compiled
 def choose_tension(p, s, i, error):
-    """Return the tension setpoint [N]: the agent's, or eq. 6 at control rate."""
+    """Return the tension setpoint [N]: the agent's, on its way, or eq. 6 at control rate."""
     if s.law[i] == AGENT:
+        s.tension_command[i] += s.tension_rate[i]
         return s.tension_command[i]
     if s.law[i] == EQ6:
         factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)

@@ -220,6 +220,7 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("untrusted_triceps", "i8"),
     # the loop's memory
     ("tension_command", "f8"),
+    ("tension_rate", "f8"),  # [N] a tick: an agent's setpoint moves to where it wants it
     ("tension_setpoint", "f8"),
     ("agonist", "f8"),
     ("position_output", "f8"),
