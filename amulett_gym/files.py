@@ -71,6 +71,39 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
+def files_together(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
+    """Yield an empty folder for files; once all are written, move them to `folder`, in the place of its `names`.
+
+    If the block fails, for example because the disk is full, what is in `folder` stays as it is.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Made if it does not exist.
+    names : sequence of str
+        Files of `folder` that go, whether or not there are new ones of that name.
+
+    Raises
+    ------
+    AmulettError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
+            yield Path(temporary)
+            new = {path.name: path for path in Path(temporary).iterdir()}
+            for name in names:
+                if name not in new:
+                    (folder / name).unlink(missing_ok=True)
+            for name, path in new.items():
+                path.replace(folder / name)
+    except OSError as error:
+        raise AmulettError(f"cannot write to the folder '{folder}': {error.strerror or error}") from error
+
+
+@contextmanager
 def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -> Iterator[bool]:
     """Make a command's output folder before any work, and yield whether it holds an earlier output of that kind.
 

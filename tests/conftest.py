@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Callable
 
 import pytest
 from hypothesis import settings
@@ -23,3 +25,28 @@ settings.load_profile("ci")
 def profile(request: pytest.FixtureRequest) -> Profile:
     """Each of the shipped profiles."""
     return load_profile(request.param)
+
+
+@pytest.fixture
+def faults(request: pytest.FixtureRequest) -> Callable[[str, int], None]:
+    """Count what became of the faults that a test injects; the counts are printed at the end of the run."""
+
+    def count(outcome: str, number: int = 1) -> None:
+        request.node.user_properties.append((f"faults {outcome}", number))
+
+    return count
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print how many faults were injected, and what became of them."""
+    counts: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if getattr(report, "when", None) == "call":
+                found = [(name, number) for name, number in report.user_properties if name.startswith("faults ")]
+                counts.update({f"{name} by {report.location[0]}": number for name, number in found})
+                counts["lost"] += bool(found) and report.failed
+    if counts:
+        terminalreporter.section("faults injected")
+        for name, number in sorted(counts.items()):
+            terminalreporter.write_line(f"{number:8,d} {name.removeprefix('faults ')}")

@@ -21,6 +21,7 @@ from amulett_gym.evaluation.report import write_report
 from amulett_gym.evaluation.results import in_words, number, pretty, span, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.provenance import COMMAND
 from amulett_gym.tasks.suites import families_of
 
 FRAGILE = {"base": "testbed", "name": "fragile", "plant": {"velocity_limit_deg": 135.0}}
@@ -342,7 +343,7 @@ def test_the_command_writes_its_files_and_prints_only_json(tmp_path, capsys):
     printed = capsys.readouterr()
     assert json.loads(printed.out) == json.loads((out / "results.json").read_text())
     assert printed.err == ""
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == FILES | {COMMAND}
     assert json.loads(printed.out)["command"].startswith("amulett evaluate --policies eq6-held --suite steps")
 
 
@@ -375,7 +376,7 @@ def test_a_comparison_replaces_an_earlier_one_and_nothing_else(results, tmp_path
     (tmp_path / "notes.txt").write_text("mine")
     assert command("--policies", "eq6", "--episodes", "1", "--out", str(tmp_path)) == 0
     assert "in the place of the comparison that was there" in capsys.readouterr().out
-    assert {path.name for path in tmp_path.iterdir()} == FILES - {"schedule.png"} | {"notes.txt"}
+    assert {path.name for path in tmp_path.iterdir()} == FILES - {"schedule.png"} | {COMMAND, "notes.txt"}
 
 
 def test_the_report_needs_nothing_else_and_stays_small(results, tmp_path):

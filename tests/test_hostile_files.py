@@ -112,6 +112,11 @@ def is_refused(kind: Kind, path: Path) -> bool:
     return False
 
 
+def count(faults: Callable[[str, int], None], refused: list[bool]) -> None:
+    faults("refused", sum(refused))
+    faults("loaded within their ranges", len(refused) - sum(refused))
+
+
 @each_kind
 def test_every_kind_of_file_is_read(kind, tmp_path):
     (tmp_path / kind.name).write_bytes(kind.valid)
@@ -119,7 +124,7 @@ def test_every_kind_of_file_is_read(kind, tmp_path):
 
 
 @each_kind
-def test_random_bytes_do_no_harm(kind, tmp_path, tries):
+def test_random_bytes_do_no_harm(kind, tmp_path, tries, faults):
     path, random = tmp_path / kind.name, np.random.default_rng(0)
     outcomes = []
     for _ in range(tries):
@@ -129,13 +134,14 @@ def test_random_bytes_do_no_harm(kind, tmp_path, tries):
         path.write_bytes(damaged)
         outcomes.append(is_refused(kind, path))
     assert any(outcomes)
+    count(faults, outcomes)
 
 
 @each_kind
 @pytest.mark.parametrize("tenths", range(10))
-def test_what_was_cut_off_does_no_harm(kind, tenths, tmp_path):
+def test_what_was_cut_off_does_no_harm(kind, tenths, tmp_path, faults):
     (tmp_path / kind.name).write_bytes(kind.valid[: len(kind.valid) * tenths // 10])
-    is_refused(kind, tmp_path / kind.name)
+    count(faults, [is_refused(kind, tmp_path / kind.name)])
 
 
 HOSTILE: list[Any] = [
@@ -170,7 +176,7 @@ TREES = {
 
 
 @pytest.mark.parametrize("name", TREES)
-def test_a_hostile_value_in_any_place_does_no_harm(name, tmp_path, tries):
+def test_a_hostile_value_in_any_place_does_no_harm(name, tmp_path, tries, faults):
     tree, path, random = TREES[name], tmp_path / name, np.random.default_rng(0)
     everywhere = places(tree)
     for _ in range(tries):
@@ -178,7 +184,7 @@ def test_a_hostile_value_in_any_place_does_no_harm(name, tmp_path, tries):
         damaged = changed(tree, place, HOSTILE[random.integers(len(HOSTILE))])
         text = json.dumps(damaged) if name.endswith(".json") else yaml.safe_dump(damaged)
         path.write_bytes(text.encode(errors="surrogatepass"))
-        is_refused(KINDS[name], path)
+        count(faults, [is_refused(KINDS[name], path)])
 
 
 DEEP = 100_000
@@ -243,7 +249,7 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits memory as Linux does")
-def test_bombs_are_refused_in_little_memory_and_time(tmp_path):
+def test_bombs_are_refused_in_little_memory_and_time(tmp_path, faults):
     """All of them together, in a process that may take 200 MB and 60 s and no more."""
     for name, text in BOMBS.items():
         (tmp_path / name).write_text(text)
@@ -254,6 +260,7 @@ def test_bombs_are_refused_in_little_memory_and_time(tmp_path):
     refused = dict(line.split() for line in done.stdout.splitlines())
     assert set(refused) == set(BOMBS)
     assert max(map(int, refused.values())) < 2000
+    faults("refused", len(BOMBS))
 
 
 @pytest.mark.parametrize(
@@ -283,10 +290,11 @@ def test_yaml_may_still_repeat_itself():
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero")])
 @each_kind
-def test_what_is_no_ordinary_file_is_not_opened(kind, make, tmp_path):
+def test_what_is_no_ordinary_file_is_not_opened(kind, make, tmp_path, faults):
     make(tmp_path / kind.name)
     with pytest.raises(AmulettError, match="no ordinary file|is a directory|Is a directory"):
         kind.read(tmp_path / kind.name)
+    faults("refused", 1)
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "nul\0.yaml", "a/" * 3000 + "b.yaml"])
@@ -339,7 +347,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in (*FILES, MANIFEST)}
 
 
-def test_a_bundle_with_random_bytes_is_refused(bundle, tries):
+def test_a_bundle_with_random_bytes_is_refused(bundle, tries, faults):
     original, random = contents(bundle), np.random.default_rng(0)
     for k in range(tries):
         name = [*FILES, MANIFEST][k % 5]
@@ -351,18 +359,20 @@ def test_a_bundle_with_random_bytes_is_refused(bundle, tries):
             read_bundle(bundle)
         (bundle / name).write_bytes(original[name])
     read_bundle(bundle)
+    faults("refused", tries)
 
 
 @pytest.mark.parametrize("name", [*FILES, MANIFEST])
 @pytest.mark.parametrize("tenths", range(10))
-def test_a_bundle_that_was_cut_off_is_refused(bundle, name, tenths):
+def test_a_bundle_that_was_cut_off_is_refused(bundle, name, tenths, faults):
     content = (bundle / name).read_bytes()
     (bundle / name).write_bytes(content[: len(content) * tenths // 10])
     with pytest.raises(AmulettError, match=name):
         read_bundle(bundle)
+    faults("refused", 1)
 
 
-def test_a_forged_bundle_is_refused_or_acts_within_the_range(bundle, tries):
+def test_a_forged_bundle_is_refused_or_acts_within_the_range(bundle, tries, faults):
     original, random = contents(bundle), np.random.default_rng(0)
     observations = random.uniform(-1, 1, (10, 13))
     outcomes = []
@@ -375,6 +385,7 @@ def test_a_forged_bundle_is_refused_or_acts_within_the_range(bundle, tries):
         outcomes.append(acts(bundle, observations))
         (bundle / name).write_bytes(original[name])
     assert {True, False} == set(outcomes)
+    count(faults, [not acted for acted in outcomes])
 
 
 def acts(folder: Path, observations: Any) -> bool:
@@ -405,18 +416,19 @@ class Trap:
 
 
 @pytest.mark.parametrize("name", [*FILES, MANIFEST])
-def test_a_pickle_in_a_bundle_is_not_opened(bundle, name, tmp_path):
+def test_a_pickle_in_a_bundle_is_not_opened(bundle, name, tmp_path, faults):
     (bundle / name).write_bytes(pickle.dumps(Trap(tmp_path / "sprung")))
     if name != MANIFEST:
         vouch_for(bundle)
     with pytest.raises(AmulettError, match=name):
         read_bundle(bundle)
     assert not (tmp_path / "sprung").exists()
+    faults("refused", 1)
 
 
 @pytest.mark.parametrize("name", [*FILES, MANIFEST])
 @pytest.mark.parametrize("make", ["link", "pipe", "folder", "dangling"])
-def test_what_is_no_ordinary_file_in_a_bundle_is_not_opened(bundle, name, make, tmp_path):
+def test_what_is_no_ordinary_file_in_a_bundle_is_not_opened(bundle, name, make, tmp_path, faults):
     content = tmp_path / "elsewhere"
     (bundle / name).rename(content)
     {
@@ -427,6 +439,7 @@ def test_what_is_no_ordinary_file_in_a_bundle_is_not_opened(bundle, name, make, 
     }[make](bundle / name)
     with pytest.raises(AmulettError, match=name):
         read_bundle(bundle)
+    faults("refused", 1)
 
 
 @pytest.mark.parametrize(
@@ -501,11 +514,12 @@ def test_the_good_header_is_read(bundle):
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_weights_that_lie_are_refused(bundle, lie):
+def test_weights_that_lie_are_refused(bundle, lie, faults):
     (bundle / "weights.safetensors").write_bytes(LIES[lie])
     vouch_for(bundle)
     with pytest.raises(AmulettError, match=r"weights\.safetensors"):
         read_bundle(bundle)
+    faults("refused", 1)
 
 
 def test_nothing_is_unpickled_or_evaluated_anywhere():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import difflib
 import sys
 from collections.abc import Sequence
@@ -119,7 +120,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 2
     try:
-        return int(arguments.run(arguments))
+        code = int(arguments.run(arguments))
+        sys.stdout.flush()
+        return code
     except AmulettError as error:
         print(f"amulett: error: {error}", file=sys.stderr)
         return 2
@@ -129,3 +132,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 1
+    except OSError as error:  # what no reader or writer of ours has put into its own words
+        where = "" if error.filename is None else f" '{error.filename}'"
+        print(f"amulett: error: the system refuses{where}: {error.strerror or error}", file=sys.stderr)
+        with contextlib.suppress(OSError):  # else Python tries, and complains, once more as it exits
+            sys.stdout.close()
+        return 2

@@ -26,7 +26,7 @@ from amulett_gym.evaluation.results import (
     write_scenarios,
 )
 from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
-from amulett_gym.files import write_json, write_text
+from amulett_gym.files import files_together, write_json, write_text
 from amulett_gym.simulation.batch import Simulation
 
 FEW = 20
@@ -36,6 +36,8 @@ FIGURES = ("cost", "schedule", "trade_off", "responses")
 
 RESPONSES = 12
 """Most contenders whose responses are drawn side by side; learned policies come before laws."""
+
+_NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES))
 
 _MAIN = {
     "cost": "cost",
@@ -58,8 +60,8 @@ _LOWER_IS_BETTER = ("cost", "position_ise", "effort", "tension_ise")
 def write_report(results: Results, folder: str | Path) -> Summary:
     """Write ``results.json``, ``scenarios.csv``, ``report.html`` and the figures into a folder.
 
-    Everything is made before the first file is written, and each file is written whole or not at all. Those of an
-    earlier comparison in the folder are replaced, other files stay.
+    They come all at once, when the last is written, in the place of those of an earlier comparison in the folder; other
+    files stay.
 
     Returns
     -------
@@ -69,25 +71,24 @@ def write_report(results: Results, folder: str | Path) -> Summary:
     Raises
     ------
     AmulettError
-        If the folder cannot be written.
+        If the folder cannot be written; an earlier comparison in it stays as it was.
     """
-    folder = Path(folder)
     summary = summarise(results)
     figures = draw(results, summary)
     page = render(results, summary, figures)
-    remove_comparison(folder)
-    write_json(folder / "results.json", summary)
-    write_scenarios(results, folder / "scenarios.csv")
-    for name, figure in figures.items():
-        plots.save_figure(figure, folder / f"{name}.png")
-    write_text(folder / "report.html", page)
+    with files_together(folder, _NAMES) as new:
+        write_json(new / "results.json", summary)
+        write_scenarios(results, new / "scenarios.csv")
+        for name, figure in figures.items():
+            plots.save_figure(figure, new / f"{name}.png")
+        write_text(new / "report.html", page)
     return summary
 
 
 def remove_comparison(folder: Path) -> None:
     """Remove the files of an earlier comparison: none may stay that the next one does not replace."""
     try:
-        for name in (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES)):
+        for name in _NAMES:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise AmulettError(f"cannot write to the folder '{folder}': {error.strerror or error}") from error
