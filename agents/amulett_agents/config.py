@@ -7,35 +7,40 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import Group, Positive, describe, load_profile, merge, read_yaml
+from amulett_gym.config import Group, describe, load_profile, merge, read_yaml
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.safe_yaml import parse_yaml
 from amulett_gym.tasks.suites import suite_names
 
 
 class EnvSettings(Group):
     """The environment that is trained in."""
 
-    id: str = ENV_IDS[0]
+    id: str = Field(default=ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field(default="testbed", description="shipped profile, YAML file or mapping")
-    suite: str = "steps"
+    suite: str = Field(default="steps", description="scenarios; see `amulett list`")
     tension_range: list[float] = Field(
         default=[4.0, 8.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
     )
-    agent_period: Positive = Field(default=0.02, description="time an action is held [s]")
-    max_episode_steps: int = Field(default=500, ge=1)
+    agent_period: float = Field(default=0.02, gt=0, le=10, description="time an action is held [s]")
+    max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
-    observation_noise: float = Field(default=0.0, ge=0, description="standard deviation, in the observation's unit")
+    observation_noise: float = Field(
+        default=0.0, ge=0, le=100, description="standard deviation in the observations [1]"
+    )
     history: int = Field(
-        default=1, ge=1, le=100, description="observations that the policy sees, one an agent step; the newest last"
+        default=1, ge=1, le=100, description="observations that the policy sees, the newest last [agent steps]"
     )
     privileged: bool = Field(default=False, description="also show what no device can know: for the causal reference")
     threads: int = Field(
-        default=1, ge=1, le=256, description="that step the devices; the results are the same, 2 help on two free cores"
+        default=1,
+        ge=1,
+        le=256,
+        description="that step the devices [threads]; 2 help on two free cores, and change nothing",
     )
 
     @field_validator("id")
@@ -85,54 +90,69 @@ class EnvSettings(Group):
 class PpoSettings(Group):
     """Settings of Stable-Baselines3's PPO; see its documentation."""
 
-    n_steps: int = Field(default=64, ge=1, description="steps of each device between two updates")
-    batch_size: int = Field(default=1024, ge=2)
-    n_epochs: int = Field(default=6, ge=1)
-    learning_rate: Positive = 1e-3
+    n_steps: int = Field(default=64, ge=1, le=10**6, description="of each device between two updates [agent steps]")
+    batch_size: int = Field(default=1024, ge=2, le=10**8, description="of a gradient step [agent steps]")
+    n_epochs: int = Field(default=6, ge=1, le=1000, description="times that an update sees its rollout [1]")
+    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="of Adam [1]")
     anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step")
-    gae_lambda: float = Field(default=0.9, ge=0, le=1)
-    clip_range: Positive = 0.3
-    ent_coef: float = Field(default=0.0, ge=0)
-    vf_coef: float = Field(default=0.5, ge=0)
-    max_grad_norm: Positive = 0.5
-    reward_scale: Positive = Field(
-        default=10.0, description="fixed factor on what PPO sees: a step of eq. 6 costs 0.002, a whole episode 1"
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
+    gae_lambda: float = Field(default=0.9, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
+    clip_range: float = Field(default=0.3, gt=0, le=10, description="of the policies' ratio about 1 [1]")
+    ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the exploration's entropy [1]")
+    vf_coef: float = Field(default=0.5, ge=0, le=100, description="weight of the critic's loss [1]")
+    max_grad_norm: float = Field(default=0.5, gt=0, le=1e6, description="to which gradients are clipped [1]")
+    reward_scale: float = Field(
+        default=10.0,
+        gt=0,
+        le=1e6,
+        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.002, a whole episode 1",
     )
-    initial_std: Positive = Field(default=0.3, description="of the exploration, in the action's unit")
+    initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
     final_std: float | None = Field(
-        default=None, gt=0, description="let it fall to this over total_steps, not learned; null: it is learned"
+        default=None, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
-    sde_sample_freq: int = Field(default=8, ge=-1, description="steps between two draws of it; -1: once a rollout")
+    sde_sample_freq: int = Field(
+        default=8, ge=-1, le=10**6, description="between two draws of it [agent steps]; -1: once a rollout"
+    )
 
 
 class SacSettings(Group):
     """Settings of Stable-Baselines3's SAC; see its documentation."""
 
-    learning_rate: Positive = 1e-3
+    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="of Adam [1]")
     anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
-    buffer_size: int = Field(default=500_000, ge=1, description="transitions of all devices together that are kept")
-    learning_starts: int = Field(default=10_000, ge=0, description="steps of uniformly random actions to begin with")
-    batch_size: int = Field(default=512, ge=2)
-    tau: float = Field(default=0.02, gt=0, le=1, description="by which the target critic follows at each update")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step")
-    train_freq: int = Field(default=1, ge=1, description="steps of each device between two updates")
-    gradient_steps: int = Field(default=8, ge=1, description="batches of an update")
-    ent_coef: float | None = Field(default=None, ge=0, description="price of certainty; null: it is learned")
-    initial_ent_coef: Positive = Field(default=0.01, description="where it starts if it is learned")
-    target_entropy: float = Field(default=-2.0, description="what it is learned for; -1: an exploration of about 0.1")
-    reward_scale: Positive = Field(default=10.0, description="fixed factor on what SAC sees")
-    initial_std: Positive = Field(default=0.2, description="of the exploration, before the tanh")
+    buffer_size: int = Field(
+        default=500_000, ge=1, le=10**8, description="what is kept of all devices together [agent steps]"
+    )
+    learning_starts: int = Field(
+        default=10_000, ge=0, le=10**9, description="uniformly random actions to begin with [agent steps]"
+    )
+    batch_size: int = Field(default=512, ge=2, le=10**6, description="of a gradient step [agent steps]")
+    tau: float = Field(default=0.02, gt=0, le=1, description="by which the target critic follows at each update [1]")
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
+    train_freq: int = Field(default=1, ge=1, le=10**6, description="of each device between two updates [agent steps]")
+    gradient_steps: int = Field(default=8, ge=1, le=10**6, description="of an update [batches]")
+    ent_coef: float | None = Field(
+        default=None, ge=0, le=100, description="price of certainty [1]; null: it is learned"
+    )
+    initial_ent_coef: float = Field(default=0.01, gt=0, le=100, description="where it starts if it is learned [1]")
+    target_entropy: float = Field(
+        default=-2.0, ge=-100, le=100, description="what it is learned for [nat]; -1: an exploration of about 0.1"
+    )
+    reward_scale: float = Field(default=10.0, gt=0, le=1e6, description="fixed factor on what SAC sees [1]")
+    initial_std: float = Field(default=0.2, gt=0, le=10, description="of the exploration, before the tanh [1]")
 
 
 class NetworkSettings(Group):
     """The policy's network; the critic's is the same."""
 
-    hidden: list[int] = Field(default=[64, 64], min_length=1, max_length=8)
-    activation: Literal["tanh", "relu"] = "relu"
+    hidden: list[int] = Field(
+        default=[64, 64], min_length=1, max_length=8, description="sizes of its layers, up to 1024"
+    )
+    activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
     initial_tension: float | None = Field(
-        default=None, gt=0, description="the first policy is this constant [N]; null: the middle of the range"
+        default=None, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
     )
 
     @field_validator("hidden")
@@ -146,27 +166,29 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
-    every_steps: int = Field(default=250_000, ge=1)
-    episodes: int = Field(default=100, ge=1)
-    seed: int = Field(default=0, ge=0)
+    every_steps: int = Field(default=250_000, ge=1, le=10**12, description="between two validations [agent steps]")
+    episodes: int = Field(default=100, ge=1, le=10**5, description="scenarios, one device each [1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of the first scenario [1]")
 
 
 class TrainConfig(Group):
     """A training run."""
 
     algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="what learns; the other's group is not read")
-    env: EnvSettings = EnvSettings()
-    ppo: PpoSettings = PpoSettings()
-    sac: SacSettings = SacSettings()
-    network: NetworkSettings = NetworkSettings()
-    validation: ValidationSettings = ValidationSettings()
-    num_envs: int = Field(default=256, ge=1, description="devices that are simulated side by side")
-    total_steps: int = Field(default=2_000_000, ge=1, description="agent steps of all devices together")
-    max_seconds: float | None = Field(default=None, gt=0, description="stop after this time, too; null: no limit")
-    seed: int = Field(default=0, ge=0, lt=2**31)
-    threads: int = Field(default=1, ge=1, le=256, description="of torch")
+    env: EnvSettings = Field(default=EnvSettings(), description="what is trained in")
+    ppo: PpoSettings = Field(default=PpoSettings(), description="read if PPO learns")
+    sac: SacSettings = Field(default=SacSettings(), description="read if SAC learns")
+    network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
+    validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
+    num_envs: int = Field(default=256, ge=1, le=10**6, description="simulated side by side [devices]")
+    total_steps: int = Field(default=2_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
+    max_seconds: float | None = Field(
+        default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
+    )
+    seed: int = Field(default=0, ge=0, lt=2**31, description="of all that is drawn [1]")
+    threads: int = Field(default=1, ge=1, le=256, description="of torch [threads]")
     checkpoint_seconds: float = Field(
-        default=10.0, ge=0, description="between two checkpoints to resume from, of wall time; 0: every rollout"
+        default=10.0, ge=0, le=1e9, description="wall time between two checkpoints to resume from [s]; 0: every rollout"
     )
     checkpoint: bool = Field(default=False, description="also keep SB3's own last_sb3.zip (a pickle: mind who made it)")
 
@@ -246,10 +268,7 @@ def _parse_override(override: str) -> dict[str, Any]:
     parts = key.strip().split(".")
     if not equals or not all(parts):
         raise AmulettError(f"'{override}' is no change of a key; write it as key=value, for example ppo.gamma=0.98")
-    try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise AmulettError(f"'{override}': the value is not valid YAML: {error}") from error
+    value = parse_yaml(text, f"'{override[:100]}': the value")
     for part in reversed(parts):
         value = {part: value}
     return value
