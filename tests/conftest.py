@@ -46,7 +46,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
                 found = [(name, number) for name, number in report.user_properties if name.startswith("faults ")]
                 counts.update({f"{name} by {report.location[0]}": number for name, number in found})
                 counts["lost"] += bool(found) and report.failed
-    if counts:
+    if any(counts.values()):
         terminalreporter.section("faults injected")
         for name, number in sorted(counts.items()):
             terminalreporter.write_line(f"{number:8,d} {name.removeprefix('faults ')}")

@@ -13,7 +13,7 @@ from amulett_gym.errors import AmulettError
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-HELP = "check a device, recipe, scenario or benchmark file, or a policy bundle; show its resolved values"
+HELP = "check a device, recipe, scenario, benchmark or tuning file, or a policy bundle; show its resolved values"
 EXAMPLES = """  amulett config validate configs/my_device.yaml
   amulett config validate configs/ppo.yaml --show
   amulett config validate my_scenario.json --json
@@ -21,11 +21,11 @@ EXAMPLES = """  amulett config validate configs/my_device.yaml
 
 
 class Found(NamedTuple):
-    """What a file turned out to be: its kind in words, and its resolved content, None of a policy bundle."""
+    """What a file turned out to be: its kind in words, its name, and its resolved content."""
 
     kind: str
     name: str
-    content: BaseModel
+    content: BaseModel | Mapping[str, BaseModel]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,8 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Validate; whatever is wrong is an error that names the key."""
     found = validate(arguments.file)
     if arguments.json:
-        content = {"kind": found.kind, "name": found.name, "content": found.content.model_dump(mode="json")}
-        print(json.dumps(content, indent=2, allow_nan=False))
+        content = {"kind": found.kind, "name": found.name, "content": found.content}
+        print(json.dumps(content, indent=2, allow_nan=False, default=_plain))
     elif arguments.show:
         print(f"# {found.name}, valid: {found.kind}")
         print("\n".join(show(found.content)))
@@ -80,6 +80,8 @@ def validate(path: str | Path) -> Found:
         "a benchmark's description": (Benchmark, load_benchmark),
     }
     keys = set(read_yaml(path, "file"))
+    if keys and all("." in str(key) for key in keys):
+        return Found("what `amulett tune` may change", path.stem, _load_space(path))
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
     kind = max(known, key=lambda kind: known[kind])
     if not known[kind]:
@@ -89,10 +91,12 @@ def validate(path: str | Path) -> Found:
     return Found(kind, getattr(content, "name", path.stem), content)
 
 
-def show(model: BaseModel, indent: str = "") -> list[str]:
+def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[str]:
     """Return resolved values as lines of YAML, each with what its field's description says."""
     from pydantic import BaseModel
 
+    if not isinstance(model, BaseModel):
+        return [f"{key}: {_flow(value)}" for key, value in model.items()]
     lines = []
     for key, field in type(model).model_fields.items():
         value = getattr(model, key)
@@ -104,14 +108,26 @@ def show(model: BaseModel, indent: str = "") -> list[str]:
     return lines
 
 
+def _load_space(path: Path) -> Mapping[str, BaseModel]:
+    from amulett_gym.cli.train import check_installed
+
+    check_installed()
+    from amulett_agents.config import TrainConfig
+    from amulett_agents.tuning import load_space
+
+    return load_space(path, TrainConfig())
+
+
 def _flow(value: Any) -> str:
     """Return a value as YAML on one line."""
     import yaml
-    from pydantic import BaseModel
 
-    def plain(item: Any) -> Any:
-        return item.model_dump(mode="json") if isinstance(item, BaseModel) else str(item)
-
-    content = json.loads(json.dumps(value, default=plain))  # without references to what occurs twice
+    content = json.loads(json.dumps(value, default=_plain))  # without references to what occurs twice
     text: str = yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
     return text.removesuffix("...\n").strip()
+
+
+def _plain(item: Any) -> Any:
+    from pydantic import BaseModel
+
+    return item.model_dump(mode="json") if isinstance(item, BaseModel) else str(item)
