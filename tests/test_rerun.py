@@ -96,6 +96,35 @@ def test_only_what_filled_the_folder_is_given_again(comparison, tmp_path, capsys
     assert "names no command of 'identify'" in capsys.readouterr().err
 
 
+TINY = """
+env: {profile: mine.yaml, max_episode_steps: 20}
+ppo: {n_steps: 8, batch_size: 32, n_epochs: 1}
+network: {hidden: [8]}
+validation: {every_steps: 64, episodes: 2}
+num_envs: 4
+total_steps: 96
+"""
+
+
+def test_a_training_run_is_trained_again_to_the_same_weights(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("stable_baselines3")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("{name: mine, base: testbed, sensors: {encoder_bits: 10}}")
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    assert main(["train", "--config", "tiny.yaml", "--out", "run"]) == 0
+    (tmp_path / "mine.yaml").write_text("{name: mine, base: testbed, sensors: {encoder_bits: 4}}")
+    (tmp_path / "tiny.yaml").unlink()
+    assert main(["rerun", "run", "--out", "again"]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    rows = (tmp_path / "again" / "evaluations.csv").read_text()
+    (tmp_path / "again" / "evaluations.csv").write_text(rows.replace("\n64,", "\n65,"))
+    assert main(["rerun", "again", "--out", "third"]) == 1
+    assert "validations.1.steps was '65' and is '64'" in capsys.readouterr().out
+    (tmp_path / "run" / "finished.json").unlink()
+    assert main(["rerun", "run", "--out", "fourth"]) == 2
+    assert "is not finished: amulett train --resume" in capsys.readouterr().err
+
+
 def test_nothing_is_overwritten(comparison, tmp_path, capsys):
     for out in (comparison, comparison / "again", comparison.parent):
         assert main(["rerun", str(comparison), "--out", str(out)]) == 2
