@@ -15,6 +15,7 @@ from amulett_gym.errors import AmulettError, nearest
 COMMANDS = (
     "quickstart",
     "train",
+    "tune",
     "evaluate",
     "benchmark",
     "rerun",

@@ -1,0 +1,102 @@
+"""`amulett tune`: search a recipe's settings with Optuna; go on where it was interrupted or killed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.cli.train import check_installed
+from amulett_gym.errors import AmulettError
+
+HELP = "search a recipe's settings; given again, the same command goes on where it was interrupted or killed"
+EXAMPLES = """  amulett tune --config configs/ppo.yaml --space configs/tune.yaml --trials 40 --out runs/study
+  amulett tune --space configs/tune.yaml --set total_steps=500000 --seeds 3 --trials 20 --out runs/study
+  amulett train --config runs/study/best.yaml --out runs/best
+"""
+
+_MOST_SHOWN = 20
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("--config", metavar="FILE", help="recipe in YAML that is changed (default: the default recipe)")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="change keys of the recipe before, for example total_steps=500000",
+    )
+    parser.add_argument("--space", metavar="FILE", required=True, help="what to try: keys with ranges or choices")
+    parser.add_argument("--trials", type=int, default=40, help="how many, those already done included (default: 40)")
+    parser.add_argument("--seeds", type=int, default=1, help="runs of each trial, whose mean counts (default: 1)")
+    parser.add_argument("--seed", type=int, default=0, help="of what is tried (default: 0)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
+    parser.add_argument("--json", action="store_true", help="print the trials as JSON and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Tune; exit code 130 if Ctrl-C or SIGTERM ended it."""
+    check_installed()
+    if find_spec("optuna") is None:
+        raise AmulettError('tuning needs optuna; install with: pip install "amulett-gym[agents]"')
+    from dataclasses import asdict
+
+    from amulett_agents import load_train_config
+
+    config = load_train_config(arguments.config, arguments.overrides)
+    from amulett_agents.tuning import BEST, best_of, load_space, tune
+
+    space = load_space(arguments.space, config)
+
+    def tell(trial: Any, best: Any) -> None:
+        if not arguments.json:
+            cost = f"cost {trial.cost:.4f}" if trial.costs else f"refused: {trial.error}"
+            print(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}", flush=True)
+
+    trials = tune(
+        config,
+        space,
+        arguments.trials,
+        arguments.out,
+        seed=arguments.seed,
+        seeds=arguments.seeds,
+        command=["amulett", *sys.argv[1:]],
+        progress=sys.stderr.isatty() and not arguments.json,
+        tell=tell,
+    )
+    if trials is None:
+        words = shlex.join(["amulett", *sys.argv[1:]])
+        print(f"interrupted; nothing that is finished is lost. Go on with:\n       {words}", file=sys.stderr)
+        return 130
+    best = best_of(trials)
+    if arguments.json:
+        print(json.dumps([asdict(trial) | {"cost": trial.cost} for trial in trials], indent=2))
+    else:
+        print(_table(trials, list(space)))
+        if best is not None:
+            print(f"\nThe best recipe is in {Path(arguments.out) / BEST}.")
+    return 0 if best is not None else 1
+
+
+def _table(trials: list[Any], keys: list[str]) -> str:
+    """Return the best trials, one a line."""
+    judged = sorted((trial for trial in trials if trial.costs), key=lambda trial: (trial.cost, trial.number))
+    rows = [["trial", "cost", *keys]]
+    for trial in judged[:_MOST_SHOWN]:
+        rows.append([str(trial.number), f"{trial.cost:.4f}", *(_short(trial.changes[key]) for key in keys)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    refused = len(trials) - len(judged)
+    return "\n".join([*lines, *([f"{refused} of {len(trials)} recipes were refused"] if refused else [])])
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
