@@ -1,9 +1,10 @@
 """The clairvoyant reference: per scenario, the best tension schedule that a search finds when it knows the future.
 
 It knows all: the setpoints and pushes to come, and the sensors' noise, since every trial replays the scenario with its
-own noise key. A schedule holds one tension setpoint for each agent step, within the range of the default actions. So it
-bounds from below what any policy of the same environment can cost, as far as the search goes; what acts at control rate
-or with other gains (`eq6`, `position-only`) plays by other rules and may cost less.
+own noise key. A schedule has one tension setpoint for each agent step, within the range of the default actions, and
+reaches it on a ramp, as actions do. So it bounds from below what any policy of the same environment can cost, as far as
+the search goes; what acts at control rate or with other gains (`eq6`, `position-only`) plays by other rules, and may
+cost less.
 
 The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
 them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 from amulett_gym import ENV_IDS
 from amulett_gym.config import load_profile
 from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.rollout import Actions, Trials, held, scheduled
 from amulett_gym.evaluation.runner import Protocol, load_contender
@@ -41,7 +43,7 @@ from amulett_gym.files import atomic_path
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.laws.policies import action_to_tension, tension_to_action
 
-VERSION = 1
+VERSION = 2
 """Of the search: one more whenever the same settings would find other schedules."""
 
 CONSTANTS = tuple(float(tension) for tension in range(4, 16))
@@ -49,6 +51,8 @@ CONSTANTS = tuple(float(tension) for tension in range(4, 16))
 
 LAWS = ("eq6-held", "eq6-held-printed")
 """Laws whose schedules are starts, beside those that the caller names."""
+
+_TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 
 SUCCESS = 0.15
 """Share of changes that help at which their height stays as it is: fewer, and it falls."""
@@ -348,10 +352,16 @@ def _followed(trials: Trials, name: str) -> Actions:
             f"{trials.protocol.agent_period} s; it cannot be a start"
         )
     steps: list[Actions] = []
+    last, wanted = np.zeros((2, len(trials.rows)), dtype=np.float32)
 
     def choose(step: int, observations: NDArray[np.float32]) -> Actions:
-        due = step % round(hold) == 0
-        steps.append(np.clip(policy(observations)[:, 0], -1.0, 1.0) if due else steps[-1])
+        nonlocal last, wanted
+        turn = step % round(hold)
+        if turn == 0:
+            last, wanted = observations[:, _TENSION_SETPOINT], np.clip(policy(observations)[:, 0], -1.0, 1.0)
+        # A ramp over the law's own period is one over each of the steps in it.
+        left = 1.0 - (turn + 1) / round(hold)
+        steps.append((wanted + (last - wanted) * left).astype(np.float32))
         return steps[-1]
 
     trials.play(np.arange(len(trials.rows)), choose)

@@ -138,10 +138,19 @@ def _on_shares(found: Content, best: str) -> list[Claim]:
             f"half of the way from the best law by hand ({references['from']}) to {name}; an aim",
             None if goal is None else goal["share_from_hand"][best],
             lambda mean, low, high: mean >= HALF,
-            "share of the way" if goal is None or "scenarios" not in goal else f"{goal['scenarios']} scenarios",
+            _way(goal, best),
         )
         for name, goal in goals
     ]
+
+
+def _way(goal: Content | None, best: str) -> str:
+    """Say what a share of the way stands on, or why there is none."""
+    if goal is None:
+        return "no such reference here"
+    if goal["share_from_hand"][best]["mean"] is None:
+        return "this reference costs no less than the law"
+    return f"share of the way, {goal['scenarios']} scenarios" if "scenarios" in goal else "share of the way"
 
 
 def _on_shifted(found: Content, best: str) -> list[Claim]:

@@ -443,7 +443,8 @@ def profiles_figure(found: Content) -> Figure:
         if found["entries"][name]["kind"] == "learned":
             low, high = ([share[key] for share in shares] for key in ("low", "high"))
             panel.fill_between(costs, low, high, color=colour, alpha=0.15, linewidth=0)
-    panel.set_xlim(0.0, costs[-1])
+    reached = [np.interp(0.99, [share["mean"] for share in shares], costs) for shares in list(profiles.values())[1:]]
+    panel.set_xlim(0.0, max(*reached, 1.0))
     panel.set_ylim(0.0, 1.0)
     panel.set_xlabel("cost of an episode")
     panel.set_ylabel("share of episodes\nthat cost at most that")
@@ -483,7 +484,8 @@ def search_figure(found: Content) -> Figure:
 
 
 def _is_shown(found: Content, name: str) -> bool:
-    return found["entries"][name]["kind"] != "constant" or name == found["constants"]["overall"]
+    kind = found["entries"][name]["kind"]
+    return kind not in ("constant", "ablation") or name == found["constants"]["overall"]
 
 
 def _label(found: Content, name: str) -> str:

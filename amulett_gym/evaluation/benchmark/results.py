@@ -23,6 +23,7 @@ from amulett_gym.evaluation.rollout import Trials
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.evaluation.statistics import (
     LEVEL,
+    UNDEFINED,
     Draws,
     Estimate,
     count_failures,
@@ -264,7 +265,12 @@ def _references(evidence: Evidence, hand: str) -> Content:
 
 
 def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Estimate:
-    """Return how much of the way from one entry's cost to a lower one's others have gone; seeds are resampled, too."""
+    """Return how much of the way from one entry's cost to a lower one's others have gone; seeds are resampled, too.
+
+    Undefined if it is not lower: then there is no way.
+    """
+    if not goal.mean() < start.mean():
+        return UNDEFINED
     return nested_ratio(start - costs, start - goal, _draws(evidence, *costs.shape))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.benchmark.description import Benchmark, training_recipe
-from amulett_gym.files import read_text
+from amulett_gym.files import read_json, read_text
 
 _NEEDED = ("torch", "stable_baselines3", "tensorboard")
 _CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.csv"
@@ -147,12 +146,10 @@ def outcome(run: TrainingRun) -> dict[str, Any]:
         If the file that says so is damaged.
     """
     path = run.folder / _FINISHED
+    content = read_json(path, "a run's result")
     try:
-        content = json.loads(read_text(path, "a run's result"))
         return {key: content[key] for key in ("steps", "seconds", "best_steps", "best_cost")}
-    except (ValueError, KeyError, TypeError) as error:
-        if isinstance(error, AmulettError):
-            raise
+    except (KeyError, TypeError) as error:
         raise AmulettError(f"'{path}' is damaged: {error!r}") from error
 
 
