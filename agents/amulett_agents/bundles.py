@@ -6,13 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
+from amulett_agents.networks import StandardInputs, TwoSights, TwoSightsPolicy
 from amulett_gym.config import profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
@@ -50,6 +53,10 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     layers = [
         (layer.weight.detach().cpu().numpy().copy(), layer.bias.detach().cpu().numpy().copy()) for layer in linear
     ]
+    if isinstance(extractor, StandardInputs):
+        layers[0] = _take_in(
+            layers[0], extractor, policy.mlp_extractor if isinstance(policy, ActorCriticPolicy) else None
+        )
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     activation: Literal["tanh", "relu"] = "tanh" if names[kind] == "tanh" else "relu"
     return layers, Network(layers=sizes, activation=activation, output="tanh" if squashes else "clip")
@@ -90,7 +97,8 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     layers, network = extract_network(model.policy)
     names: tuple[str, ...] = OBSERVATIONS
     scales = OBSERVATION_SCALES
-    if env.get_attr("episodes")[0].privileged:
+    told = env.get_attr("episodes")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
+    if told:
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
@@ -114,7 +122,22 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
         "versions": versions(),
         "git_revision": git_revision(),
     }
-    return write_bundle(folder, layers, description, describe_env(env), about)
+    training_env = describe_env(env)
+    if not told:
+        training_env.keywords.pop("privileged", None)
+    return write_bundle(folder, layers, description, training_env, about)
+
+
+def _take_in(
+    layer: tuple[NDArray[np.float32], NDArray[np.float32]], inputs: StandardInputs, sights: object
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the first layer as one of the observations themselves."""
+    means, gains = inputs.means.numpy(), inputs.gains.numpy()
+    if isinstance(sights, TwoSights):
+        means, gains = means[sights.visible.numpy()], gains[sights.visible.numpy()]
+    weight, bias = layer
+    weight = weight.astype(np.float64) * gains
+    return weight.astype(np.float32), (bias - weight @ means).astype(np.float32)
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:

@@ -111,6 +111,9 @@ class PpoSettings(Group):
     final_std: float | None = Field(
         default=None, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
+    privileged_critic: bool = Field(
+        default=False, description="let the critic, which is needed for training only, see what no device can know"
+    )
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
     sde_sample_freq: int = Field(
         default=8, ge=-1, le=10**6, description="between two draws of it [agent steps]; -1: once a rollout"
@@ -145,20 +148,26 @@ class SacSettings(Group):
 
 
 class NetworkSettings(Group):
-    """The policy's network; the critic's is the same."""
+    """The networks of policy and critic."""
 
     hidden: list[int] = Field(
-        default=[64, 64], min_length=1, max_length=8, description="sizes of its layers, up to 1024"
+        default=[64, 64], min_length=1, max_length=8, description="sizes of the policy's layers, up to 1024"
+    )
+    critic_hidden: list[int] | None = Field(
+        default=None, min_length=1, max_length=8, description="of the critic's; null: like the policy's"
+    )
+    standard_inputs: bool = Field(
+        default=True, description="bring each observation to mean 0 and deviation 1, as measured before training"
     )
     activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
     initial_tension: float | None = Field(
         default=None, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
     )
 
-    @field_validator("hidden")
+    @field_validator("hidden", "critic_hidden")
     @classmethod
-    def _check_sizes(cls, hidden: list[int]) -> list[int]:
-        if any(not 1 <= size <= 1024 for size in hidden):
+    def _check_sizes(cls, hidden: list[int] | None) -> list[int] | None:
+        if any(not 1 <= size <= 1024 for size in hidden or ()):
             raise ValueError("every size has to be from 1 to 1024")
         return hidden
 

@@ -15,7 +15,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStac
 
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.config import TrainConfig
-from amulett_agents.ppo import FadingExploration, make_ppo
+from amulett_agents.networks import look_at_inputs
+from amulett_agents.ppo import FadingExploration, make_ppo, sees_more
 from amulett_agents.sac import make_sac
 from amulett_gym.laws.policies import tension_to_action
 
@@ -53,20 +54,19 @@ def make_model(config: TrainConfig) -> Model:
         If the environment refuses its settings.
     """
     settings, algorithm = config.env, config.ppo if config.algorithm == "ppo" else config.sac
-    env: VecEnv = make_sb3_env(
-        settings.id,
-        config.num_envs,
-        split="train",
-        max_episode_steps=settings.max_episode_steps,
-        **settings.keywords(),
-    )
+    keywords = settings.keywords() | {"privileged": settings.privileged or sees_more(config)}
+    steps = settings.max_episode_steps
+    env: VecEnv = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)
     low, high = settings.tension_range
     tension = config.network.initial_tension
     first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
-    model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action)
+    inputs = None
+    if config.network.standard_inputs:
+        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history)
+    model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
     return model
 

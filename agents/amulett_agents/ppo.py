@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from stable_baselines3 import PPO
@@ -10,9 +12,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.bundles import ACTIVATIONS
 from amulett_agents.config import TrainConfig
+from amulett_agents.networks import Inputs, StandardInputs, TwoSightsPolicy, visible_entries
+from amulett_gym.envs.transition import OBSERVATIONS
 
 
-def make_ppo(config: TrainConfig, env: VecEnv, first_action: float) -> PPO:
+def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> PPO:
     """Make PPO from a recipe.
 
     Parameters
@@ -21,14 +25,30 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float) -> PPO:
     env : VecEnv
     first_action : float
         What its first policy does in every state: changing the tension has to be learned.
+    inputs : Inputs or None
+        What observations are like; None: they are taken as they are.
     """
-    ppo = config.ppo
+    ppo, network = config.ppo, config.network
+    sizes = {"pi": list(network.hidden), "vf": list(network.critic_hidden or network.hidden)}
+    about_policy: dict[str, Any] = {
+        "net_arch": sizes,
+        "activation_fn": ACTIVATIONS[network.activation],
+        "log_std_init": float(np.log(ppo.initial_std)),
+    }
+    if inputs is not None:
+        about_policy |= {"features_extractor_class": StandardInputs, "features_extractor_kwargs": {"inputs": inputs}}
+    policy: str | type[TwoSightsPolicy] = "MlpPolicy"
+    if sees_more(config):
+        assert env.observation_space.shape is not None
+        shown = env.observation_space.shape[0] // config.env.history
+        policy = TwoSightsPolicy
+        about_policy["visible"] = visible_entries(shown, len(OBSERVATIONS), config.env.history)
 
     def falling(left: float) -> float:
-        return left * ppo.learning_rate
+        return max(left, 0.0) * ppo.learning_rate  # the last rollout may end beyond total_steps
 
     model = PPO(
-        "MlpPolicy",
+        policy,
         env,
         n_steps=ppo.n_steps,
         batch_size=ppo.batch_size,
@@ -43,11 +63,7 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float) -> PPO:
         use_sde=ppo.use_sde,
         sde_sample_freq=ppo.sde_sample_freq if ppo.use_sde else -1,
         stats_window_size=config.num_envs,
-        policy_kwargs={
-            "net_arch": list(config.network.hidden),
-            "activation_fn": ACTIVATIONS[config.network.activation],
-            "log_std_init": float(np.log(ppo.initial_std)),
-        },
+        policy_kwargs=about_policy,
         seed=config.seed,
         device="cpu",
     )
@@ -57,6 +73,11 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float) -> PPO:
         action_net.weight.zero_()
         action_net.bias.fill_(first_action)
     return model
+
+
+def sees_more(config: TrainConfig) -> bool:
+    """Tell whether a recipe's critic sees more than its policy, for which the environment has to show it."""
+    return config.algorithm == "ppo" and config.ppo.privileged_critic and not config.env.privileged
 
 
 class FadingExploration(BaseCallback):

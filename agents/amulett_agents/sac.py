@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from stable_baselines3 import SAC
@@ -10,12 +11,13 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.bundles import ACTIVATIONS
 from amulett_agents.config import TrainConfig
+from amulett_agents.networks import Inputs, StandardInputs
 
 _NEARLY_ONE = 0.999
 """Where tanh is cut off: a first policy at an end of the range has to be a finite number before it."""
 
 
-def make_sac(config: TrainConfig, env: VecEnv, first_action: float) -> SAC:
+def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> SAC:
     """Make SAC from a recipe.
 
     Parameters
@@ -24,11 +26,19 @@ def make_sac(config: TrainConfig, env: VecEnv, first_action: float) -> SAC:
     env : VecEnv
     first_action : float
         What its first policy does in every state, but for the exploration.
+    inputs : Inputs or None
+        What observations are like; None: they are taken as they are.
     """
-    sac = config.sac
+    sac, network = config.sac, config.network
+    about_policy: dict[str, Any] = {
+        "net_arch": {"pi": list(network.hidden), "qf": list(network.critic_hidden or network.hidden)},
+        "activation_fn": ACTIVATIONS[network.activation],
+    }
+    if inputs is not None:
+        about_policy |= {"features_extractor_class": StandardInputs, "features_extractor_kwargs": {"inputs": inputs}}
 
     def falling(left: float) -> float:
-        return left * sac.learning_rate
+        return max(left, 0.0) * sac.learning_rate
 
     model = SAC(
         "MlpPolicy",
@@ -44,10 +54,7 @@ def make_sac(config: TrainConfig, env: VecEnv, first_action: float) -> SAC:
         ent_coef=f"auto_{sac.initial_ent_coef}" if sac.ent_coef is None else sac.ent_coef,
         target_entropy=sac.target_entropy,
         stats_window_size=config.num_envs,
-        policy_kwargs={
-            "net_arch": list(config.network.hidden),
-            "activation_fn": ACTIVATIONS[config.network.activation],
-        },
+        policy_kwargs=about_policy,
         seed=config.seed,
         device="cpu",
     )

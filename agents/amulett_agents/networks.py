@@ -1,0 +1,138 @@
+"""What differs from SB3's own networks: inputs of a common size, and a critic that may see more than the policy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.spaces import Space
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
+
+EPISODES = 256
+SEED = 0
+LEAST_DEVIATION = 0.01
+"""Entries that hardly change are not blown up by more than a hundred."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What observations are like before anything is learned.
+
+    Attributes
+    ----------
+    means, deviations : ndarray of float32, shape (entries,)
+        Of each entry of an observation.
+    """
+
+    means: NDArray[np.float32]
+    deviations: NDArray[np.float32]
+
+
+def look_at_inputs(env_id: str, keywords: dict[str, Any], steps: int, first_action: float, history: int) -> Inputs:
+    """Return what observations are like under the first policy, a constant tension.
+
+    They are measured once, in training scenarios that are always the same, and never again: nothing drifts, and a
+    bundle holds them within its first layer's weights. The environment's own scales span all that can happen; of a
+    velocity that leaves a network 4 % of its range.
+
+    Parameters
+    ----------
+    env_id : str
+    keywords : dict
+        Of the environment.
+    steps : int
+        Length of an episode.
+    first_action : float
+    history : int
+        Observations that the policy sees; all of them are like the last one.
+    """
+    env = gym.make_vec(env_id, num_envs=EPISODES, split="train", max_episode_steps=steps, **keywords)
+    seen = [env.reset(seed=SEED)[0]]
+    actions = np.full((EPISODES, 1), first_action, dtype=np.float32)
+    seen += [env.step(actions)[0] for _ in range(steps - 1)]
+    env.close()
+    observations = np.concatenate(seen).astype(np.float64)
+    means, deviations = observations.mean(axis=0), np.maximum(observations.std(axis=0), LEAST_DEVIATION)
+    return Inputs(np.tile(means, history).astype(np.float32), np.tile(deviations, history).astype(np.float32))
+
+
+class StandardInputs(FlattenExtractor):
+    """Observations less their mean, divided by their deviation, both fixed."""
+
+    means: torch.Tensor
+    gains: torch.Tensor
+
+    def __init__(self, observation_space: Space[Any], inputs: Inputs) -> None:
+        super().__init__(observation_space)
+        self.register_buffer("means", torch.as_tensor(inputs.means))
+        self.register_buffer("gains", 1.0 / torch.as_tensor(inputs.deviations))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return observations of a common size, shape (N, entries)."""
+        features: torch.Tensor = super().forward(observations)
+        return (features - self.means) * self.gains
+
+
+class TwoSights(torch.nn.Module):
+    """A policy that sees some of the features beside a critic that sees all: what SB3 calls an ``mlp_extractor``."""
+
+    visible: torch.Tensor
+
+    def __init__(
+        self,
+        features: int,
+        visible: Sequence[int],
+        hidden: Sequence[int],
+        critic: Sequence[int],
+        activation: type[torch.nn.Module],
+    ) -> None:
+        super().__init__()
+        self.register_buffer("visible", torch.tensor(list(visible)))
+        self.policy_net = _layers(len(visible), hidden, activation)
+        self.value_net = _layers(features, critic, activation)
+        self.latent_dim_pi, self.latent_dim_vf = hidden[-1], critic[-1]
+
+    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what the policy's action and the critic's value are linear functions of."""
+        return self.forward_actor(features), self.forward_critic(features)
+
+    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
+        """Return the policy's last features."""
+        return self.policy_net(features[:, self.visible])
+
+    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
+        """Return the critic's last features."""
+        return self.value_net(features)
+
+
+class TwoSightsPolicy(ActorCriticPolicy):
+    """SB3's actor-critic policy with :class:`TwoSights`."""
+
+    def __init__(self, *args: Any, visible: Sequence[int], **kwargs: Any) -> None:
+        self.visible = list(visible)
+        super().__init__(*args, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        sizes: Any = self.net_arch
+        self.mlp_extractor = TwoSights(  # type: ignore[assignment]
+            self.features_dim, self.visible, sizes["pi"], sizes["vf"], self.activation_fn
+        )
+
+
+def visible_entries(shown: int, known: int, history: int) -> list[int]:
+    """Return where the `known` first entries of each observation are in a stack of `history`, each of `shown`."""
+    return [frame * shown + entry for frame in range(history) for entry in range(known)]
+
+
+def _layers(inputs: int, sizes: Sequence[int], activation: type[torch.nn.Module]) -> torch.nn.Sequential:
+    layers: list[torch.nn.Module] = []
+    for size in sizes:
+        layers += [torch.nn.Linear(inputs, size), activation()]
+        inputs = size
+    return torch.nn.Sequential(*layers)
