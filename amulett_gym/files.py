@@ -7,19 +7,24 @@ ordinary files is opened.
 from __future__ import annotations
 
 import errno
+import io
 import json
 import math
 import os
 import socket
 import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 try:
     import fcntl
@@ -293,6 +298,31 @@ def parse_json(text: str, what: str) -> Any:
         message = "it is nested too deeply" if isinstance(error, RecursionError) else error
         raise AmulettError(f"{what} is not valid JSON: {message}") from error
     return value
+
+
+def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an ``.npz`` file, none of them of Python objects; see :func:`read_bytes` for the parameters.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, is larger than `limit`, packed or unpacked, or is damaged.
+    """
+    import numpy as np
+
+    content = read_bytes(path, what, limit)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > limit:
+            raise ValueError(f"it has {size} bytes unpacked; at most {limit} are allowed")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+        if not all(isinstance(array, np.ndarray) for array in found.values()):
+            raise ValueError("a part of it is no array")
+        return found
+    except Exception as error:  # zipfile, zlib and numpy do not say what they raise for damaged files
+        raise AmulettError(f"{what} '{path}' is damaged: {str(error)[:200]}") from error
 
 
 def check_tree(value: Any, finite: bool = True) -> None:

@@ -44,7 +44,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         for report in reports:
             if getattr(report, "when", None) == "call":
                 found = [(name, number) for name, number in report.user_properties if name.startswith("faults ")]
-                counts.update({f"{name} by {report.location[0]}": number for name, number in found})
+                for name, number in found:
+                    counts[f"{name} by {report.location[0]}"] += number
                 counts["lost"] += bool(found) and report.failed
     if any(counts.values()):
         terminalreporter.section("faults injected")

@@ -7,12 +7,14 @@ Every kind of file is damaged as often as hypothesis would try: 200 times, and 1
 from __future__ import annotations
 
 import copy
+import io
 import json
 import os
 import pickle
 import struct
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +29,7 @@ from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_json, read_text
+from amulett_gym.files import read_arrays, read_json, read_text
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import (
     FILES,
@@ -41,6 +43,10 @@ from amulett_gym.laws.bundle import (
     write_bundle,
 )
 from amulett_gym.model.spring import read_curve
+from amulett_gym.paper.own_study import OwnStudy, read_study
+from amulett_gym.paper.study import profile_text, shipped
+from amulett_gym.paper.tables import DEVICES
+from amulett_gym.provenance import Provenance, read_provenance, versions
 from amulett_gym.safe_yaml import parse_yaml
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
@@ -70,6 +76,22 @@ def prepare(scenario: Scenario) -> Any:
     return [row[name] for name in row.dtype.names]
 
 
+def read_own_study(path: Path) -> OwnStudy:
+    for name in DEVICES:
+        (path.parent / f"{name}.yaml").write_text(PROFILES[name])
+    return read_study(path.parent)
+
+
+PROFILES = {name: profile_text(name, shipped()) for name in DEVICES}
+NOTE = Provenance(kind="evaluate", command=["amulett", "evaluate"], versions=versions(), git_revision=None)
+
+
+def packed() -> bytes:
+    file = io.BytesIO()
+    np.savez_compressed(file, digest=np.array("0" * 64), values=np.random.default_rng(0).normal(size=(5, 40)))
+    return file.getvalue()
+
+
 KINDS = {
     kind.name: kind
     for kind in (
@@ -87,6 +109,14 @@ KINDS = {
             read_curve,
             list,
         ),
+        Kind("identification.json", json.dumps(shipped()).encode(), read_own_study, lambda study: [study.folder]),
+        Kind(
+            "command.json",
+            NOTE.model_dump_json().encode(),
+            lambda path: read_provenance(path.parent),
+            lambda note: [note.seeds],
+        ),
+        Kind("episodes.npz", packed(), lambda path: read_arrays(path, "episodes"), lambda arrays: arrays.values()),
     )
 }
 
@@ -168,6 +198,8 @@ def changed(tree: Any, place: tuple[Any, ...], value: Any) -> Any:
 
 
 TREES = {
+    "identification.json": json.loads(KINDS["identification.json"].valid),
+    "command.json": json.loads(KINDS["command.json"].valid),
     "device.yaml": yaml.safe_load(KINDS["device.yaml"].valid)
     | {"loop": {"position": TESTBED.loop.position.model_dump()}},
     "recipe.yaml": TrainConfig().model_dump(),
@@ -292,7 +324,7 @@ def test_yaml_may_still_repeat_itself():
 @each_kind
 def test_what_is_no_ordinary_file_is_not_opened(kind, make, tmp_path, faults):
     make(tmp_path / kind.name)
-    with pytest.raises(AmulettError, match="no ordinary file|is a directory|Is a directory"):
+    with pytest.raises(AmulettError, match="no ordinary file|Is a directory|there is no command|is missing"):
         kind.read(tmp_path / kind.name)
     faults("refused", 1)
 
@@ -511,6 +543,38 @@ def test_the_good_header_is_read(bundle):
     (bundle / "weights.safetensors").write_bytes(safetensors(GOOD, FLOATS))
     vouch_for(bundle)
     assert read_bundle(bundle).act(np.zeros((1, 13))) == 0.0
+
+
+def npz(entry: bytes) -> bytes:
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("values.npy", entry)
+    return file.getvalue()
+
+
+def npy(shape: Any, dtype: str, data: bytes = b"") -> bytes:
+    header = f"{{'descr': {dtype!r}, 'fortran_order': False, 'shape': {shape!r}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + data
+
+
+ARCHIVES = {
+    "objects": npz(npy((1,), "|O", pickle.dumps([1]))),
+    "a shape beyond all memory": npz(npy((2**50,), "<f8", bytes(8))),
+    "a shape beyond all numbers": npz(npy((2**60, 2**60), "<f8", bytes(8))),
+    "a bomb": npz(npy((450_000_000,), "|u1", bytes(450_000_000))),
+    "no header": npz(b"nothing"),
+    "code in the header": npz(npy("__import__('os')", "<f8")),
+    "no zip": b"PK",
+    "a pickle": pickle.dumps([1]),
+}
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_archives_that_lie_are_refused(name, tmp_path, faults):
+    (tmp_path / "arrays.npz").write_bytes(ARCHIVES[name])
+    with pytest.raises(AmulettError, match=r"arrays\.npz' is damaged"):
+        read_arrays(tmp_path / "arrays.npz", "arrays")
+    faults("refused", 1)
 
 
 @pytest.mark.parametrize("lie", LIES)

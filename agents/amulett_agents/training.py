@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import shutil
 import signal
@@ -43,7 +42,7 @@ from amulett_agents.model import Model, exploration, exploration_std, make_model
 from amulett_gym.config import load_profile
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import atomic_path, locked_folder, output_folder, read_text, write_json, write_text
+from amulett_gym.files import atomic_path, locked_folder, output_folder, read_json, write_json, write_text
 from amulett_gym.laws.bundle import forward
 from amulett_gym.laws.history import History
 from amulett_gym.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
@@ -488,11 +487,8 @@ def put_back(bundle: Path, place: Path) -> None:
 def _read_result(out: Path) -> TrainResult:
     path = out / FINISHED
     try:
-        content = json.loads(read_text(path, "a run's result"))
-        result = TrainResult(**content)
-    except (ValueError, TypeError) as error:
-        if isinstance(error, AmulettError):
-            raise
+        result = TrainResult(**read_json(path, "a run's result"))
+    except TypeError as error:
         raise AmulettError(f"'{path}' is damaged: {error}") from error
     return replace(result, out=out, best=out / "best", last=out / "last")
 

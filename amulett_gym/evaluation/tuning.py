@@ -26,7 +26,7 @@ from amulett_gym.envs.episodes import TENSION_RANGE
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.rollout import Choose, Trials
 from amulett_gym.evaluation.runner import Protocol
-from amulett_gym.files import read_text, write_json
+from amulett_gym.files import read_json, write_json
 from amulett_gym.laws.parametric import LAWS, TUNED, Device, Law
 from amulett_gym.laws.policies import tension_to_action
 
@@ -241,10 +241,10 @@ def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
     if not path.exists():
         return None
     try:
-        content = json.loads(read_text(path, "stage"))
-    except ValueError as error:
-        raise AmulettError(f"stage '{path}' is not valid JSON: {error}; delete it to do it again") from error
-    return content["result"] if content.get("inputs") == inputs else None
+        content = read_json(path, "stage")
+    except AmulettError as error:
+        raise AmulettError(f"{error}; delete it to do it again") from error
+    return content.get("result") if isinstance(content, dict) and content.get("inputs") == inputs else None
 
 
 def main(argv: Sequence[str] | None = None) -> None:

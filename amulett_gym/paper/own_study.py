@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from amulett_gym.config import Profile, describe, load_profile
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text
+from amulett_gym.files import read_json
 from amulett_gym.paper.identification import PARAMETERS, devices
 from amulett_gym.paper.reproduction import ALTERNATIVES, Readings
 from amulett_gym.paper.study import STUDY_MARKS, same_device
@@ -52,10 +51,7 @@ def read_study(folder: str | Path) -> OwnStudy:
         if any((Path(folder) / mark).is_file() for mark in STUDY_MARKS):
             raise AmulettError(f"the study in '{folder}' is not finished; `amulett identify --out {folder}` goes on")
         raise AmulettError(f"'{folder}' holds no study: '{path}' is missing; `amulett identify` writes one")
-    try:
-        content = json.loads(read_text(path, "study"))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise AmulettError(f"study '{path}' is not valid JSON: {error}") from error
+    content = read_json(path, "study")
     try:
         found = _Study.model_validate(content)
     except ValidationError as error:

@@ -27,7 +27,7 @@ import yaml
 from amulett_gym import __version__
 from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text, write_json, write_text
+from amulett_gym.files import read_json, write_json, write_text
 from amulett_gym.model.spring import build_tables
 from amulett_gym.paper.identification import (
     CERTAIN,
@@ -192,7 +192,7 @@ def stage_count(recipe: Recipe) -> int:
 def shipped() -> dict[str, Any]:
     """Return the study behind the shipped profiles, as `study` returned it."""
     with resources.as_file(resources.files("amulett_gym") / "paper" / "identification.json") as path:
-        content: dict[str, Any] = json.loads(read_text(path, "identification"))
+        content: dict[str, Any] = read_json(path, "identification")
     return content
 
 
@@ -355,19 +355,17 @@ def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
     if not path.exists():
         return None
     try:
-        content = json.loads(read_text(path, "stage", limit=40_000_000))
-    except ValueError as error:
-        raise AmulettError(f"stage '{path}' is not valid JSON: {error}; delete it to do it again") from error
-    return content["result"] if content.get("inputs") == json.loads(json.dumps(inputs)) else None
+        content = read_json(path, "stage", limit=40_000_000)
+    except AmulettError as error:
+        raise AmulettError(f"{error}; delete it to do it again") from error
+    of_these = isinstance(content, dict) and content.get("inputs") == json.loads(json.dumps(inputs))
+    return content.get("result") if of_these else None
 
 
 def _refuse_other_recipe(path: Path, recipe: Recipe) -> None:
     if not path.exists():
         return
-    try:
-        other = json.loads(read_text(path, "recipe"))
-    except ValueError as error:
-        raise AmulettError(f"recipe '{path}' is not valid JSON: {error}") from error
+    other = read_json(path, "recipe")
     asked = json.loads(json.dumps(asdict(recipe)))
     if other != asked:
         names = [name for name in asked if not isinstance(other, dict) or other.get(name) != asked[name]]

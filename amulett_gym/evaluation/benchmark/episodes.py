@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -19,7 +18,7 @@ from amulett_gym.envs.reward import prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import Own, Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
-from amulett_gym.files import atomic_path
+from amulett_gym.files import atomic_path, read_arrays
 from amulett_gym.laws.bundle import MANIFEST
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.laws.parametric import tuned_names, tuned_vector
@@ -135,17 +134,16 @@ def _read(path: Path, digest: str) -> Run | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            if str(arrays["sha256"]) != digest:
-                return None
-            values = dict(zip(arrays["metrics"].tolist(), arrays["values"], strict=True))
-            low, high = arrays["tension_range"].tolist()
-            kept = "error" in arrays
-            error, tension, phase, approach = (
-                arrays[key].astype(np.float64) if kept else np.zeros(0)
-                for key in ("error", "tension", "phase", "approach")
-            )
-            schedule = Schedule(error, tension, phase.astype(np.int64), (low, high), approach)
-            return Run(values, arrays["failures"].tolist(), arrays["families"], schedule)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path, "episodes")
+        if str(arrays["sha256"]) != digest:
+            return None
+        values = dict(zip(arrays["metrics"].tolist(), arrays["values"], strict=True))
+        low, high = arrays["tension_range"].tolist()
+        kept = "error" in arrays
+        error, tension, phase, approach = (
+            arrays[key].astype(np.float64) if kept else np.zeros(0) for key in ("error", "tension", "phase", "approach")
+        )
+        schedule = Schedule(error, tension, phase.astype(np.int64), (low, high), approach)
+        return Run(values, arrays["failures"].tolist(), arrays["families"], schedule)
+    except (ValueError, KeyError, TypeError) as error:
         raise AmulettError(f"cannot read episodes '{path}': {error}; delete it to play them again") from error
