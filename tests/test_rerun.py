@@ -97,12 +97,12 @@ def test_only_what_filled_the_folder_is_given_again(comparison, tmp_path, capsys
 
 
 TINY = """
-env: {profile: mine.yaml, max_episode_steps: 20}
-ppo: {n_steps: 8, batch_size: 32, n_epochs: 1}
+env: {profile: mine.yaml, max_episode_steps: 75}
+ppo: {n_steps: 80, batch_size: 64, n_epochs: 1}
 network: {hidden: [8]}
-validation: {every_steps: 64, episodes: 2}
-num_envs: 4
-total_steps: 96
+validation: {every_steps: 640, episodes: 2}
+num_envs: 8
+total_steps: 1280
 """
 
 
@@ -117,9 +117,9 @@ def test_a_training_run_is_trained_again_to_the_same_weights(tmp_path, monkeypat
     assert main(["rerun", "run", "--out", "again"]) == 0
     assert "numbers are the same" in capsys.readouterr().out
     rows = (tmp_path / "again" / "evaluations.csv").read_text()
-    (tmp_path / "again" / "evaluations.csv").write_text(rows.replace("\n64,", "\n65,"))
+    (tmp_path / "again" / "evaluations.csv").write_text(rows.replace("\n640,", "\n641,"))
     assert main(["rerun", "again", "--out", "third"]) == 1
-    assert "validations.1.steps was '65' and is '64'" in capsys.readouterr().out
+    assert "validations.1.steps was '641' and is '640'" in capsys.readouterr().out
     (tmp_path / "run" / "finished.json").unlink()
     assert main(["rerun", "run", "--out", "fourth"]) == 2
     assert "is not finished: amulett train --resume" in capsys.readouterr().err
