@@ -23,7 +23,6 @@ import argparse
 import hashlib
 import json
 import math
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,7 +38,7 @@ from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.rollout import Actions, Trials, held, scheduled
 from amulett_gym.evaluation.runner import Protocol, load_contender
-from amulett_gym.files import atomic_path
+from amulett_gym.files import atomic_path, read_arrays
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.laws.policies import action_to_tension, tension_to_action
 
@@ -406,14 +405,14 @@ def _read(path: Path, digest: str) -> Reference | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as arrays:
-            if str(arrays["sha256"]) != digest:
-                return None
-            return Reference(
-                starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
-                **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path, "schedules")
+        if str(arrays["sha256"]) != digest:
+            return None
+        return Reference(
+            starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
+            **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
+        )
+    except (ValueError, KeyError, TypeError) as error:
         raise AmulettError(f"cannot read clairvoyant schedules '{path}': {error}; delete it to search again") from error
 
 
