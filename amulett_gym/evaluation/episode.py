@@ -74,19 +74,16 @@ def record_episode(
     simulation = episodes.simulation
     ticks_per_step = round(keywords["agent_period"] / simulation.control_period)
 
-    command = wanted = simulation.read("tension_command")
-    rate = np.zeros(1)
+    wanted = simulation.read("tension_command")
 
     def act(tick: int) -> None:
-        """Do tick by tick what a step of the environment does, bit for bit."""
-        nonlocal command, wanted, rate
+        """Start the kernel's own ramp at each agent step, as the environment does; late ticks are the kernel's."""
+        nonlocal wanted
         if tick % ticks_per_step == 0:
-            command = wanted
-            action = np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)
+            simulation.command_tension(wanted)
+            last, action = wanted, np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)
             wanted = action_to_tension(action, env.tension_range)
-            rate = (wanted - command) / ticks_per_step
-        command = command + rate
-        simulation.command_tension(command)
+            simulation.states["tension_rate"][0, 0] = (wanted - last)[0] / ticks_per_step
 
     trajectory = record(simulation, keywords["max_episode_steps"] * ticks_per_step, before_tick=act)
     failure = FAILURES[int(simulation.read("failure")[0])]
