@@ -29,7 +29,7 @@ class Learned(Group):
 
     recipe: str | None = Field(default=None, description="YAML file, beside the description; null: the default recipe")
     set: list[str] = Field(default=[], description="changes of the recipe, like 'env.suite=mixed'")
-    seeds: list[int] = Field(min_length=1, max_length=1000)
+    seeds: list[int] = Field(min_length=1, max_length=1000, description="one run each")
     reference: bool = Field(default=False, description="sees what no device can: a yardstick, and no contender")
 
     @field_validator("seeds")
@@ -47,8 +47,10 @@ class Clairvoyant(Group):
         default={"mixed": 70, "steps": 20, "reach": 20, "track": 20, "contact": 20, "hold-push": 20},
         description="suite -> number of its held-out scenarios, from the first on",
     )
-    check: int = Field(default=10, ge=0, description="of the headline suite's, searched again with twice the rounds")
-    effort: Positive = Field(default=1.0, le=10, description="factor of the search's rounds")
+    check: int = Field(
+        default=10, ge=0, le=MOST_EPISODES, description="of the headline suite's, searched again at length [scenarios]"
+    )
+    effort: Positive = Field(default=1.0, le=10, description="factor of the search's rounds [1]")
     starts: list[str] = Field(default=["eq6-tuned", "parametric"], description="laws that it starts from, too")
 
     @field_validator("scenarios")
@@ -65,8 +67,8 @@ class Clairvoyant(Group):
 class Bootstrap(Group):
     """How intervals are made."""
 
-    resamples: int = Field(default=4000, ge=100, le=100_000)
-    seed: int = Field(default=0, ge=0)
+    resamples: int = Field(default=4000, ge=100, le=100_000, description="draws [1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of the draws [1]")
 
 
 class Benchmark(Group):
@@ -76,12 +78,13 @@ class Benchmark(Group):
     suites: list[str] = Field(
         default=["mixed", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload", PAPER_STEP],
         min_length=1,
+        description="on which all are judged",
     )
     headline: str = Field(default="mixed", description="suite by which constants are chosen and claims are judged")
-    splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1)
-    episodes: int = Field(default=200, ge=2, le=MOST_EPISODES, description="scenarios of a suite and split")
-    seed: int = Field(default=0, ge=0, description="of the first scenario")
-    duration: Positive = Field(default=10.0, description="of an episode [s]")
+    splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1, description="of each suite")
+    episodes: int = Field(default=200, ge=2, le=MOST_EPISODES, description="of a suite and split [scenarios]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of the first scenario [1]")
+    duration: Positive = Field(default=10.0, le=1000, description="of an episode [s]")
     contenders: list[str] = Field(
         default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"], description="laws, or bundles"
     )
@@ -91,15 +94,20 @@ class Benchmark(Group):
         description="tensions; the best of them are chosen on the split train [N]",
     )
     learned: dict[str, Learned] = Field(
-        default={"ppo": Learned(recipe="ppo.yaml", set=["env.suite=mixed"], seeds=list(range(10)))},
+        default={
+            "ppo": Learned(recipe="ppo.yaml", set=["env.suite=mixed"], seeds=list(range(10))),
+            "sac": Learned(set=["algorithm=sac", "env.suite=mixed"], seeds=[0, 1, 2]),
+            "ppo-history": Learned(recipe="ppo-history.yaml", seeds=[0, 1, 2]),
+            "causal": Learned(recipe="causal.yaml", seeds=[0, 1, 2], reference=True),
+        },
         description="training runs by the name of their entry",
     )
     best_learned: str = Field(default="ppo", description="the entry that the claims are about")
     ablations: list[str] = Field(
         default=list(COST_TERMS), description="reward terms without which that entry is trained once more, one a time"
     )
-    clairvoyant: Clairvoyant = Clairvoyant()
-    bootstrap: Bootstrap = Bootstrap()
+    clairvoyant: Clairvoyant = Field(default=Clairvoyant(), description="the reference that knows the future")
+    bootstrap: Bootstrap = Field(default=Bootstrap(), description="of intervals")
 
     @model_validator(mode="after")
     def _check(self) -> Benchmark:
