@@ -226,13 +226,14 @@ def test_a_recipe_with_history_is_trained_validated_and_evaluated(tmp_path, one_
     bundle = read_bundle(result.last)
     assert (bundle.policy.history, bundle.policy.is_privileged) == (3, True)
     keywords = {"suite": "mixed", "privileged": True, "split": "validation", "max_episode_steps": 75}
+    keywords["action_range"] = [bound / 10.0 for bound in config.env.tension_range]  # nothing has to be converted
     env = gym.make_vec(SCALING, num_envs=10, **keywords)
     policy, total = amulett_gym.load_policy(result.last, env), 0.0
     observations, _ = env.reset(seed=config.validation.seed)
     for _ in range(75):
         observations, rewards, *_ = env.step(policy(observations))
         total -= rewards.mean()
-    assert total == pytest.approx(result.last_cost, rel=1e-5)
+    assert total == pytest.approx(result.last_cost, rel=1e-9)
     results = compare([str(tmp_path / "run")], suite="mixed", episodes=2, duration=1.0)
     assert np.isfinite(results.values[str(tmp_path / "run")]["cost"]).all()
 
