@@ -13,6 +13,22 @@ class AmulettError(ValueError):
     """Wrong input: a configuration, a name, a file or an action that cannot be used."""
 
 
+def other_version(what: str, found: int, known: int, remedy: str) -> AmulettError:
+    """Build the error for a file of another version of its format, for the caller to raise.
+
+    Parameters
+    ----------
+    what : str
+        The file.
+    found, known : int
+        Its version, and the one that is read here.
+    remedy : str
+        What to do about an older one; a newer one needs a newer amulett-gym.
+    """
+    hint = "update amulett-gym" if found > known else remedy
+    return AmulettError(f"{what}: 'version' is {str(found)[:20]}; this amulett-gym reads {known}: {hint}")
+
+
 def nearest(name: str, choices: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the choice nearest to `name`, or an empty string."""
     if len(name) > _LONGEST:

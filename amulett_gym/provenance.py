@@ -17,11 +17,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 import amulett_gym
 from amulett_gym.config import describe
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, other_version
 from amulett_gym.files import read_json, write_json
 
 COMMAND = "command.json"
 """File by which a folder tells what filled it."""
+
+FORMAT = 1
+"""Version of that file's format."""
 
 PACKAGES = ("amulett-gym", "gymnasium", "numpy", "numba", "scipy", "torch", "stable-baselines3")
 """What results may depend on."""
@@ -86,8 +89,12 @@ def read_provenance(folder: str | Path) -> Provenance:
     path = Path(folder) / COMMAND
     if not path.is_file():
         raise AmulettError(f"'{folder}' does not say what filled it: there is no {COMMAND}")
+    content = read_json(path, "note of a command", limit=1_000_000)
+    found = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
+    if isinstance(found, int) and found != FORMAT:
+        raise other_version(f"'{path}'", found, FORMAT, "give the command that it holds again")
     try:
-        return Provenance.model_validate(read_json(path, "note of a command", limit=1_000_000))
+        return Provenance.model_validate(content)
     except ValidationError as error:
         raise describe(error, Provenance, f"'{path}'") from error
 

@@ -14,6 +14,7 @@ from amulett_agents.config import TrainConfig
 from amulett_gym.cli import main
 from amulett_gym.cli.config import show, validate
 from amulett_gym.config import Profile, load_profile
+from amulett_gym.evaluation.benchmark.description import Benchmark, Learned
 from amulett_gym.safe_yaml import parse_yaml
 from amulett_gym.tasks.scenario import Scenario
 
@@ -94,7 +95,7 @@ def fields(model: type[BaseModel], path: str = ""):
 
 ALL_FIELDS = [
     pytest.param(field, id=f"{model.__name__}.{name}")
-    for model in (Profile, TrainConfig, Scenario)
+    for model in (Profile, TrainConfig, Scenario, Benchmark, Learned)
     for name, field in fields(model)
 ]
 

@@ -36,7 +36,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.config import Group, describe, profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.files import parse_json, read_bytes, write_json
 
 MANIFEST = "manifest.json"
@@ -348,8 +348,7 @@ def _parse(model: type[Any], content: bytes, path: Path) -> Any:
     value = _json(content, path)
     found = value.get("version", FORMAT)
     if "version" in model.model_fields and isinstance(found, int) and found != FORMAT:
-        hint = "update amulett-gym" if found > FORMAT else "train again, or write the bundle anew with this amulett-gym"
-        raise AmulettError(f"'{path}': 'version' is {str(found)[:20]}; this amulett-gym reads {FORMAT}: {hint}")
+        raise other_version(f"'{path}'", found, FORMAT, "train again, or write the bundle anew with this amulett-gym")
     try:
         return model.model_validate(value)
     except ValidationError as error:
