@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         recipes,
         arguments.runs,
         own,
-        say=lambda line: print(line, flush=True),
+        say=_say,
         progress=sys.stderr.isatty(),
     )
     print("Drawing intervals and figures ...", flush=True)
@@ -87,6 +87,14 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"\n{in_words(found, claims)}\n")
     print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures, and the scenarios that it loses.")
     return 0
+
+
+def _say(line: str) -> None:
+    """Print a line, above the progress bars if there are any."""
+    from tqdm import tqdm
+
+    tqdm.write(line)
+    sys.stdout.flush()
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
