@@ -125,6 +125,23 @@ def test_a_training_run_is_trained_again_to_the_same_weights(tmp_path, monkeypat
     assert "is not finished: amulett train --resume" in capsys.readouterr().err
 
 
+def test_whatever_the_words_say_it_writes_to_the_new_folder_alone(comparison, tmp_path, monkeypatch):
+    words = ["amulett", "benchmark", "--out", "a", "--out=b", "--doc", "c.md", "--runs", "d"]
+    copy = edited(comparison, tmp_path / "copy", kind="benchmark", command=words, working_folder=str(tmp_path))
+    (copy / "benchmark.json").write_text('{"number": 1}')
+    given = []
+
+    def run(arguments):
+        given.append((arguments.out, arguments.doc, arguments.runs))
+        (tmp_path / "new").mkdir()
+        shutil.copy(copy / "benchmark.json", tmp_path / "new")
+        return 0
+
+    monkeypatch.setattr("amulett_gym.cli.benchmark.run", run)
+    assert main(["rerun", str(copy), "--out", str(tmp_path / "new")]) == 0
+    assert given == [(str(tmp_path / "new"), None, None)]
+
+
 def test_nothing_is_overwritten(comparison, tmp_path, capsys):
     for out in (comparison, comparison / "again", comparison.parent):
         assert main(["rerun", str(comparison), "--out", str(out)]) == 2

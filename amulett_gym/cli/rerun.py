@@ -156,16 +156,20 @@ def _compared(folder: Path) -> Numbers:
 
 
 def _command_again(note: Provenance, old: Path, new: Path) -> None:
-    """Give a command's words again, with another output folder, and without touching a document."""
-    from amulett_gym.cli import main
+    """Give a command's words again; whatever they say, it writes to the new folder and nowhere else."""
+    from amulett_gym.cli import build_parser
 
-    words = list(note.command or [])[1:]
-    if words[:1] != [note.kind] or "--out" not in words[:-1]:
-        raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' with --out to be given again")
-    words[words.index("--out") + 1] = str(new)
-    if "--doc" in words[:-1]:
-        del words[words.index("--doc") : words.index("--doc") + 2]
-    code = main(words)
+    problem = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(problem), contextlib.redirect_stdout(problem):
+            arguments = build_parser().parse_args(list(note.command or [])[1:])
+    except SystemExit as error:
+        reason = problem.getvalue().strip().rpartition("error: ")[2]
+        raise AmulettError(f"'{old / 'command.json'}' holds no command of this version: {reason}") from error
+    if arguments.command != note.kind:
+        raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to be given again")
+    vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
+    code = arguments.run(arguments)
     if code == 130:
         raise KeyboardInterrupt
     if code:
