@@ -168,6 +168,13 @@ def test_another_description_is_refused_in_the_same_folder(done):
         run_benchmark(description, done, done.parent)
 
 
+def test_changed_hashes_are_refused_in_the_same_folder(done, monkeypatch):
+    changed = {**json.loads((done / "description.json").read_text())["hashes"], "prices": "0" * 64}
+    monkeypatch.setattr(stages, "hashes", lambda profile, suites: changed)
+    with pytest.raises(AmulettError, match=r"hashes\.prices was .* and is '000"):
+        run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+
+
 def test_changed_suites_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(frozen, "suite_hash", lambda *given: "0" * 64)
     with pytest.raises(AmulettError, match=r"frozen.*mixed \(train\)"):
@@ -247,7 +254,7 @@ KILLED_AT = (
 """A process is killed as soon as one of these is there, and started again."""
 
 
-def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path):
+def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path, faults):
     path, out = described(tmp_path, TINY), tmp_path / "out"
     command = [sys.executable, "-m", "amulett_gym", "benchmark", "--config", str(path), "--out", str(out)]
     written: dict[Path, int] = {}
@@ -268,6 +275,7 @@ def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path):
     for key in ("results", "constants", "references", "worst", "seeds", "families"):
         assert again[key] == found[key], key
     assert not [file for file in out.rglob(".*") if file.suffix == ".npz"]
+    faults("survived (kills)", len(KILLED_AT))
 
 
 def test_the_schedule_of_a_slow_policy_does_what_the_policy_does(tmp_path):

@@ -96,7 +96,7 @@ class Benchmark(Group):
     learned: dict[str, Learned] = Field(
         default={
             "ppo": Learned(recipe="ppo.yaml", set=["env.suite=mixed"], seeds=list(range(10))),
-            "sac": Learned(set=["algorithm=sac", "env.suite=mixed"], seeds=[0, 1, 2]),
+            "sac": Learned(recipe="sac.yaml", seeds=[0, 1, 2]),
             "ppo-history": Learned(recipe="ppo-history.yaml", seeds=[0, 1, 2]),
             "causal": Learned(recipe="causal.yaml", seeds=[0, 1, 2], reference=True),
         },

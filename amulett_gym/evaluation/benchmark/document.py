@@ -12,6 +12,7 @@ from amulett_gym.evaluation.benchmark.page import CAPTIONS, verdict
 from amulett_gym.evaluation.benchmark.results import Content
 from amulett_gym.evaluation.benchmark.tables import tables
 from amulett_gym.evaluation.plots import save_figure
+from amulett_gym.evaluation.results import pretty
 from amulett_gym.files import between_marks, check_writable, read_text, write_text
 
 BEGIN = "<!-- Written by `amulett benchmark --doc`; edit around it. -->"
@@ -46,11 +47,9 @@ def block(found: Content, claims: Sequence[Claim], figures: Mapping[str, str]) -
         File of each figure, relative to the document.
     """
     parts = [
-        " ".join(filter(None, [f"`{found['command']}`" if found["command"] else "", f"on {found['machine']}"]))
-        if found["machine"]
-        else "",
-        f"**{verdict(found, claims)}**",
-        *(table.markdown() for table in tables(found, claims).values()),
+        "" if found["command"] is None else f"`{found['command']}` on {found['machine']}",
+        pretty(f"**{verdict(found, claims)}**"),
+        *(pretty(table.markdown()) for table in tables(found, claims).values()),
     ]
     parts += [f"![{CAPTIONS[name]}]({file})\n\n*{CAPTIONS[name]}*" for name, file in figures.items()]
     return "\n\n".join(part for part in parts if part)
