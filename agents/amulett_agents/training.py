@@ -371,7 +371,7 @@ class _Run(BaseCallback):
 
     def _validate(self, model: Any) -> None:
         self.check_folder()
-        scores = evaluate(model, self.validation, self.config.validation.seed, self.config.env.history)
+        scores = evaluate(model, self.validation, self.config.validation.seed)
         row = {"steps": model.num_timesteps, "seconds": round(time.monotonic() - self._started, 2), **scores}
         self._rows.append(row)
         if row["cost"] <= self._rows[self._best]["cost"]:
@@ -493,7 +493,7 @@ def _read_result(out: Path) -> TrainResult:
     return replace(result, out=out, best=out / "best", last=out / "last")
 
 
-def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, history: int = 1) -> dict[str, float]:
+def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> dict[str, float]:
     """Return the mean cost per episode of a model's deterministic policy, by the arithmetic of its bundle.
 
     Parameters
@@ -503,8 +503,6 @@ def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, 
         Each of its devices plays one episode.
     seed : int
         Device i is seeded with ``seed + i``.
-    history : int
-        How many observations the policy sees.
 
     Returns
     -------
@@ -513,7 +511,8 @@ def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, 
         ``exploration_std``, of SAC at the first observations.
     """
     layers, network = extract_network(model.policy)
-    seen = History(env, history, env.single_observation_space.shape[0])  # type: ignore[index]
+    size: int = env.single_observation_space.shape[0]  # type: ignore[index]
+    seen = History(env, network.layers[0] // size, size)
     observations, info = env.reset(seed=seed)
     std = exploration_std(model, seen.add(observations))
     playing = np.ones(env.num_envs, dtype=bool)

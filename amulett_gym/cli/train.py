@@ -12,6 +12,7 @@ from amulett_gym.errors import AmulettError
 HELP = "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed"
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
   amulett train --config configs/ppo.yaml --set env.suite=reach ppo.learning_rate=3e-4 --seed 1 --out runs/reach
+  amulett train --config configs/sac.yaml --out runs/sac
   amulett train --resume runs/first
   amulett evaluate --policies eq6 constant:10 runs/first --suite steps --out runs/first-evaluation
   tensorboard --logdir runs
