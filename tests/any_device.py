@@ -136,6 +136,7 @@ def scenarios(draw: st.DrawFn, profile: Profile) -> dict[str, Any]:
             content["obstacle"][key] = min(content["obstacle"][key], most(inertia, profile))
     moves: list[dict[str, Any]] = []
     for move in sorted(content["moves"], key=lambda move: move["time"]):
+        move["duration"] = move["duration"] if move["duration"] >= 1e-3 else 0.0
         if not moves or move["time"] >= moves[-1]["time"] + moves[-1]["duration"]:
             moves.append(move)
     content["moves"] = moves

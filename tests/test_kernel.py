@@ -387,7 +387,7 @@ random_scenarios = st.fixed_dictionaries(
         "initial_tension": st.floats(1, 9),
         "moves": moves.map(
             lambda moves: [
-                {"time": when / 20, "angle_deg": angle, "duration": min(duration, 0.05)}
+                {"time": when / 20, "angle_deg": angle, "duration": round(min(duration, 0.05), 3)}
                 for when, angle, duration in sorted(moves)
             ]
         ),

@@ -209,6 +209,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
     [
         ({"intial_angle_deg": 3.0}, "unknown key 'intial_angle_deg'; did you mean 'initial_angle_deg'"),
         ({"moves": [{"time": -1.0, "angle_deg": 0.0}]}, r"'moves.0.time' is -1.0.*greater than or equal to 0"),
+        ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duration": 1e-9}]}, "shorter than a millisecond; 0 stands for"),
         ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duraton": 1.0}]}, "'moves.0.duraton'; did you mean 'duration'"),
         (
             {"moves": [{"time": 1.0, "angle_deg": 9.0, "duration": 1.0}, {"time": 1.5, "angle_deg": 0.0}]},

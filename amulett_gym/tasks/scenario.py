@@ -39,7 +39,13 @@ class Move(Group):
 
     time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
     angle_deg: float = Field(ge=-180, le=180, description="where it goes [deg]")
-    duration: float = Field(default=0.0, ge=0, le=1e6, description="[s]; 0: a step")
+    duration: float = Field(default=0.0, ge=0, le=1e6, description="[s], at least a millisecond; 0: a step")
+
+    @model_validator(mode="after")
+    def _check_duration(self) -> Move:
+        if 0 < self.duration < 1e-3:
+            raise ValueError(f"a duration of {self.duration} s is shorter than a millisecond; 0 stands for a step")
+        return self
 
 
 class Wave(Group):
