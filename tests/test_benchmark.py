@@ -162,6 +162,17 @@ def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):
     assert len(evidence.entries["ppo"].members) == 2
 
 
+def test_schedules_of_another_simulation_are_searched_for_again(tmp_path):
+    content = {**LAWS, "suites": ["mixed"], "clairvoyant": TINY["clairvoyant"]}
+    first = bench(tmp_path, content).searched["mixed"]
+    (path,) = (tmp_path / "out" / "clairvoyant" / "testbed").iterdir()
+    with np.load(path) as arrays:
+        stale = dict(arrays)
+    np.savez(path, **{**stale, "costs": 0.9 * stale["costs"]})
+    again = bench(tmp_path, content).searched["mixed"]
+    assert again.evidence == first.evidence
+
+
 def test_another_description_is_refused_in_the_same_folder(done):
     description = load_benchmark(done.parent / "tiny.yaml").model_copy(update={"episodes": 6})
     with pytest.raises(AmulettError, match=r"description\.episodes was 5 and is 6"):
