@@ -333,7 +333,8 @@ def test_a_wrong_override_is_refused_with_what_would_be_right(override, message)
 def test_the_first_policy_is_the_constant_of_the_recipe():
     config = load_train_config(None, [*SMALL, "network.initial_tension=11", "env.tension_range=[5, 13]"])
     model = make_model(config)
-    observations = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
+    shape = (20, *model.observation_space.shape)
+    observations = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
     actions, _ = model.predict(observations, deterministic=True)
     assert 5 + (actions + 1) / 2 * 8 == pytest.approx(11.0, abs=1e-5)
 

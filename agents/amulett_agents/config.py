@@ -22,12 +22,12 @@ class EnvSettings(Group):
 
     id: str = Field(default=ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field(default="testbed", description="shipped profile, YAML file or mapping")
-    suite: str = Field(default="steps", description="scenarios; see `amulett list`")
+    suite: str = Field(default="mixed", description="scenarios; see `amulett list`")
     tension_range: list[float] = Field(
-        default=[4.0, 8.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
+        default=[4.0, 15.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
     )
-    agent_period: float = Field(default=0.02, gt=0, le=10, description="time an action is held [s]")
-    max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
+    agent_period: float = Field(default=0.05, gt=0, le=10, description="time from action to action [s]")
+    max_episode_steps: int = Field(default=200, ge=1, le=10**6, description="length of an episode [agent steps]")
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
     observation_noise: float = Field(
         default=0.0, ge=0, le=100, description="standard deviation in the observations [1]"
@@ -90,12 +90,12 @@ class EnvSettings(Group):
 class PpoSettings(Group):
     """Settings of Stable-Baselines3's PPO; see its documentation."""
 
-    n_steps: int = Field(default=64, ge=1, le=10**6, description="of each device between two updates [agent steps]")
-    batch_size: int = Field(default=1024, ge=2, le=10**8, description="of a gradient step [agent steps]")
-    n_epochs: int = Field(default=6, ge=1, le=1000, description="times that an update sees its rollout [1]")
-    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="of Adam [1]")
+    n_steps: int = Field(default=32, ge=1, le=10**6, description="of each device between two updates [agent steps]")
+    batch_size: int = Field(default=4096, ge=2, le=10**8, description="of a gradient step [agent steps]")
+    n_epochs: int = Field(default=8, ge=1, le=1000, description="times that an update sees its rollout [1]")
+    learning_rate: float = Field(default=1.5e-3, gt=0, le=1, description="of Adam [1]")
     anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
+    gamma: float = Field(default=0.97, ge=0, le=1, description="discount of an agent step [1]")
     gae_lambda: float = Field(default=0.9, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
     clip_range: float = Field(default=0.3, gt=0, le=10, description="of the policies' ratio about 1 [1]")
     ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the exploration's entropy [1]")
@@ -105,14 +105,14 @@ class PpoSettings(Group):
         default=10.0,
         gt=0,
         le=1e6,
-        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.002, a whole episode 1",
+        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.005, a whole episode 1",
     )
-    initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
+    initial_std: float = Field(default=0.15, gt=0, le=10, description="of the exploration, in the action's unit [1]")
     final_std: float | None = Field(
-        default=None, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
+        default=0.02, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
     privileged_critic: bool = Field(
-        default=False, description="let the critic, which is needed for training only, see what no device can know"
+        default=True, description="let the critic, which is needed for training only, see what no device can know"
     )
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
     sde_sample_freq: int = Field(
@@ -154,14 +154,14 @@ class NetworkSettings(Group):
         default=[64, 64], min_length=1, max_length=8, description="sizes of the policy's layers, up to 1024"
     )
     critic_hidden: list[int] | None = Field(
-        default=None, min_length=1, max_length=8, description="of the critic's; null: like the policy's"
+        default=[128, 128], min_length=1, max_length=8, description="of the critic's; null: like the policy's"
     )
     standard_inputs: bool = Field(
         default=True, description="bring each observation to mean 0 and deviation 1, as measured before training"
     )
     activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
     initial_tension: float | None = Field(
-        default=None, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
+        default=7.0, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
     )
 
     @field_validator("hidden", "critic_hidden")
@@ -175,8 +175,8 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
-    every_steps: int = Field(default=250_000, ge=1, le=10**12, description="between two validations [agent steps]")
-    episodes: int = Field(default=100, ge=1, le=10**5, description="scenarios, one device each [1]")
+    every_steps: int = Field(default=500_000, ge=1, le=10**12, description="between two validations [agent steps]")
+    episodes: int = Field(default=200, ge=1, le=10**5, description="scenarios, one device each [1]")
     seed: int = Field(default=0, ge=0, lt=2**63, description="of the first scenario [1]")
 
 
@@ -189,8 +189,8 @@ class TrainConfig(Group):
     sac: SacSettings = Field(default=SacSettings(), description="read if SAC learns")
     network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
     validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
-    num_envs: int = Field(default=256, ge=1, le=10**6, description="simulated side by side [devices]")
-    total_steps: int = Field(default=2_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
+    num_envs: int = Field(default=2048, ge=1, le=10**6, description="simulated side by side [devices]")
+    total_steps: int = Field(default=6_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
     max_seconds: float | None = Field(
         default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
     )
@@ -224,7 +224,9 @@ class TrainConfig(Group):
 
 
 SPRINT = (
-    # Actions held longer: what a tension costs shows through the drives' lag and the sensors' noise in fewer steps.
+    "env.suite=steps",
+    "env.tension_range=[4.0, 8.0]",
+    # Rarer actions: what a tension costs shows through the drives' lag and the sensors' noise in fewer steps.
     "env.agent_period=0.1",
     "env.max_episode_steps=100",
     # Large rollouts, for the setpoint steps' chance is large; large batches and a small network, for their speed.
@@ -232,6 +234,11 @@ SPRINT = (
     "ppo.n_steps=32",
     "ppo.batch_size=4096",
     "network.hidden=[32, 32]",
+    "network.critic_hidden=[32, 32]",
+    "network.initial_tension=null",
+    "ppo.privileged_critic=false",
+    "ppo.learning_rate=0.001",
+    "validation.episodes=100",
     # 5 s: below the floor of the force estimation strings go slack slowly; a shorter sight runs past good tensions.
     "ppo.gamma=0.98",
     "ppo.gae_lambda=0.95",
