@@ -131,7 +131,7 @@ def step_block(p, e, c, s, m, first, end, actions, observations, report):
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding
         observe(p, e, c, s, i, observations[device])
         pay(e, c, s, i, report[device])
-        tell(p, s, i, report[device])
+        tell(p, c, s, i, report[device])
 
 
 @compiled
@@ -141,11 +141,12 @@ def wanted_tension(e, action):
 
 
 @compiled
-def tell_devices(p, s_blocks, devices, report):
+def tell_devices(p, c_blocks, s_blocks, devices, report):
     """Fill the report of the given devices, one row each, but for the reward: nothing was paid since the last step."""
     for row in range(devices.size):
         report[row, :FIRST_READING] = 0.0
-        tell(p[0], s_blocks[devices[row] // LANES], devices[row] % LANES, report[row])
+        block, i = devices[row] // LANES, devices[row] % LANES
+        tell(p[0], c_blocks[block], s_blocks[block], i, report[row])
 
 
 @compiled
@@ -207,7 +208,7 @@ def pay(e, c, s, i, report):
 
 
 @compiled
-def tell(p, s, i, report):
+def tell(p, c, s, i, report):
     """Report the truth behind the observation and the cumulative metrics."""
     r = report[FIRST_READING:FIRST_METRIC]
     r[0] = s.failure[i]
@@ -217,7 +218,7 @@ def tell(p, s, i, report):
     r[4] = s.tension_setpoint[i]
     r[5] = s.force_biceps[i]
     r[6] = s.force_triceps[i]
-    r[7] = joint_stiffness(p, s, i)
+    r[7] = joint_stiffness(p, c, s, i)
     r[8] = s.push_torque[i]
     r[9] = s.contact_torque[i]
     m = report[FIRST_METRIC:]
