@@ -19,6 +19,7 @@ from amulett_gym.simulation.layout import (
     Control,
     pack_parameters,
     words,
+    zeros,
 )
 
 
@@ -55,7 +56,7 @@ class Simulation:
         self.parameters = pack_parameters(profile, control, tension_law)
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
-        self.states = np.zeros(num_blocks, dtype=STATE_BLOCK)
+        self.states = zeros(num_blocks, STATE_BLOCK)
 
     @property
     def control_period(self) -> float:

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled, compiled_lanes
+from amulett_gym.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
@@ -59,7 +59,7 @@ def advance(p, c_blocks, s_blocks, num_devices, ticks):
         advance_block(parameters, c_blocks[block], s_blocks[block], m, lanes, ticks)
 
 
-@compiled
+@compiled_in_place
 def advance_block(p, c, s, m, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks."""
     for _ in range(ticks):
@@ -80,7 +80,7 @@ def next_failed(s, first, lanes):
     return lanes
 
 
-@compiled_lanes
+@compiled_in_place
 def tick(p, c, s, m, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     start_counting(p, c, s, m, first, end)
@@ -628,7 +628,7 @@ def settle(p, c_blocks, s_blocks, devices):
     """Start the given devices anew, at rest on their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
-        block, i = device // LANES, device % LANES
+        block, i = device // LANES, np.uint64(device % LANES)  # as in a tick, so that nothing is compiled twice
         c, s = c_blocks[block], s_blocks[block]
         settle_strings(parameters, c, s, i)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]

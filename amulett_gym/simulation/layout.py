@@ -27,6 +27,7 @@ Control = Literal["decentralized", "position-only"]
 CONTROLS = ("decentralized", "position-only")
 
 LANES = 8
+_CACHE_LINE = 64  # bytes
 MAX_MOVES = 10
 MAX_PUSHES = 4
 
@@ -289,6 +290,13 @@ def words(records: NDArray[np.void], lanes: int) -> list[NDArray[Any]]:
     ]
 
 
+def zeros(count: int, block: np.dtype[Any]) -> NDArray[np.void]:
+    """Return empty blocks that begin on a cache line, which saves some percent of a tick."""
+    raw = np.zeros(count * block.itemsize + _CACHE_LINE, dtype=np.uint8)
+    start = -raw.ctypes.data % _CACHE_LINE
+    return raw[start : start + count * block.itemsize].view(block)
+
+
 @cache
 def _sections(dtype: np.dtype[Any]) -> list[tuple[int, int, int]]:
     """Return the widths of a record's fields [bytes], widest first, and where those of each begin and end."""
@@ -298,7 +306,6 @@ def _sections(dtype: np.dtype[Any]) -> list[tuple[int, int, int]]:
         start = sections[width][1] if width in sections else offset
         sections[width] = width, start, offset + kind.itemsize
     return list(sections.values())
-
 
 
 def pack_parameters(

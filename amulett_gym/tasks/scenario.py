@@ -33,7 +33,7 @@ MAX_BYTES = 100_000
 """Largest scenario file accepted; the largest that can be described has 10 kB."""
 
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
-_PACKING = 1e-6  # by which packing may change a duration of seconds, or the share by which it changes a number
+_PACKING = 1e-6  # more than the share by which packing changes a number
 
 
 class Move(Group):
@@ -71,7 +71,7 @@ class Push(Group):
     def _check_ramps(self) -> Push:
         if 0 < self.rise < 1e-3:
             raise ValueError(f"a rise of {self.rise} s is shorter than a millisecond; 0 stands for a pulse")
-        if 2 * self.rise > self.duration + _PACKING:
+        if 2 * self.rise > self.duration * (1.0 + _PACKING):
             raise ValueError(f"a push of {self.duration} s has no room to rise and fall for {self.rise} s each")
         return self
 
@@ -162,7 +162,7 @@ class Scenario(Group):
     @model_validator(mode="after")
     def _check_order(self) -> Scenario:
         for before, after in zip(self.moves, self.moves[1:], strict=False):
-            if after.time < before.time + before.duration - _PACKING:  # a sum of decimals may end a bit late
+            if after.time < (before.time + before.duration) * (1.0 - _PACKING):
                 raise ValueError(
                     f"the move at {after.time} s begins before the one at {before.time} s has ended, "
                     f"{before.time + before.duration} s"
