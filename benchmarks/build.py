@@ -75,7 +75,7 @@ def find_compiler() -> str | None:
 def declarations() -> str:
     """Return ``layout.h``: the kernel's constants and records as C sees them.
 
-    A record of a block holds one `real` for each group of lanes: a double each, or a vector of them all.
+    A record of a block holds one number for each group of lanes: a scalar each, or a vector of them all.
     """
     lines = ["#include <assert.h>", "#include <stddef.h>"]
     for name, value in _CONSTANTS.items():
@@ -85,9 +85,9 @@ def declarations() -> str:
             else f"#define {name} {float(value).hex()}"
         )
     lines += _struct("parameters", layout.PARAMETERS, {"f8": "double", "i8": "int64_t"})
-    lanes = {"f8": "real", "i8": "integer", "u8": "word"}
-    lines += _struct("scenarios", layout.SCENARIO_BLOCK, lanes)
-    lines += _struct("states", layout.STATE_BLOCK, lanes)
+    stored = {"f8": "stored_real", "f4": "stored_float", "i1": "stored_byte", "u8": "stored_word"}
+    lines += _struct("scenarios", layout.SCENARIO_BLOCK, stored)
+    lines += _struct("states", layout.STATE_BLOCK, {"f8": "real", "i8": "integer"})
     return "\n".join(lines) + "\n"
 
 

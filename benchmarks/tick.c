@@ -17,6 +17,10 @@ typedef double real;
 typedef int64_t integer;
 typedef uint64_t word;
 typedef bool mask;
+typedef double stored_real; /* what a scenario's fields are stored as */
+typedef float stored_float;
+typedef int8_t stored_byte;
+typedef uint64_t stored_word;
 #define select(condition, yes, no) ((condition) ? (yes) : (no))
 #define either(condition, yes, no) ((condition) ? (yes) : (no)) /* of integers */
 #define to_real(a) ((double)(a))
@@ -35,11 +39,21 @@ typedef int64_t integer __attribute__((vector_size(8 * WIDTH)));
 typedef uint64_t word __attribute__((vector_size(8 * WIDTH)));
 typedef integer mask; /* all bits of a lane are set, or none */
 typedef double row __attribute__((vector_size(32), aligned(8)));
+/* What a scenario's fields are stored as: a block of scenarios does not fill whole cache lines. */
+typedef double stored_real __attribute__((vector_size(8 * WIDTH), aligned(8)));
+typedef float stored_float __attribute__((vector_size(4 * WIDTH), aligned(4)));
+typedef int8_t stored_byte __attribute__((vector_size(WIDTH), aligned(1)));
+typedef uint64_t stored_word __attribute__((vector_size(8 * WIDTH), aligned(8)));
 #define to_real(a) __builtin_convertvector(a, real)
 #define to_integer(a) __builtin_convertvector(a, integer)
 #define to_word(a) ((word)(a))
 #define not(a) (~(a))
-#define at(array, index) pick(array[0], index)
+#define at(array, index)                                                                         \
+    ({                                                                                           \
+        real picked;                                                                             \
+        for (int lane = 0; lane < WIDTH; lane++) picked[lane] = (array)[(index)[lane]][0][lane]; \
+        picked;                                                                                  \
+    })
 INLINE real all(double a) { return a - (real){0}; }
 INLINE integer all_integers(int64_t a) { return a - (integer){0}; }
 INLINE integer either(mask condition, integer yes, integer no) { return (yes & condition) | (no & ~condition); }
@@ -50,11 +64,6 @@ INLINE bool any(mask a) {
     int64_t found = 0;
     for (int lane = 0; lane < WIDTH; lane++) found |= a[lane];
     return found != 0;
-}
-INLINE real pick(const real *array, integer index) {
-    real picked;
-    for (int lane = 0; lane < WIDTH; lane++) picked[lane] = array[index[lane]][lane];
-    return picked;
 }
 
 #endif
@@ -184,12 +193,14 @@ INLINE real estimate_force(Parameters p, real spring_deflection) {
     return look_up(p->estimate_table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
 }
 
-INLINE real deflection_biceps(Parameters p, States s, int64_t i, real drive, real joint) {
-    return drive * s->radius_biceps[i] - joint * p->joint_radius;
+INLINE real stretch_biceps(Parameters p, Scenarios c, int64_t i, real drive, real joint) {
+    real radius = p->drive_radius * to_real(c->pulley_biceps_factor[i]);
+    return (drive * radius - joint * p->joint_radius) * p->inverse_max_deflection;
 }
 
-INLINE real deflection_triceps(Parameters p, States s, int64_t i, real drive, real joint) {
-    return joint * p->joint_radius - drive * s->radius_triceps[i];
+INLINE real stretch_triceps(Parameters p, Scenarios c, int64_t i, real drive, real joint) {
+    real radius = p->drive_radius * to_real(c->pulley_triceps_factor[i]);
+    return (joint * p->joint_radius - drive * radius) * p->inverse_max_deflection;
 }
 
 INLINE real decay_rate(Parameters p, real preload) {
@@ -239,9 +250,10 @@ INLINE real minimum_jerk(real progress) {
 
 /* ---- simulation/kernel.py ---- */
 
-INLINE void start_counting(Parameters p, Scenarios c, States s, int64_t i) {
+/* 1 if this tick counts in the metrics, else 0. */
+INLINE real start_counting(Parameters p, Scenarios c, States s, int64_t i) {
     mask counts = to_real(s->tick[i]) * p->control_period >= c->measure_from[i] - TIME_SLACK;
-    s->counting[i] = select(counts, all(1.0), all(0.0));
+    return select(counts, all(1.0), all(0.0));
 }
 
 INLINE void control_position(Parameters p, States s, int64_t i, real error) {
@@ -256,12 +268,9 @@ INLINE void control_position(Parameters p, States s, int64_t i, real error) {
 }
 
 INLINE real choose_tension(Parameters p, States s, int64_t i, real error) {
-    mask agent = s->law[i] == AGENT, text = s->law[i] == EQ6;
-    s->tension_command[i] += select(agent, s->tension_rate[i], all(0.0));
-    if (!any(not(agent))) return s->tension_command[i];
-    real factor = scaling_factor(p, error);
-    if (any(not(text))) factor = select(text, factor, scaling_factor_printed(p, error));
-    return select(agent, s->tension_command[i], factor * p->nominal_tension);
+    if (p->law == AGENT) return s->tension_command[i] += s->tension_rate[i];
+    real factor = p->law == EQ6 ? scaling_factor(p, error) : scaling_factor_printed(p, error);
+    return factor * p->nominal_tension;
 }
 
 INLINE void control_tension(Parameters p, States s, int64_t i, mask restart) {
@@ -284,13 +293,13 @@ INLINE void control_tension(Parameters p, States s, int64_t i, mask restart) {
     s->tension_output[i] = p->tension_kp * error + s->tension_integral[i] + s->tension_derivative[i];
 }
 
-INLINE real setpoint_kick(Parameters p, States s, int64_t i) {
+INLINE real setpoint_kick(Parameters p, States s, int64_t i, real counting) {
     real decayed = s->kick_derivative[i];
     if (p->position_on_error)
         s->kick_derivative[i] =
             filtered_derivative(decayed, s->setpoint_jump[i], p->position_kd, p->position_filter, p->control_period);
     real kick = p->position_kp * s->setpoint_jump[i] + s->kick_derivative[i] - decayed;
-    s->isav_kick[i] += s->counting[i] * kick * kick / p->control_period;
+    s->isav_kick[i] += counting * kick * kick / p->control_period;
     s->setpoint_jump[i] = all(0.0);
     return kick;
 }
@@ -299,33 +308,33 @@ INLINE real limit(Parameters p, real command) {
     return least(greatest(command, all(-p->command_limit)), all(p->command_limit));
 }
 
-INLINE void command_drives(Parameters p, States s, int64_t i, real biceps, real triceps, real kick_biceps,
-                           real kick_triceps) {
+INLINE void command_drives(Parameters p, States s, int64_t i, real counting, real biceps, real triceps,
+                           real kick_biceps, real kick_triceps) {
     real effort_biceps = limit(p, biceps - kick_biceps) - s->command_biceps[i];
     real effort_triceps = limit(p, triceps - kick_triceps) - s->command_triceps[i];
-    s->effort_biceps[i] += s->counting[i] * effort_biceps * effort_biceps / p->control_period;
-    s->effort_triceps[i] += s->counting[i] * effort_triceps * effort_triceps / p->control_period;
+    s->effort_biceps[i] += counting * effort_biceps * effort_biceps / p->control_period;
+    s->effort_triceps[i] += counting * effort_triceps * effort_triceps / p->control_period;
     biceps = limit(p, biceps);
     triceps = limit(p, triceps);
     real change_biceps = biceps - s->command_biceps[i];
     real change_triceps = triceps - s->command_triceps[i];
-    s->isav_biceps[i] += s->counting[i] * change_biceps * change_biceps / p->control_period;
-    s->isav_triceps[i] += s->counting[i] * change_triceps * change_triceps / p->control_period;
-    s->iav_biceps[i] += s->counting[i] * absolute(change_biceps);
-    s->iav_triceps[i] += s->counting[i] * absolute(change_triceps);
+    s->isav_biceps[i] += counting * change_biceps * change_biceps / p->control_period;
+    s->isav_triceps[i] += counting * change_triceps * change_triceps / p->control_period;
+    s->iav_biceps[i] += counting * absolute(change_biceps);
+    s->iav_triceps[i] += counting * absolute(change_triceps);
     s->previous_setpoint[i] = s->setpoint[i];
     s->command_biceps[i] = biceps;
     s->command_triceps[i] = triceps;
 }
 
-INLINE void control(Parameters p, States s, int64_t i) {
+INLINE void control(Parameters p, States s, int64_t i, real counting) {
     real error = s->setpoint[i] - s->measured_angle[i];
     real agonist = all(p->fixed_agonist);
     if (p->fixed_agonist == 0.0)
         agonist = select_agonist(p, s->agonist[i], s->measured_difference[i], error);
     mask switched = agonist != s->agonist[i], biceps_leads = agonist == BICEPS;
     s->agonist[i] = agonist;
-    s->switch_count[i] += select(switched, s->counting[i], all(0.0));
+    s->switch_count[i] += select(switched, counting, all(0.0));
     real last_position_output = s->position_output[i];
     control_position(p, s, i, error);
     real biceps_share = all(1.0), triceps_share = all(1.0);
@@ -344,25 +353,25 @@ INLINE void control(Parameters p, States s, int64_t i) {
     real pull = s->tension_output[i];
     real biceps = s->offset_biceps[i] + biceps_share * s->position_output[i] + select(biceps_leads, all(0.0), pull);
     real triceps = s->offset_triceps[i] + triceps_share * s->position_output[i] - select(biceps_leads, pull, all(0.0));
-    real kick = setpoint_kick(p, s, i);
-    command_drives(p, s, i, biceps, triceps, biceps_share * kick, triceps_share * kick);
+    real kick = setpoint_kick(p, s, i, counting);
+    command_drives(p, s, i, counting, biceps, triceps, biceps_share * kick, triceps_share * kick);
 }
 
 INLINE real obstacle_torque(Scenarios c, int64_t i, real angle, real velocity) {
-    real side = c->obstacle_side[i], stiffness = c->obstacle_stiffness[i];
+    real side = to_real(c->obstacle_side[i]), stiffness = to_real(c->obstacle_stiffness[i]);
     real depth = side * (angle - c->obstacle_angle[i]);
     mask touching = (depth > 0.0) & (stiffness > 0.0);
     if (!any(touching)) return all(0.0);
-    real resistance = stiffness * depth + c->obstacle_damping[i] * side * velocity;
+    real resistance = stiffness * depth + to_real(c->obstacle_damping[i]) * side * velocity;
     return select(touching, -side * greatest(resistance, all(0.0)), all(0.0));
 }
 
-INLINE real acceleration(Parameters p, Scenarios c, States s, int64_t i, real angle, real velocity, real drive_biceps,
+INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real velocity, real drive_biceps,
                          real drive_triceps, real push) {
-    real stretch_biceps = deflection_biceps(p, s, i, drive_biceps, angle);
-    real stretch_triceps = deflection_triceps(p, s, i, drive_triceps, angle);
-    real force_biceps = s->spring_biceps[i] * look_up(p->force_table, stretch_biceps * p->inverse_max_deflection);
-    real force_triceps = s->spring_triceps[i] * look_up(p->force_table, stretch_triceps * p->inverse_max_deflection);
+    real biceps = stretch_biceps(p, c, i, drive_biceps, angle);
+    real triceps = stretch_triceps(p, c, i, drive_triceps, angle);
+    real force_biceps = to_real(c->spring_biceps_factor[i]) * look_up(p->force_table, biceps);
+    real force_triceps = to_real(c->spring_triceps_factor[i]) * look_up(p->force_table, triceps);
     real preload = p->damping_by_mean ? 0.5 * (force_biceps + force_triceps) : least(force_biceps, force_triceps);
     real decay = c->friction[i] * decay_rate(p, preload);
     real external = push + obstacle_torque(c, i, angle, velocity);
@@ -374,14 +383,14 @@ INLINE real acceleration(Parameters p, Scenarios c, States s, int64_t i, real an
 
 INLINE real pushes(Parameters p, Scenarios c, States s, int64_t i) {
     real time = to_real(s->tick[i]) * p->control_period, push = all(0.0);
-    for (int64_t k = 0; k < MAX_PUSHES && any(k < c->push_count[i]); k++) {
-        real elapsed = time - c->push_time[k][i], slope = c->push_slope[k][i];
-        real remaining = c->push_duration[k][i] - elapsed;
-        mask acts = (k < c->push_count[i]) & (elapsed >= -TIME_SLACK) & (remaining > TIME_SLACK);
+    for (int64_t k = 0; k < MAX_PUSHES && any(k < to_integer(c->push_count[i])); k++) {
+        real elapsed = time - to_real(c->push_time[k][i]), slope = to_real(c->push_slope[k][i]);
+        real remaining = to_real(c->push_duration[k][i]) - elapsed;
+        mask acts = (k < to_integer(c->push_count[i])) & (elapsed >= -TIME_SLACK) & (remaining > TIME_SLACK);
         if (!any(acts)) continue;
         real ramp = least(greatest(least(elapsed, remaining), all(0.0)) * slope, all(1.0));
         real strength = select(slope > 0.0, ramp, all(1.0));
-        push += select(acts, strength * c->push_torque[k][i], all(0.0));
+        push += select(acts, strength * to_real(c->push_torque[k][i]), all(0.0));
     }
     return push;
 }
@@ -391,12 +400,13 @@ INLINE real low_pass(Parameters p, real last, real value, real time_constant) {
 }
 
 INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
-    mask shakes = c->shake_rms[i] > 0.0;
+    real rms = to_real(c->shake_rms[i]);
+    mask shakes = rms > 0.0;
     if (!any(shakes)) return push;
-    real elapsed = to_real(s->tick[i]) * p->control_period - c->shake_time[i];
-    shakes = shakes & (elapsed >= -TIME_SLACK) & (elapsed < c->shake_duration[i] - TIME_SLACK);
+    real elapsed = to_real(s->tick[i]) * p->control_period - to_real(c->shake_time[i]);
+    shakes = shakes & (elapsed >= -TIME_SLACK) & (elapsed < to_real(c->shake_duration[i]) - TIME_SLACK);
     if (!any(shakes)) return push;
-    real lag = 1.0 / (2.0 * M_PI * select(shakes, c->shake_bandwidth[i], all(1.0)));
+    real lag = 1.0 / (2.0 * M_PI * select(shakes, to_real(c->shake_bandwidth[i]), all(1.0)));
     real white = noise(c->noise_key[i] ^ SHAKE_STREAM, to_word(s->tick[i]));
     real inner = low_pass(p, s->shake_inner[i], white, lag);
     real outer = low_pass(p, s->shake_outer[i], inner, lag);
@@ -404,17 +414,17 @@ INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
     s->shake_outer[i] = select(shakes, outer, s->shake_outer[i]);
     real q = lag / (lag + p->control_period), rest = 1.0 - q * q;
     real deviation = square(1.0 - q) * root((1.0 + q * q) / (rest * rest * rest));
-    return select(shakes, push + c->shake_rms[i] * outer / deviation, push);
+    return select(shakes, push + rms * outer / deviation, push);
 }
 
-INLINE void feel_strings(Parameters p, States s, int64_t i) {
-    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
-    s->force_biceps[i] = s->spring_biceps[i] * look_up(p->force_table, biceps * p->inverse_max_deflection);
-    s->force_triceps[i] = s->spring_triceps[i] * look_up(p->force_table, triceps * p->inverse_max_deflection);
+INLINE void feel_strings(Parameters p, Scenarios c, States s, int64_t i) {
+    real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
+    s->force_biceps[i] = to_real(c->spring_biceps_factor[i]) * look_up(p->force_table, biceps);
+    s->force_triceps[i] = to_real(c->spring_triceps_factor[i]) * look_up(p->force_table, triceps);
 }
 
-INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
+INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     real push = shake(p, c, s, i, pushes(p, c, s, i));
     real to_biceps = s->command_biceps[i], to_triceps = s->command_triceps[i];
     real x = s->angle[i], v = s->velocity[i];
@@ -426,19 +436,19 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
         real a1 = drive_rate(p, to_biceps, a);
         real b1 = drive_rate(p, to_triceps, b);
         real v1 = v;
-        real w1 = acceleration(p, c, s, i, x, v1, a, b, push);
+        real w1 = acceleration(p, c, i, x, v1, a, b, push);
         real a2 = drive_rate(p, to_biceps, a + 0.5 * h * a1);
         real b2 = drive_rate(p, to_triceps, b + 0.5 * h * b1);
         real v2 = v + 0.5 * h * w1;
-        real w2 = acceleration(p, c, s, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
+        real w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
         real a3 = drive_rate(p, to_biceps, a + 0.5 * h * a2);
         real b3 = drive_rate(p, to_triceps, b + 0.5 * h * b2);
         real v3 = v + 0.5 * h * w2;
-        real w3 = acceleration(p, c, s, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
+        real w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
         real a4 = drive_rate(p, to_biceps, a + h * a3);
         real b4 = drive_rate(p, to_triceps, b + h * b3);
         real v4 = v + h * w3;
-        real w4 = acceleration(p, c, s, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
+        real w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
         a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0;
         b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0;
         x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0;
@@ -460,13 +470,13 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i) {
     s->angle[i] = x, s->velocity[i] = v, s->drive_biceps[i] = a, s->drive_triceps[i] = b;
     s->push_torque[i] = push;
     s->contact_torque[i] = obstacle_torque(c, i, x, v);
-    feel_strings(p, s, i);
+    feel_strings(p, c, s, i);
     real error_after = s->setpoint[i] - x;
-    real counted = s->counting[i] * p->control_period;
+    real counted = counting * p->control_period;
     s->position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after);
     s->contact_ise[i] += counted * s->contact_torque[i] * s->contact_torque[i];
-    s->contact_peak[i] = greatest(s->contact_peak[i], s->counting[i] * absolute(s->contact_torque[i]));
-    mask pushed = (push != 0.0) & (s->counting[i] > 0.0);
+    s->contact_peak[i] = greatest(s->contact_peak[i], counting * absolute(s->contact_torque[i]));
+    mask pushed = (push != 0.0) & (counting > 0.0);
     s->push_deflection[i] = select(pushed, greatest(s->push_deflection[i], absolute(error_after)), s->push_deflection[i]);
     real force = select(s->agonist[i] == BICEPS, s->force_triceps[i], s->force_biceps[i]);
     real tension_error = s->tension_setpoint[i] - force;
@@ -496,15 +506,17 @@ INLINE real read_slider(Parameters p, real deflection, real noise) {
 
 INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
     word key = c->noise_key[i], counter = to_word(s->tick[i]) * SENSOR_STREAMS;
-    real more = c->noise_factor[i];
+    real more = to_real(c->noise_factor[i]);
     real angle_error = c->encoder_bias[i] + more * sensor_noise(p->encoder_noise, key, counter + ENCODER);
     s->measured_angle[i] = quantise(s->angle[i] + angle_error, p->encoder_resolution);
-    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
-    real biceps_error = c->slider_bias_biceps[i] + more * sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS);
-    real triceps_error = c->slider_bias_triceps[i] + more * sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS);
-    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps * p->inverse_max_deflection), biceps_error);
-    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps * p->inverse_max_deflection), triceps_error);
+    real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
+    real biceps_noise = sensor_noise(p->slider_noise, key, counter + SLIDER_BICEPS);
+    real biceps_error = to_real(c->slider_bias_biceps[i]) + more * biceps_noise;
+    real triceps_noise = sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS);
+    real triceps_error = to_real(c->slider_bias_triceps[i]) + more * triceps_noise;
+    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps), biceps_error);
+    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps), triceps_error);
     real difference = s->measured_biceps[i] - s->measured_triceps[i];
     s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, all(p->switch_filter));
     real raw = estimate_force(p, s->measured_biceps[i]);
@@ -539,8 +551,8 @@ INLINE real start_of(Scenarios c, int64_t i, integer k) {
 INLINE void add_wave(Parameters p, Scenarios c, States s, int64_t i) {
     mask waves = c->wave_amplitude[i] > 0.0;
     if (!any(waves)) return;
-    real elapsed = to_real(s->tick[i]) * p->control_period - c->wave_time[i];
-    mask acts = (elapsed >= 0.0) & (elapsed < c->wave_duration[i] - TIME_SLACK);
+    real elapsed = to_real(s->tick[i]) * p->control_period - to_real(c->wave_time[i]);
+    mask acts = (elapsed >= 0.0) & (elapsed < to_real(c->wave_duration[i]) - TIME_SLACK);
     real cycles = elapsed * (c->wave_frequency[i] + 0.5 * c->wave_chirp[i] * elapsed);
     real wave = select(acts, c->wave_amplitude[i] * sine(2.0 * M_PI * cycles), all(0.0));
     real base = select(s->move[i] < 0, c->initial_angle[i], s->setpoint[i]);
@@ -553,7 +565,7 @@ INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
     for (;;) {
         integer next = s->move[i] + 1;
         integer k = either(next < MAX_MOVES, next, all_integers(MAX_MOVES - 1));
-        mask begins = (next < c->move_count[i]) & (at(c->move_time, k) <= time + TIME_SLACK);
+        mask begins = (next < to_integer(c->move_count[i])) & (at(c->move_time, k) <= time + TIME_SLACK);
         if (!any(begins)) break;
         s->move[i] = either(begins, next, s->move[i]);
         real target = at(c->move_angle, k);
@@ -573,7 +585,7 @@ INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
     s->setpoint_jump[i] += select(jumps, s->setpoint[i] - last, all(0.0));
 }
 
-INLINE void sense(Parameters p, Scenarios c, States s, int64_t i) {
+INLINE void sense(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     s->tick[i] += 1;
     real last_angle = s->measured_angle[i];
     read_sensors(p, c, s, i);
@@ -581,21 +593,20 @@ INLINE void sense(Parameters p, Scenarios c, States s, int64_t i) {
                                                   p->velocity_filter, p->control_period);
     real force = select(s->agonist[i] == BICEPS, s->estimate_triceps[i], s->estimate_biceps[i]);
     real error = s->tension_setpoint[i] - force;
-    s->tension_ise_estimated[i] += s->counting[i] * p->control_period * error * error;
+    s->tension_ise_estimated[i] += counting * p->control_period * error * error;
     read_setpoint(p, c, s, i);
     add_wave(p, c, s, i);
 }
 
-INLINE real joint_stiffness(Parameters p, States s, int64_t i) {
-    real biceps = deflection_biceps(p, s, i, s->drive_biceps[i], s->angle[i]);
-    real triceps = deflection_triceps(p, s, i, s->drive_triceps[i], s->angle[i]);
-    double scale = p->inverse_max_deflection;
-    real slope_biceps = s->spring_biceps[i] * look_up_slope(p->force_table, biceps * scale);
-    real slope_triceps = s->spring_triceps[i] * look_up_slope(p->force_table, triceps * scale);
-    return (slope_biceps + slope_triceps) * scale * p->joint_radius * p->joint_radius;
+INLINE real joint_stiffness(Parameters p, Scenarios c, States s, int64_t i) {
+    real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
+    real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
+    real slope_biceps = to_real(c->spring_biceps_factor[i]) * look_up_slope(p->force_table, biceps);
+    real slope_triceps = to_real(c->spring_triceps_factor[i]) * look_up_slope(p->force_table, triceps);
+    return (slope_biceps + slope_triceps) * p->inverse_max_deflection * p->joint_radius * p->joint_radius;
 }
 
-INLINE void track_step(Parameters p, States s, int64_t i) {
+INLINE void track_step(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     mask tracked = s->step_direction[i] != 0.0;
     if (any(tracked)) {
         real beyond = s->step_direction[i] * (s->angle[i] - s->step_target[i]);
@@ -613,39 +624,40 @@ INLINE void track_step(Parameters p, States s, int64_t i) {
     }
     mask rests = (absolute(s->setpoint[i] - s->angle[i]) <= p->margin) & (s->setpoint[i] == s->previous_setpoint[i]);
     if (any(rests)) {
-        real counted = select(rests, s->counting[i] * p->control_period, all(0.0));
-        s->resting_stiffness_sum[i] += counted * joint_stiffness(p, s, i);
+        real counted = select(rests, counting * p->control_period, all(0.0));
+        s->resting_stiffness_sum[i] += counted * joint_stiffness(p, c, s, i);
         s->resting_time[i] += counted;
     }
 }
 
 /* The control tick of a device comes too late: its commands are held for one more period. */
 INLINE mask is_late(Scenarios c, States s, int64_t i) {
-    mask may_be = c->late_probability[i] > 0.0;
+    real probability = to_real(c->late_probability[i]);
+    mask may_be = probability > 0.0;
     if (!any(may_be)) return may_be;
     word bits = random_bits(c->noise_key[i], to_word(s->tick[i]) * SENSOR_STREAMS + LATENESS);
-    return may_be & (to_real(bits) * 0x1p-64 < c->late_probability[i]);
+    return may_be & (to_real(bits) * 0x1p-64 < probability);
 }
 
-INLINE void act(Parameters p, Scenarios c, States s, int64_t i) {
+INLINE void act(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     mask late = is_late(c, s, i);
 #if WIDTH == 1
-    if (!late) control(p, s, i);
+    if (!late) control(p, s, i, counting);
 #else
     bool some_late = any(late);
     states before;
     if (some_late) before = *s;
-    control(p, s, i);
+    control(p, s, i, counting);
     if (some_late) keep(s, &before, late);
 #endif
 }
 
 INLINE void tick(Parameters p, Scenarios c, States s, int64_t i) {
-    start_counting(p, c, s, i);
-    act(p, c, s, i);
-    move(p, c, s, i);
-    sense(p, c, s, i);
-    track_step(p, s, i);
+    real counting = start_counting(p, c, s, i);
+    act(p, c, s, i, counting);
+    move(p, c, s, i, counting);
+    sense(p, c, s, i, counting);
+    track_step(p, c, s, i, counting);
 }
 
 void advance(Parameters p, const scenarios *c_blocks, states *s_blocks, int64_t num_devices, int64_t ticks) {

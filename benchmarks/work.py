@@ -102,7 +102,7 @@ class _Lanes:
         value = self.values[index]
         if value.dtype == np.uint64:
             return value
-        return Number(value) if value.dtype == np.float64 else int(value)
+        return Number(value) if value.dtype.kind == "f" else int(value)
 
     def __setitem__(self, index: Any, value: Any) -> None:
         _counts["stores"] += 1
@@ -149,6 +149,8 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
     tick: Any = kernel.tick  # it has no types
     # What moves within a tick is not counted as read and written: a compiler may keep it in registers.
     m = SimpleNamespace(**{name: [0.0] * LANES for name in MOTION_BLOCK.names or ()})
+    blocks = (*(scenarios.dtype.fields or {}).items(), *(states.dtype.fields or {}).items())
+    width = {name: kind.base.itemsize for name, (kind, *_) in blocks}
     seen = {"read": 0, "written": 0}
     np.seterr(over="ignore")
     for block in range(len(states)):
@@ -160,7 +162,7 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
                     fields.clear()
                 tick(p, c, s, m, i, i + 1)
                 for kind, fields in _touched.items():
-                    seen[kind] += 8 * len(fields)
+                    seen[kind] += sum(width[field] for field in fields)
     total = num_devices * ticks
     names = (*COUNTED, "loads", "stores")
     return {

@@ -127,7 +127,7 @@ def test_setpoint_is_the_moves_plus_the_wave():
     chirp = scipy.signal.chirp(time, f0=0.5, t1=1.5, f1=0.5 + 1.5 * 0.3, phi=-90)
     acts = (time >= 0) & (time < 1.5 - 1e-9)
     expected = np.where(acts, np.radians(8.0) * chirp, 0.0)
-    np.testing.assert_allclose(motion["setpoint"] - plain["setpoint"], expected, atol=1e-12)
+    np.testing.assert_allclose(motion["setpoint"] - plain["setpoint"], expected, atol=2e-9)  # times of 32 bits
     np.testing.assert_allclose(motion["isav_kick"], plain["isav_kick"], rtol=1e-12)
 
 
@@ -162,7 +162,7 @@ def test_a_slow_push_rises_and_falls():
     motion = run(load_profile("testbed"), {"pushes": [push]}, 0.8)
     at_start = motion["time"][:-1]  # a push is held from the beginning of a tick
     expected = np.interp(at_start, [0.1, 0.3, 0.4, 0.6], [0.0, 0.2, 0.2, 0.0])
-    np.testing.assert_allclose(motion["push_torque"][1:], expected, atol=1e-9)
+    np.testing.assert_allclose(motion["push_torque"][1:], expected, atol=1e-8)  # times of 32 bits
 
 
 @pytest.mark.parametrize("control", ["decentralized", "position-only"])

@@ -123,7 +123,6 @@ def friction(profile, scenario):
         kernel.acceleration(
             simulation.parameters[0],
             arm,
-            state,
             0,
             state["angle"][0],
             rate,

@@ -233,7 +233,8 @@ class Episodes:
         """Return the report of the given devices' present state (all if None), shape (len(devices), 37), no reward."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
-        transition.tell_devices(self.simulation.parameters, self.simulation.states, devices, report)
+        parameters, _, scenarios, states = self._arrays
+        transition.tell_devices(parameters, scenarios, states, devices, report)
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled
+from amulett_gym.compiled import compiled, compiled_in_place
 from amulett_gym.envs.reward import COST_TERMS, TERMS
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
@@ -118,20 +118,20 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
         step_block(parameters, settings, c_blocks[block], s_blocks[block], m, first, end, actions, observations, report)
 
 
-@compiled
+@compiled_in_place
 def step_block(p, e, c, s, m, first, end, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
     for device in range(first, end):
-        i = device - first
+        i = np.uint64(device - first)
         # On a ramp: a setpoint that jumps would pay, in effort, for how rarely the agent acts.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
     advance_block(p, c, s, m, end - first, e.ticks)
     for device in range(first, end):
-        i = device - first
+        i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding
         observe(p, e, c, s, i, observations[device])
         pay(e, c, s, i, report[device])
-        tell(p, s, i, report[device])
+        tell(p, c, s, i, report[device])
 
 
 @compiled
@@ -141,18 +141,19 @@ def wanted_tension(e, action):
 
 
 @compiled
-def tell_devices(p, s_blocks, devices, report):
+def tell_devices(p, c_blocks, s_blocks, devices, report):
     """Fill the report of the given devices, one row each, but for the reward: nothing was paid since the last step."""
     for row in range(devices.size):
         report[row, :FIRST_READING] = 0.0
-        tell(p[0], s_blocks[devices[row] // LANES], devices[row] % LANES, report[row])
+        block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
+        tell(p[0], c_blocks[block], s_blocks[block], i, report[row])
 
 
 @compiled
 def observe_devices(p, e, c_blocks, s_blocks, devices, observations):
     """Fill the observations of the given devices, one row each."""
     for row in range(devices.size):
-        block, i = devices[row] // LANES, devices[row] % LANES
+        block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
         observe(p[0], e[0], c_blocks[block], s_blocks[block], i, observations[row])
 
 
@@ -207,7 +208,7 @@ def pay(e, c, s, i, report):
 
 
 @compiled
-def tell(p, s, i, report):
+def tell(p, c, s, i, report):
     """Report the truth behind the observation and the cumulative metrics."""
     r = report[FIRST_READING:FIRST_METRIC]
     r[0] = s.failure[i]
@@ -217,7 +218,7 @@ def tell(p, s, i, report):
     r[4] = s.tension_setpoint[i]
     r[5] = s.force_biceps[i]
     r[6] = s.force_triceps[i]
-    r[7] = joint_stiffness(p, s, i)
+    r[7] = joint_stiffness(p, c, s, i)
     r[8] = s.push_torque[i]
     r[9] = s.contact_torque[i]
     m = report[FIRST_METRIC:]

@@ -96,7 +96,7 @@ def _step_metrics(profile: Profile, configuration: str, eq6: str) -> dict[str, f
     stiffnesses: list[float] = []
 
     def feel(_: int) -> None:
-        stiffnesses.append(joint_stiffness(simulation.parameters[0], simulation.states[0], 0))
+        stiffnesses.append(joint_stiffness(simulation.parameters[0], simulation.scenarios[0], simulation.states[0], 0))
 
     path = record(simulation, ticks, before_tick=feel)
     if path["failure"][-1]:

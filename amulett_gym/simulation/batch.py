@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.config import Profile
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import (
@@ -16,9 +16,10 @@ from amulett_gym.simulation.layout import (
     SCENARIO,
     SCENARIO_BLOCK,
     STATE_BLOCK,
-    TENSION_LAWS,
     Control,
     pack_parameters,
+    words,
+    zeros,
 )
 
 
@@ -50,15 +51,12 @@ class Simulation:
     ) -> None:
         if num_devices < 1:
             raise AmulettError(f"num_devices is {num_devices}; at least 1 is needed")
-        if tension_law not in TENSION_LAWS:
-            raise unknown("tension law", tension_law, TENSION_LAWS)
         self.profile = profile
         self.num_devices = num_devices
-        self.parameters = pack_parameters(profile, control)
-        self._law = TENSION_LAWS[tension_law]
+        self.parameters = pack_parameters(profile, control, tension_law)
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
-        self.states = np.zeros(num_blocks, dtype=STATE_BLOCK)
+        self.states = zeros(num_blocks, STATE_BLOCK)
 
     @property
     def control_period(self) -> float:
@@ -88,9 +86,9 @@ class Simulation:
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios)
         block, lane = np.divmod(devices, LANES)
-        _words(self.scenarios)[block, :, lane] = np.ascontiguousarray(scenarios).view(np.int64).reshape(block.size, -1)
-        _words(self.states)[block, :, lane] = 0
-        self.states["law"][block, lane] = self._law
+        for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
+            own[block, :, lane] = new[..., 0]
+        words(self.states, LANES)[0][block, :, lane] = 0
         kernel.settle(self.parameters, self.scenarios, self.states, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
@@ -118,7 +116,10 @@ class Simulation:
     def read_scenarios(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
         """Return a copy of the given devices' scenarios, `SCENARIO` records of shape (len(devices),)."""
         block, lane = np.divmod(devices, LANES)
-        return np.ascontiguousarray(_words(self.scenarios)[block, :, lane]).view(SCENARIO)[:, 0]
+        copies = np.zeros(block.size, dtype=SCENARIO)  # its gaps too: who hashes a record hashes them
+        for copy, own in zip(words(copies, 1), words(self.scenarios, LANES), strict=True):
+            copy[..., 0] = own[block, :, lane]
+        return copies
 
     def get_state(self) -> dict[str, NDArray[np.void]]:
         """Return a snapshot of everything that an episode changes."""
@@ -168,8 +169,3 @@ class Simulation:
                 f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
                 f"command_limit_deg is {np.degrees(p['command_limit']):.1f}"
             )
-
-
-def _words(blocks: NDArray[np.void]) -> NDArray[np.int64]:
-    """View blocks as 64-bit words, shape (blocks, words of a device, LANES); each field is one of them, or several."""
-    return blocks.view(np.int64).reshape(blocks.size, -1, LANES)

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled, compiled_lanes
+from amulett_gym.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
@@ -45,7 +45,8 @@ from amulett_gym.simulation.random import noise, random_bits
 SENSOR_STREAMS = np.uint64(4)
 ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 SHAKE_STREAM = np.uint64(0x5A4E)
-TIME_SLACK = 1e-9  # [s]; a time that is a multiple of the control period must not miss its tick by rounding
+TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
+# scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
 
 
 @compiled
@@ -58,7 +59,7 @@ def advance(p, c_blocks, s_blocks, num_devices, ticks):
         advance_block(parameters, c_blocks[block], s_blocks[block], m, lanes, ticks)
 
 
-@compiled
+@compiled_in_place
 def advance_block(p, c, s, m, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks."""
     for _ in range(ticks):
@@ -79,14 +80,14 @@ def next_failed(s, first, lanes):
     return lanes
 
 
-@compiled_lanes
+@compiled_in_place
 def tick(p, c, s, m, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
-    start_counting(p, c, s, first, end)
+    start_counting(p, c, s, m, first, end)
     lane = first
     while lane < end:
         late = next_late(c, s, lane, end)
-        act(p, c, s, lane, late)
+        act(p, s, m, lane, late)
         lane = late + np.uint64(1)
     depart(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
@@ -101,14 +102,14 @@ def tick(p, c, s, m, first, end):
     begin_due_moves(p, c, s, first, end)
     follow_moves(p, c, s, first, end)
     add_waves(p, c, s, first, end)
-    track_steps(p, s, first, end)
+    track_steps(p, c, s, m, first, end)
 
 
 @compiled_lanes
-def start_counting(p, c, s, first, end):
+def start_counting(p, c, s, m, first, end):
     """Stage 0: count this tick in the metrics, unless the arm still has time to settle as its law likes."""
     for i in range(first, end):
-        s.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
+        m.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
 
 
 @compiled
@@ -123,10 +124,10 @@ def next_late(c, s, first, end):
 
 
 @compiled_lanes
-def act(p, c, s, first, end):
+def act(p, s, m, first, end):
     """Stage 1: command the drives by what was sensed."""
     for i in range(first, end):
-        control(p, s, i)
+        control(p, s, m, i)
 
 
 @compiled_lanes
@@ -181,7 +182,7 @@ def evaluate(p, c, s, m, first, end, reach, weight):
         x, v = m.angle[i] + reach * m.angle_rate[i], m.velocity[i] + reach * m.velocity_rate[i]
         a, b = m.biceps[i] + reach * m.biceps_rate[i], m.triceps[i] + reach * m.triceps_rate[i]
         m.angle_rate[i] = v
-        m.velocity_rate[i] = acceleration(p, c, s, i, x, v, a, b, m.push[i])
+        m.velocity_rate[i] = acceleration(p, c, i, x, v, a, b, m.push[i])
         m.biceps_rate[i] = drive_rate(s.command_biceps[i], a, p.inverse_lag, p.rate_limit)
         m.triceps_rate[i] = drive_rate(s.command_triceps[i], b, p.inverse_lag, p.rate_limit)
         m.angle_sum[i] += weight * m.angle_rate[i]
@@ -214,7 +215,7 @@ def sense(p, c, s, m, first, end):
         )
         force = choose(s.agonist[i] == BICEPS, s.estimate_triceps[i], s.estimate_biceps[i])
         error = s.tension_setpoint[i] - force
-        s.tension_ise_estimated[i] += s.counting[i] * p.control_period * error * error
+        s.tension_ise_estimated[i] += m.counting[i] * p.control_period * error * error
 
 
 @compiled_lanes
@@ -240,10 +241,10 @@ def add_waves(p, c, s, first, end):
 
 
 @compiled_lanes
-def track_steps(p, s, first, end):
+def track_steps(p, c, s, m, first, end):
     """Stage 10: judge how the arm follows the setpoint."""
     for i in range(first, end):
-        track_step(p, s, i)
+        track_step(p, c, s, m, i)
 
 
 @compiled
@@ -253,7 +254,7 @@ def choose(condition, yes, no):
 
 
 @compiled
-def control(p, s, i):
+def control(p, s, m, i):
     """Section 2.2: turn what was sensed into both drives' position commands."""
     error = s.setpoint[i] - s.measured_angle[i]
     agonist = p.fixed_agonist
@@ -263,7 +264,7 @@ def control(p, s, i):
         )
     switched = agonist != s.agonist[i]
     s.agonist[i] = agonist
-    s.switch_count[i] += s.counting[i] if switched else 0.0
+    s.switch_count[i] += m.counting[i] if switched else 0.0
     last_position_output = s.position_output[i]
     control_position(p, s, i, error)
     biceps_share = triceps_share = 1.0
@@ -281,8 +282,8 @@ def control(p, s, i):
     pull = s.tension_output[i]
     biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
     triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
-    kick = setpoint_kick(p, s, i)
-    command_drives(p, s, i, biceps, triceps, biceps_share * kick, triceps_share * kick)
+    kick = setpoint_kick(p, s, m, i)
+    command_drives(p, s, m, i, biceps, triceps, biceps_share * kick, triceps_share * kick)
 
 
 @compiled
@@ -308,10 +309,10 @@ def control_position(p, s, i, error):
 @compiled
 def choose_tension(p, s, i, error):
     """Return the tension setpoint [N]: the agent's, on its way, or eq. 6 at control rate."""
-    if s.law[i] == AGENT:
+    if p.law == AGENT:
         s.tension_command[i] += s.tension_rate[i]
         return s.tension_command[i]
-    if s.law[i] == EQ6:
+    if p.law == EQ6:
         factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
     else:
         factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
@@ -349,7 +350,7 @@ def control_tension(p, s, i, restart):
 
 
 @compiled
-def setpoint_kick(p, s, i):
+def setpoint_kick(p, s, m, i):
     """Return what a jump of the position setpoint alone adds to the position controller's output in this tick [rad].
 
     It passes through the proportional and the derivative term, whatever the arm and the tension do.
@@ -360,13 +361,13 @@ def setpoint_kick(p, s, i):
             decayed, s.setpoint_jump[i], p.position_kd, p.position_filter, p.control_period
         )
     kick = p.position_kp * s.setpoint_jump[i] + s.kick_derivative[i] - decayed
-    s.isav_kick[i] += s.counting[i] * kick * kick / p.control_period
+    s.isav_kick[i] += m.counting[i] * kick * kick / p.control_period
     s.setpoint_jump[i] = 0.0
     return kick
 
 
 @compiled
-def command_drives(p, s, i, biceps, triceps, kick_biceps, kick_triceps):
+def command_drives(p, s, m, i, biceps, triceps, kick_biceps, kick_triceps):
     """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks).
 
     The effort is the same without what the setpoint's jump alone contributes, which is alike under every law.
@@ -374,28 +375,26 @@ def command_drives(p, s, i, biceps, triceps, kick_biceps, kick_triceps):
     limit = p.command_limit
     effort_biceps = min(max(biceps - kick_biceps, -limit), limit) - s.command_biceps[i]
     effort_triceps = min(max(triceps - kick_triceps, -limit), limit) - s.command_triceps[i]
-    s.effort_biceps[i] += s.counting[i] * effort_biceps * effort_biceps / p.control_period
-    s.effort_triceps[i] += s.counting[i] * effort_triceps * effort_triceps / p.control_period
+    s.effort_biceps[i] += m.counting[i] * effort_biceps * effort_biceps / p.control_period
+    s.effort_triceps[i] += m.counting[i] * effort_triceps * effort_triceps / p.control_period
     biceps = min(max(biceps, -limit), limit)
     triceps = min(max(triceps, -limit), limit)
     change_biceps = biceps - s.command_biceps[i]
     change_triceps = triceps - s.command_triceps[i]
-    s.isav_biceps[i] += s.counting[i] * change_biceps * change_biceps / p.control_period
-    s.isav_triceps[i] += s.counting[i] * change_triceps * change_triceps / p.control_period
-    s.iav_biceps[i] += s.counting[i] * abs(change_biceps)
-    s.iav_triceps[i] += s.counting[i] * abs(change_triceps)
+    s.isav_biceps[i] += m.counting[i] * change_biceps * change_biceps / p.control_period
+    s.isav_triceps[i] += m.counting[i] * change_triceps * change_triceps / p.control_period
+    s.iav_biceps[i] += m.counting[i] * abs(change_biceps)
+    s.iav_triceps[i] += m.counting[i] * abs(change_triceps)
     s.previous_setpoint[i] = s.setpoint[i]
     s.command_biceps[i] = biceps
     s.command_triceps[i] = triceps
 
 
 @compiled
-def acceleration(p, c, s, i, angle, velocity, drive_biceps, drive_triceps, push):
+def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
     """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
-    stretch_biceps = deflection_biceps(drive_biceps, angle, s.radius_biceps[i], p.joint_radius)
-    stretch_triceps = deflection_triceps(drive_triceps, angle, s.radius_triceps[i], p.joint_radius)
-    force_biceps = s.spring_biceps[i] * look_up(p.force_table, stretch_biceps * p.inverse_max_deflection)
-    force_triceps = s.spring_triceps[i] * look_up(p.force_table, stretch_triceps * p.inverse_max_deflection)
+    force_biceps = c.spring_biceps_factor[i] * look_up(p.force_table, stretch_biceps(p, c, i, drive_biceps, angle))
+    force_triceps = c.spring_triceps_factor[i] * look_up(p.force_table, stretch_triceps(p, c, i, drive_triceps, angle))
     preload = preload_force(force_biceps, force_triceps, p.damping_by_mean)
     decay = c.friction[i] * decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     external = push + obstacle_torque(c, i, angle, velocity)
@@ -413,11 +412,24 @@ def acceleration(p, c, s, i, angle, velocity, drive_biceps, drive_triceps, push)
 
 
 @compiled
+def stretch_biceps(p, c, i, drive, angle):
+    """Return how far the biceps' string is deflected, as a share of what the look-up tables cover."""
+    radius = p.drive_radius * c.pulley_biceps_factor[i]
+    return deflection_biceps(drive, angle, radius, p.joint_radius) * p.inverse_max_deflection
+
+
+@compiled
+def stretch_triceps(p, c, i, drive, angle):
+    """Return how far the triceps' string is deflected, as a share of what the look-up tables cover."""
+    radius = p.drive_radius * c.pulley_triceps_factor[i]
+    return deflection_triceps(drive, angle, radius, p.joint_radius) * p.inverse_max_deflection
+
+
+@compiled
 def obstacle_torque(c, i, angle, velocity):
     """Return the torque of the scenario's obstacle [N m]."""
-    return contact_torque(
-        angle, velocity, c.obstacle_angle[i], c.obstacle_side[i], c.obstacle_stiffness[i], c.obstacle_damping[i]
-    )
+    stiffness, damping = float(c.obstacle_stiffness[i]), float(c.obstacle_damping[i])
+    return contact_torque(angle, velocity, c.obstacle_angle[i], float(c.obstacle_side[i]), stiffness, damping)
 
 
 @compiled
@@ -442,13 +454,13 @@ def arrive(p, c, s, m, i):
     s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
-    feel_strings(p, s, i)
+    feel_strings(p, c, s, i)
     error_after = s.setpoint[i] - x
-    counted = s.counting[i] * p.control_period
+    counted = m.counting[i] * p.control_period
     s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)
     s.contact_ise[i] += counted * s.contact_torque[i] * s.contact_torque[i]
-    s.contact_peak[i] = max(s.contact_peak[i], s.counting[i] * abs(s.contact_torque[i]))
-    if push != 0.0 and s.counting[i] > 0.0:
+    s.contact_peak[i] = max(s.contact_peak[i], m.counting[i] * abs(s.contact_torque[i]))
+    if push != 0.0 and m.counting[i] > 0.0:
         s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
     # At the end of the tick only: an ideal drive lets the force jump at its beginning.
     force = choose(s.agonist[i] == BICEPS, s.force_triceps[i], s.force_biceps[i])
@@ -457,23 +469,22 @@ def arrive(p, c, s, m, i):
 
 
 @compiled
-def feel_strings(p, s, i):
+def feel_strings(p, c, s, i):
     """Set the true string forces [N] of the present state."""
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
-    s.force_biceps[i] = s.spring_biceps[i] * look_up(p.force_table, biceps * p.inverse_max_deflection)
-    s.force_triceps[i] = s.spring_triceps[i] * look_up(p.force_table, triceps * p.inverse_max_deflection)
+    biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
+    triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
+    s.force_biceps[i] = c.spring_biceps_factor[i] * look_up(p.force_table, biceps)
+    s.force_triceps[i] = c.spring_triceps_factor[i] * look_up(p.force_table, triceps)
 
 
 @compiled
-def joint_stiffness(p, s, i):
+def joint_stiffness(p, c, s, i):
     """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
-    scale = p.inverse_max_deflection
-    slope_biceps = s.spring_biceps[i] * look_up_slope(p.force_table, biceps * scale)
-    slope_triceps = s.spring_triceps[i] * look_up_slope(p.force_table, triceps * scale)
-    return (slope_biceps + slope_triceps) * scale * p.joint_radius * p.joint_radius
+    biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
+    triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
+    slope_biceps = c.spring_biceps_factor[i] * look_up_slope(p.force_table, biceps)
+    slope_triceps = c.spring_triceps_factor[i] * look_up_slope(p.force_table, triceps)
+    return (slope_biceps + slope_triceps) * p.inverse_max_deflection * p.joint_radius * p.joint_radius
 
 
 @compiled
@@ -484,16 +495,16 @@ def read_sensors(p, c, s, i):
     more = c.noise_factor[i]
     angle_error = c.encoder_bias[i] + more * sensor_noise(p.encoder_noise, key, counter + ENCODER)
     s.measured_angle[i] = quantise(s.angle[i] + angle_error, p.encoder_resolution)
-    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], s.radius_biceps[i], p.joint_radius)
-    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], s.radius_triceps[i], p.joint_radius)
+    biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
+    triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
     s.measured_biceps[i] = read_slider(
-        look_up(p.spring_table, biceps * p.inverse_max_deflection),
+        look_up(p.spring_table, biceps),
         c.slider_bias_biceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_BICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
     s.measured_triceps[i] = read_slider(
-        look_up(p.spring_table, triceps * p.inverse_max_deflection),
+        look_up(p.spring_table, triceps),
         c.slider_bias_triceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_TRICEPS),
         p.slider_resolution,
         p.slider_travel,
@@ -592,7 +603,7 @@ def begin_step(s, i, time, target, change):
 
 
 @compiled
-def track_step(p, s, i):
+def track_step(p, c, s, m, i):
     """Follow rise, settling, overshoot and the stiffness at rest."""
     if s.step_direction[i] != 0.0:
         beyond = s.step_direction[i] * (s.angle[i] - s.step_target[i])
@@ -608,8 +619,8 @@ def track_step(p, s, i):
                 s.rise_sum[i] += time - s.step_start[i]
                 s.rise_count[i] += 1.0
     if abs(s.setpoint[i] - s.angle[i]) <= p.margin and s.setpoint[i] == s.previous_setpoint[i]:
-        s.resting_stiffness_sum[i] += s.counting[i] * p.control_period * joint_stiffness(p, s, i)
-        s.resting_time[i] += s.counting[i] * p.control_period
+        s.resting_stiffness_sum[i] += m.counting[i] * p.control_period * joint_stiffness(p, c, s, i)
+        s.resting_time[i] += m.counting[i] * p.control_period
 
 
 @compiled
@@ -617,7 +628,7 @@ def settle(p, c_blocks, s_blocks, devices):
     """Start the given devices anew, at rest on their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
-        block, i = device // LANES, device % LANES
+        block, i = device // LANES, np.uint64(device % LANES)  # as in a tick, so that nothing is compiled twice
         c, s = c_blocks[block], s_blocks[block]
         settle_strings(parameters, c, s, i)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
@@ -638,13 +649,12 @@ def settle(p, c_blocks, s_blocks, devices):
 @compiled
 def settle_strings(p, c, s, i):
     """Find the static equilibrium and give the controllers the memory that holds it."""
-    s.spring_biceps[i], s.spring_triceps[i] = c.spring_biceps_factor[i], c.spring_triceps_factor[i]
-    s.radius_biceps[i] = p.drive_radius * c.pulley_biceps_factor[i]
-    s.radius_triceps[i] = p.drive_radius * c.pulley_triceps_factor[i]
     angle = c.initial_angle[i]
+    radius_biceps = p.drive_radius * c.pulley_biceps_factor[i]
+    radius_triceps = p.drive_radius * c.pulley_triceps_factor[i]
     # Drive angles at which the strings are just slack.
-    wound_biceps = angle * p.joint_radius / s.radius_biceps[i]
-    wound_triceps = angle * p.joint_radius / s.radius_triceps[i]
+    wound_biceps = angle * p.joint_radius / radius_biceps
+    wound_triceps = angle * p.joint_radius / radius_triceps
     needed = (c.static_torque[i] * math.sin(angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
     tension = c.initial_tension[i]
     s.agonist[i] = p.fixed_agonist
@@ -655,18 +665,18 @@ def settle_strings(p, c, s, i):
         # The antagonist has the tension. The agonist carries the load on top of it, or lets go as much.
         pull_biceps = tension + needed if biceps_is_agonist else tension
         pull_triceps = tension if biceps_is_agonist else tension - needed
-        biceps = inverse_look_up(p.force_table, pull_biceps / s.spring_biceps[i]) / p.inverse_max_deflection
-        triceps = inverse_look_up(p.force_table, pull_triceps / s.spring_triceps[i]) / p.inverse_max_deflection
-        turn_biceps = wound_biceps + biceps / s.radius_biceps[i]
-        turn_triceps = wound_triceps - triceps / s.radius_triceps[i]
+        biceps = inverse_look_up(p.force_table, pull_biceps / c.spring_biceps_factor[i]) / p.inverse_max_deflection
+        triceps = inverse_look_up(p.force_table, pull_triceps / c.spring_triceps_factor[i]) / p.inverse_max_deflection
+        turn_biceps = wound_biceps + biceps / radius_biceps
+        turn_triceps = wound_triceps - triceps / radius_triceps
     else:
-        common = position_only_equilibrium(p, s, i, needed, wound_biceps - wound_triceps)
+        common = position_only_equilibrium(p, c, i, needed, wound_biceps - wound_triceps)
         turn_biceps = wound_biceps + common + p.position_only_offset
         turn_triceps = wound_biceps + common - p.position_only_offset
     s.angle[i] = angle
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
-    feel_strings(p, s, i)
+    feel_strings(p, c, s, i)
     if p.tension_loop:
         output = turn_biceps if biceps_is_agonist else turn_triceps
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
@@ -678,11 +688,11 @@ def settle_strings(p, c, s, i):
         tension = s.force_triceps[i] if biceps_is_agonist else s.force_biceps[i]
     s.position_output[i] = s.position_integral[i] = output
     s.tension_setpoint[i] = s.tension_command[i] = tension
-    biceps = deflection_biceps(turn_biceps, angle, s.radius_biceps[i], p.joint_radius) * p.inverse_max_deflection
-    triceps = deflection_triceps(turn_triceps, angle, s.radius_triceps[i], p.joint_radius) * p.inverse_max_deflection
+    biceps = stretch_biceps(p, c, i, turn_biceps, angle)
+    triceps = stretch_triceps(p, c, i, turn_triceps, angle)
     s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)
     # The microcontroller takes the springs for the profile's.
-    biceps, triceps = s.force_biceps[i] / s.spring_biceps[i], s.force_triceps[i] / s.spring_triceps[i]
+    biceps, triceps = s.force_biceps[i] / c.spring_biceps_factor[i], s.force_triceps[i] / c.spring_triceps_factor[i]
     s.estimate_biceps[i], s.estimate_triceps[i] = trust(p, biceps, biceps), trust(p, triceps, triceps)
     # A tension below the floor is estimated higher than it is: the controller starts with the output zero all the same.
     estimate = s.estimate_triceps[i] if biceps_is_agonist else s.estimate_biceps[i]
@@ -693,20 +703,20 @@ def settle_strings(p, c, s, i):
 
 
 @compiled
-def position_only_equilibrium(p, s, i, needed, apart):
+def position_only_equilibrium(p, c, i, needed, apart):
     """Return how far both drives turn beyond the biceps' slack angle [rad] so that f_1 - f_2 is `needed` [N].
 
     By bisection. `apart` is how much further the biceps' slack angle lies than the triceps' [rad].
     """
     reach = 1.0 / (p.inverse_max_deflection * p.drive_radius) + p.position_only_offset
     low, high = -2.0 * reach, 2.0 * reach
-    scale_biceps = s.radius_biceps[i] * p.inverse_max_deflection
-    scale_triceps = s.radius_triceps[i] * p.inverse_max_deflection
+    scale_biceps = p.drive_radius * c.pulley_biceps_factor[i] * p.inverse_max_deflection
+    scale_triceps = p.drive_radius * c.pulley_triceps_factor[i] * p.inverse_max_deflection
     for _ in range(60):
         middle = 0.5 * (low + high)
         biceps = look_up(p.force_table, (middle + p.position_only_offset) * scale_biceps)
         triceps = look_up(p.force_table, (p.position_only_offset - middle - apart) * scale_triceps)
-        if s.spring_biceps[i] * biceps - s.spring_triceps[i] * triceps < needed:
+        if c.spring_biceps_factor[i] * biceps - c.spring_triceps_factor[i] * triceps < needed:
             low = middle
         else:
             high = middle

@@ -1,12 +1,18 @@
 """How parameters, scenarios and states lie in memory.
 
 Devices are stored in blocks of `LANES`: a *structure of arrays*, so that ``state.angle[lane]`` of neighbouring devices
-are neighbours in memory. Everything that changes during an episode is in one array of `STATE` records: copying it is
-a snapshot. Angles are radians here, forces N, lengths m, times s.
+are neighbours in memory. Everything that changes during an episode is in one array of `STATE_BLOCK` records: copying it
+is a snapshot. Angles are radians here, forces N, lengths m, times s.
+
+A device takes less than a kilobyte. Scenarios are read only, and packed: what is chosen or counted is a byte; moments,
+durations, strengths and factors are 32-bit floats, which keep 7 digits; angles, frequencies and the arm keep 64 bits.
+States are written, and each field is a 64-bit word: where widths mix, the compiler cannot tell that lanes do not
+overlap, and takes them one by one. What is calculated is calculated in 64 bits in any case.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,6 +27,7 @@ Control = Literal["decentralized", "position-only"]
 CONTROLS = ("decentralized", "position-only")
 
 LANES = 8
+_CACHE_LINE = 64  # bytes
 MAX_MOVES = 10
 MAX_PUSHES = 4
 
@@ -93,6 +100,7 @@ PARAMETERS = np.dtype(
         ("nominal_tension", "f8"),
         ("minimum_tension", "f8"),
         ("error_offset", "f8"),
+        ("law", "i8"),  # who sets the tension: one of `TENSION_LAWS`
         # error margin of rise and settling time
         ("margin", "f8"),
     ],
@@ -110,52 +118,63 @@ Family = Literal["paper-step", "steps", "reach", "track", "pick-place", "contact
 FAMILIES: tuple[Family | None, ...] = (None, *get_args(Family))
 """What a packed scenario's `family` stands for: the suite whose task it is, by which its reward is scaled."""
 
+
+def _record(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    """Return a record with the widest fields first: no gaps, and all fields of one width are one array of words."""
+    return np.dtype(sorted(fields, key=lambda field: -np.dtype(field[1]).itemsize), align=True)
+
+
+def _block(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    """Return the record of a block's devices, lanes innermost."""
+    return _record([(name, kind, (*(shape[0] if shape else ()), LANES)) for name, kind, *shape in fields])
+
+
 _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("initial_angle", "f8"),
     ("initial_tension", "f8"),
     # the arm: eqs. 2-3 and the friction's share follow from its load, its plane and the device
-    ("orientation", "i8"),
+    ("orientation", "i1"),
     ("payload_mass", "f8"),
     ("payload_arm", "f8"),
     ("inertia", "f8"),
     ("static_torque", "f8"),
     ("friction", "f8"),
     # what the setpoint does
-    ("move_count", "i8"),
-    ("move_time", "f8", (MAX_MOVES,)),
+    ("move_count", "i1"),
+    ("move_time", "f4", (MAX_MOVES,)),
     ("move_angle", "f8", (MAX_MOVES,)),
-    ("move_duration", "f8", (MAX_MOVES,)),
+    ("move_duration", "f4", (MAX_MOVES,)),
     ("wave_amplitude", "f8"),
     ("wave_frequency", "f8"),
     ("wave_chirp", "f8"),
-    ("wave_time", "f8"),
-    ("wave_duration", "f8"),
+    ("wave_time", "f4"),
+    ("wave_duration", "f4"),
     # what disturbs the arm
-    ("push_count", "i8"),
-    ("push_time", "f8", (MAX_PUSHES,)),
-    ("push_duration", "f8", (MAX_PUSHES,)),
-    ("push_torque", "f8", (MAX_PUSHES,)),
-    ("push_slope", "f8", (MAX_PUSHES,)),  # [1/s]; 0: a pulse
-    ("shake_rms", "f8"),
-    ("shake_bandwidth", "f8"),
-    ("shake_time", "f8"),
-    ("shake_duration", "f8"),
+    ("push_count", "i1"),
+    ("push_time", "f4", (MAX_PUSHES,)),
+    ("push_duration", "f4", (MAX_PUSHES,)),
+    ("push_torque", "f4", (MAX_PUSHES,)),
+    ("push_slope", "f4", (MAX_PUSHES,)),  # [1/s]; 0: a pulse
+    ("shake_rms", "f4"),
+    ("shake_bandwidth", "f4"),
+    ("shake_time", "f4"),
+    ("shake_duration", "f4"),
     ("obstacle_angle", "f8"),
-    ("obstacle_side", "f8"),
-    ("obstacle_stiffness", "f8"),
-    ("obstacle_damping", "f8"),
+    ("obstacle_side", "i1"),
+    ("obstacle_stiffness", "f4"),
+    ("obstacle_damping", "f4"),
     # how the device differs from its profile: factors and offsets
-    *[(f"{name}_factor", "f8") for name in DEVICE_FACTORS],
+    *[(f"{name}_factor", "f4") for name in DEVICE_FACTORS],
     ("encoder_bias", "f8"),
-    ("slider_bias_biceps", "f8"),
-    ("slider_bias_triceps", "f8"),
-    ("late_probability", "f8"),
-    ("measure_from", "f8"),
-    ("family", "i8"),  # for the reward; the simulation does not read it
+    ("slider_bias_biceps", "f4"),
+    ("slider_bias_triceps", "f4"),
+    ("late_probability", "f4"),
+    ("measure_from", "f4"),
+    ("family", "i1"),  # for the reward; the simulation does not read it
     ("noise_key", "u8"),
 ]
 
-SCENARIO = np.dtype(_SCENARIO_FIELDS, align=True)
+SCENARIO = _record(_SCENARIO_FIELDS)
 """One device's scenario, packed: what a suite samples and `tasks.scenario.pack` makes."""
 
 METRICS = (
@@ -186,8 +205,6 @@ METRICS = (
 _STATE_FIELDS: list[tuple[str, str]] = [
     ("tick", "i8"),
     ("failure", "i8"),
-    ("law", "i8"),
-    ("counting", "f8"),
     # the truth
     ("angle", "f8"),
     ("velocity", "f8"),
@@ -199,11 +216,6 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("contact_torque", "f8"),
     ("shake_inner", "f8"),
     ("shake_outer", "f8"),
-    # the device as it was built, which only its scenario knows
-    ("spring_biceps", "f8"),
-    ("spring_triceps", "f8"),
-    ("radius_biceps", "f8"),
-    ("radius_triceps", "f8"),
     # what the microcontroller knows
     ("setpoint", "f8"),
     ("setpoint_wave", "f8"),
@@ -255,20 +267,50 @@ _STATE_FIELDS: list[tuple[str, str]] = [
 _MOVING = ("angle", "velocity", "biceps", "triceps")
 
 
-def _blocked(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
-    return np.dtype([(name, kind, (*(shape[0] if shape else ()), LANES)) for name, kind, *shape in fields], align=True)
-
-
-STATE_BLOCK = _blocked(_STATE_FIELDS)
-SCENARIO_BLOCK = _blocked(_SCENARIO_FIELDS)
-MOTION_BLOCK = _blocked(
-    [(name, "f8") for name in ("push", *(f"{name}{part}" for part in ("", "_rate", "_sum") for name in _MOVING))]
+STATE_BLOCK = _block(_STATE_FIELDS)
+SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
+MOTION_BLOCK = _block(
+    [("counting", "f8"), ("push", "f8")]
+    + [(f"{name}{part}", "f8") for part in ("", "_rate", "_sum") for name in _MOVING]
 )
-"""A block's motion within a tick: the push, and what moves, with its last evaluated and its summed rate of change."""
+"""A block's motion within a tick: 1 if the tick counts in the metrics, else 0; the push; and what moves, with its last
+evaluated and its summed rate of change."""
 STATE_NAMES = tuple(name for name, _ in _STATE_FIELDS)
 
 
-def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDArray[np.void]:
+def words(records: NDArray[np.void], lanes: int) -> list[NDArray[Any]]:
+    """View records or blocks as one array of words for each width of their fields, shape (records, words, lanes).
+
+    What a scenario's record holds and what a lane of a block of scenarios holds are the same words in the same order.
+    """
+    raw = records.view(np.uint8).reshape(records.size, -1)
+    return [
+        raw[:, start:end].view(f"i{width}").reshape(records.size, -1, lanes)
+        for width, start, end in _sections(records.dtype)
+    ]
+
+
+def zeros(count: int, block: np.dtype[Any]) -> NDArray[np.void]:
+    """Return empty blocks that begin on a cache line, which saves some percent of a tick."""
+    raw = np.zeros(count * block.itemsize + _CACHE_LINE, dtype=np.uint8)
+    start = -raw.ctypes.data % _CACHE_LINE
+    return raw[start : start + count * block.itemsize].view(block)
+
+
+@cache
+def _sections(dtype: np.dtype[Any]) -> list[tuple[int, int, int]]:
+    """Return the widths of a record's fields [bytes], widest first, and where those of each begin and end."""
+    sections: dict[int, tuple[int, int, int]] = {}
+    for kind, offset, *_ in (dtype.fields or {}).values():
+        width = kind.base.itemsize
+        start = sections[width][1] if width in sections else offset
+        sections[width] = width, start, offset + kind.itemsize
+    return list(sections.values())
+
+
+def pack_parameters(
+    profile: Profile, control: Control = "decentralized", tension_law: str = "agent"
+) -> NDArray[np.void]:
     """Turn a profile into the record that the kernel reads, in SI units and radians.
 
     Parameters
@@ -276,13 +318,21 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
     profile : Profile
     control : {"decentralized", "position-only"}
         Position-only control has its own gains and a fixed co-contraction in the place of the tension loop.
+    tension_law : {"agent", "eq6", "eq6-printed"}
 
     Returns
     -------
     ndarray of `PARAMETERS`, shape (1,)
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown.
     """
     if control not in CONTROLS:
         raise unknown("control", control, CONTROLS)
+    if tension_law not in TENSION_LAWS:
+        raise unknown("tension law", tension_law, TENSION_LAWS)
     plant, drives, sensors, loop = profile.plant, profile.drives, profile.sensors, profile.loop
     tables = build_tables(profile.spring)
     position_only = control == "position-only"
@@ -332,6 +382,7 @@ def pack_parameters(profile: Profile, control: Control = "decentralized") -> NDA
         "nominal_tension": profile.variable_stiffness.nominal_tension,
         "minimum_tension": profile.variable_stiffness.minimum_tension,
         "error_offset": np.radians(profile.variable_stiffness.error_offset_deg),
+        "law": TENSION_LAWS[tension_law],
         "margin": np.radians(2.0),
     }
     record = np.zeros(1, dtype=PARAMETERS)

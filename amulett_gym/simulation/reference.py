@@ -284,7 +284,7 @@ def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> flo
     for push in range(int(scenario["push_count"])):
         since = tick * period - float(scenario["push_time"][push])
         left = float(scenario["push_duration"][push]) - since
-        if since >= -1e-9 and left > 1e-9:
+        if since >= -1e-5 and left > 1e-5:  # times are 32-bit floats
             slope = float(scenario["push_slope"][push])
             share = min(max(min(since, left), 0.0) * slope, 1.0) if slope > 0.0 else 1.0
             total += share * float(scenario["push_torque"][push])

@@ -19,7 +19,7 @@ from amulett_gym.config import Profile, load_profile
 from amulett_gym.files import write_json
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
-VERSION = 2
+VERSION = 3
 """Of what the suites draw, and of how it is packed."""
 
 PROFILE = "testbed"

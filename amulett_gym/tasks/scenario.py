@@ -1,6 +1,7 @@
 """One episode as plain data: what the setpoint does, what disturbs and loads the arm, how this device was built.
 
-A scenario can be written as JSON, read back and replayed bit for bit.
+A scenario can be written as JSON, read back and replayed bit for bit. Packed, times, torques, stiffnesses, factors and
+sensor offsets keep 7 digits (see `simulation.layout`).
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from amulett_gym.simulation.layout import (
 MAX_BYTES = 100_000
 """Largest scenario file accepted; the largest that can be described has 10 kB."""
 
-_DIGITS = 9  # of angles in degrees and ramps in seconds: suites sample far coarser, so that packing loses nothing
+_DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
+_PACKING = 1e-6  # more than the share by which packing changes a number
 
 
 class Move(Group):
@@ -75,7 +77,7 @@ class Push(Group):
     def _check_ramps(self) -> Push:
         if 0 < self.rise < 1e-3:
             raise ValueError(f"a rise of {self.rise} s is shorter than a millisecond; 0 stands for a pulse")
-        if 2 * self.rise > self.duration + 1e-9:
+        if 2 * self.rise > self.duration * (1.0 + _PACKING):
             raise ValueError(f"a push of {self.duration} s has no room to rise and fall for {self.rise} s each")
         return self
 
@@ -166,7 +168,7 @@ class Scenario(Group):
     @model_validator(mode="after")
     def _check_order(self) -> Scenario:
         for before, after in zip(self.moves, self.moves[1:], strict=False):
-            if after.time < before.time + before.duration - 1e-9:  # a sum of decimals may end a bit late
+            if after.time < (before.time + before.duration) * (1.0 - _PACKING):
                 raise ValueError(
                     f"the move at {after.time} s begins before the one at {before.time} s has ended, "
                     f"{before.time + before.duration} s"
@@ -253,45 +255,51 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
 
 
 def unpack(row: NDArray[np.void] | np.void) -> Scenario:
-    """Turn a packed record back into a scenario; packing it again gives the same record."""
+    """Turn a packed record back into a scenario; packing it again gives the same record.
+
+    The numbers are those that were packed, as far as they had 7 digits where 7 are kept.
+    """
 
     def degrees(angle: Any) -> float:
         return round(float(np.degrees(angle)), _DIGITS)
+
+    def number(name: str, *index: int) -> float:
+        return float(str(row[name][index]))  # the shortest decimal that is packed to these bits
 
     obstacle = payload = wave = shake = None
     if row["obstacle_stiffness"] > 0:
         obstacle = Obstacle(
             angle_deg=degrees(row["obstacle_angle"]),
             blocks="flexion" if row["obstacle_side"] > 0 else "extension",
-            stiffness=float(row["obstacle_stiffness"]),
-            damping=float(row["obstacle_damping"]),
+            stiffness=number("obstacle_stiffness"),
+            damping=number("obstacle_damping"),
         )
     if row["payload_mass"] > 0:
-        payload = Payload(mass=float(row["payload_mass"]), arm=float(row["payload_arm"]))
+        payload = Payload(mass=number("payload_mass"), arm=number("payload_arm"))
     if row["wave_amplitude"] > 0:
         wave = Wave(
             amplitude_deg=degrees(row["wave_amplitude"]),
-            **{key: float(row[f"wave_{key}"]) for key in ("frequency", "chirp", "time", "duration")},
+            **{key: number(f"wave_{key}") for key in ("frequency", "chirp", "time", "duration")},
         )
     if row["shake_rms"] > 0:
-        shake = Shake(**{key: float(row[f"shake_{key}"]) for key in Shake.model_fields})
+        shake = Shake(**{key: number(f"shake_{key}") for key in Shake.model_fields})
     return Scenario(
         initial_angle_deg=degrees(row["initial_angle"]),
-        initial_tension=float(row["initial_tension"]),
+        initial_tension=number("initial_tension"),
         moves=[
             Move(
-                time=float(row["move_time"][k]),
+                time=number("move_time", k),
                 angle_deg=degrees(row["move_angle"][k]),
-                duration=float(row["move_duration"][k]),
+                duration=number("move_duration", k),
             )
             for k in range(int(row["move_count"]))
         ],
         pushes=[
             Push(
-                time=float(row["push_time"][k]),
-                duration=float(row["push_duration"][k]),
-                torque=float(row["push_torque"][k]),
-                rise=round(1.0 / float(row["push_slope"][k]), _DIGITS) if row["push_slope"][k] > 0.0 else 0.0,
+                time=number("push_time", k),
+                duration=number("push_duration", k),
+                torque=number("push_torque", k),
+                rise=_rise(row["push_slope"][k]),
             )
             for k in range(int(row["push_count"]))
         ],
@@ -301,16 +309,24 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
         payload=payload,
         orientation=ORIENTATIONS[int(row["orientation"])],
         device=Device(
-            **{name: float(row[f"{name}_factor"]) for name in DEVICE_FACTORS},
+            **{name: number(f"{name}_factor") for name in DEVICE_FACTORS},
             encoder_bias_deg=degrees(row["encoder_bias"]),
-            slider_bias_biceps=float(row["slider_bias_biceps"]),
-            slider_bias_triceps=float(row["slider_bias_triceps"]),
-            jitter=float(row["late_probability"]),
+            slider_bias_biceps=number("slider_bias_biceps"),
+            slider_bias_triceps=number("slider_bias_triceps"),
+            jitter=number("late_probability"),
         ),
-        measure_from=float(row["measure_from"]),
+        measure_from=number("measure_from"),
         family=FAMILIES[int(row["family"])],
         noise_seed=int(row["noise_key"]),
     )
+
+
+def _rise(slope: np.float32) -> float:
+    """Return the ramp's length [s] of the fewest digits that is packed as this slope [1/s]; 0 for a pulse."""
+    if slope == 0.0:
+        return 0.0
+    rises = (float(f"{1.0 / float(slope):.{digits}g}") for digits in range(1, 18))
+    return next(rise for rise in rises if np.float32(1.0 / rise) == slope)
 
 
 def _pack_device(device: Device, row: NDArray[np.void]) -> None:
@@ -331,7 +347,7 @@ def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> No
         ("stiffness", obstacle.stiffness, most_stiffness(inertia, profile)),
         ("damping", obstacle.damping, most_damping(inertia, profile)),
     ):
-        if value > most:
+        if value > most * (1.0 + _PACKING):
             step = profile.loop.control_period / profile.loop.substeps
             raise AmulettError(
                 f"scenario: 'obstacle.{key}' is {value}; with an inertia of {inertia:.4g} kg m2 and {step:g} s steps "

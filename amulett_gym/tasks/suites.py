@@ -421,7 +421,7 @@ def _around(draw: float, near: float, far: float, shifted: bool, digits: int) ->
 def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
     """Start with less tension where the agonist needs its force to hold the arm up (0.5 N below saturation)."""
     load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / joint_radius
-    weakest = np.minimum(rows["spring_biceps_factor"], rows["spring_triceps_factor"])
+    weakest = np.minimum(rows["spring_biceps_factor"], rows["spring_triceps_factor"]).astype(float)
     room = max_force * weakest - load - 0.5
     rows["initial_tension"] = np.where(room > 0, np.minimum(rows["initial_tension"], room), rows["initial_tension"])
 
