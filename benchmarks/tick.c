@@ -252,7 +252,7 @@ INLINE real minimum_jerk(real progress) {
 
 /* 1 if this tick counts in the metrics, else 0. */
 INLINE real start_counting(Parameters p, Scenarios c, States s, int64_t i) {
-    mask counts = to_real(s->tick[i]) * p->control_period >= c->measure_from[i] - TIME_SLACK;
+    mask counts = to_real(s->tick[i]) * p->control_period >= to_real(c->measure_from[i]) - TIME_SLACK;
     return select(counts, all(1.0), all(0.0));
 }
 
@@ -569,7 +569,7 @@ INLINE void read_setpoint(Parameters p, Scenarios c, States s, int64_t i) {
         if (!any(begins)) break;
         s->move[i] = either(begins, next, s->move[i]);
         real target = at(c->move_angle, k);
-        mask counts = time >= c->measure_from[i] - TIME_SLACK;
+        mask counts = time >= to_real(c->measure_from[i]) - TIME_SLACK;
         begin_step(s, i, begins, time, target, select(counts, target - start_of(c, i, k), all(0.0)));
     }
     mask moves = s->move[i] >= 0;
