@@ -225,7 +225,9 @@ def broken_off(tmp_path, monkeypatch, request):
 
 
 @pytest.mark.parametrize(("name", "changes"), RECIPES.items())
-def test_killed_at_random_moments_and_resumed_a_run_ends_with_the_same_bits(name, changes, uninterrupted, tmp_path):
+def test_killed_at_random_moments_and_resumed_a_run_ends_with_the_same_bits(
+    name, changes, uninterrupted, tmp_path, faults
+):
     generator = np.random.default_rng()
     out = tmp_path / "run"
     killed = 0
@@ -242,10 +244,11 @@ def test_killed_at_random_moments_and_resumed_a_run_ends_with_the_same_bits(name
         killed += process.exitcode == -signal.SIGKILL
     resume(out, progress=False)
     assert outcome(out) == uninterrupted[name]
+    faults("survived (kills)", killed)
 
 
 @pytest.mark.parametrize("moment", ["first", "at the fourth", "five before the last", "last", *range(KILLS)])
-def test_killed_between_or_within_operations_on_its_files_it_does_too(moment, uninterrupted, tmp_path):
+def test_killed_between_or_within_operations_on_its_files_it_does_too(moment, uninterrupted, tmp_path, faults):
     out = tmp_path / "run"
     generator, operations = np.random.default_rng(), uninterrupted["operations"]
     named = {"first": 1, "at the fourth": 4, "five before the last": operations - 5, "last": operations}
@@ -263,10 +266,11 @@ def test_killed_between_or_within_operations_on_its_files_it_does_too(moment, un
     else:  # it died before it wrote down its recipe: there is nothing to resume, and nothing in the way
         train(recipe(), out, progress=False)
     assert outcome(out) == uninterrupted["plain"], die_at
+    faults("survived (kills)", 2 if isinstance(die_at, tuple) else 1)
 
 
 @pytest.mark.parametrize("half", [ARRAYS, STATE, MANIFEST])
-def test_killed_in_the_middle_of_a_checkpoint_the_one_before_it_counts(half, uninterrupted, broken_off):
+def test_killed_in_the_middle_of_a_checkpoint_the_one_before_it_counts(half, uninterrupted, broken_off, faults):
     steps = newest_checkpoint(broken_off).content.model.steps
     unfinished = broken_off / "checkpoints" / f".{steps + 512:012d}"
     unfinished.mkdir()
@@ -274,9 +278,10 @@ def test_killed_in_the_middle_of_a_checkpoint_the_one_before_it_counts(half, uni
     assert newest_checkpoint(broken_off).content.model.steps == steps
     resume(broken_off, progress=False)
     assert outcome(broken_off) == uninterrupted["plain"]
+    faults("survived", 1)
 
 
-def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one_whole(uninterrupted, broken_off, monkeypatch):
+def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one_whole(uninterrupted, broken_off, monkeypatch, faults):
     before = newest_checkpoint(broken_off).folder
 
     def full(*arguments):
@@ -291,6 +296,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one_whole(uninterru
     assert [path for path in (broken_off / "checkpoints").iterdir() if path.name.startswith(".")] == []
     resume(broken_off, progress=False)
     assert outcome(broken_off) == uninterrupted["plain"]
+    faults("survived", 1)
 
 
 def test_tensorboard_shows_what_it_would_have_shown(uninterrupted, broken_off):
@@ -415,7 +421,7 @@ def test_where_files_cannot_be_locked_the_owner_is_looked_for(tmp_path, monkeypa
             pass
 
 
-def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monkeypatch):
+def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monkeypatch, faults):
     out, write = tmp_path / "run", training.write_checkpoint
     written = []
 
@@ -429,6 +435,7 @@ def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monk
         train(recipe(), out, progress=False)
     assert not out.exists()
     newest_checkpoint(tmp_path / "elsewhere")
+    faults("survived", 1)
 
 
 # --- damaged
@@ -441,12 +448,13 @@ def damage(path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [ARRAYS, STATE, MANIFEST, "best/weights.safetensors"])
-def test_a_damaged_checkpoint_is_named_and_the_one_before_it_taken(name, uninterrupted, broken_off):
+def test_a_damaged_checkpoint_is_named_and_the_one_before_it_taken(name, uninterrupted, broken_off, faults):
     newest = newest_checkpoint(broken_off).folder
     damage(newest / name)
     with pytest.warns(UserWarning, match=f"{newest}.*resuming from the one before it, .*{1536:012d}"):
         resume(broken_off, progress=False)
     assert outcome(broken_off) == uninterrupted["plain"]
+    faults("survived", 1)
 
 
 def test_if_all_are_damaged_the_error_names_them(broken_off):
@@ -464,7 +472,7 @@ def test_a_checkpoint_holds_no_code(broken_off):
 
 
 @pytest.mark.parametrize("length", np.linspace(0, 0.9, 10))
-def test_a_truncated_checkpoint_is_refused(length, broken_off):
+def test_a_truncated_checkpoint_is_refused(length, broken_off, faults):
     folder = newest_checkpoint(broken_off).folder
     for name in (ARRAYS, STATE, MANIFEST):
         content = (folder / name).read_bytes()
@@ -472,6 +480,7 @@ def test_a_truncated_checkpoint_is_refused(length, broken_off):
         with pytest.raises(AmulettError, match=name):
             read_checkpoint(folder)
         (folder / name).write_bytes(content)
+        faults("refused", 1)
     read_checkpoint(folder)
 
 

@@ -4,6 +4,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -28,6 +29,7 @@ SMALL = [
     "ppo.n_steps=32",
     "ppo.batch_size=128",
     "ppo.n_epochs=1",
+    "ppo.gamma=0.99",
     "env.max_episode_steps=75",
     "validation.every_steps=512",
     "validation.episodes=2",
@@ -88,8 +90,11 @@ def finished(out: Path) -> dict[str, int]:
     return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in out.glob("trials/*/*/finished.json")}
 
 
-def test_killed_at_random_moments_it_comes_to_the_same_trials_and_does_none_twice(uninterrupted, space_file, tmp_path):
+def test_killed_at_random_moments_it_comes_to_the_same_trials_and_does_none_twice(
+    uninterrupted, space_file, tmp_path, faults
+):
     out, generator, done = tmp_path / "study", np.random.default_rng(), {}
+    killed = 0
     for _ in range(4):
         process = processes.Process(target=study, args=(out, space_file))
         process.start()
@@ -100,6 +105,7 @@ def test_killed_at_random_moments_it_comes_to_the_same_trials_and_does_none_twic
         process.kill()
         process.join()
         assert process.exitcode in (-signal.SIGKILL, 0)
+        killed += process.exitcode == -signal.SIGKILL
         wait_for_the_lock(out)
         now = finished(out)
         assert done.items() <= now.items()
@@ -108,6 +114,7 @@ def test_killed_at_random_moments_it_comes_to_the_same_trials_and_does_none_twic
     assert done.items() <= finished(out).items()
     for name in ("trials.json", "best.yaml"):
         assert (out / name).read_text() == (uninterrupted / name).read_text()
+    faults("survived (kills)", killed)
 
 
 def test_it_keeps_what_was_tried_and_the_best_recipe(uninterrupted):
@@ -232,3 +239,18 @@ def test_the_command_stops_in_good_order_goes_on_and_prints_a_table(uninterrupte
     assert f"best recipe is in {out / 'best.yaml'}" in printed
     header = next(line for line in printed.splitlines() if line.lstrip().startswith("trial  "))
     assert sorted(header.split()) == sorted(["trial", "cost", *SPACE])
+
+
+def test_it_is_done_again_with_the_same_numbers(space_file, tmp_path, capsys):
+    words = ["tune", "--space", str(space_file), "--trials", "1", "--out", str(tmp_path / "study"), "--set", *SMALL]
+    process = processes.Process(target=command_line, args=(words,))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    assert main(["rerun", str(tmp_path / "study"), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+
+
+def command_line(words: list[str]) -> None:
+    sys.argv = ["amulett", *words]
+    raise SystemExit(main(words))
