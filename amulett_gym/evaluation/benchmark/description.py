@@ -89,13 +89,13 @@ class Benchmark(Group):
         default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"], description="laws, or bundles"
     )
     constants: list[float] = Field(
-        default=[4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0],
+        default=[4.0, 4.5, 5.0, 5.25, 5.5, 6.0, 6.5, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0],
         min_length=1,
         description="tensions; the best of them are chosen on the split train [N]",
     )
     learned: dict[str, Learned] = Field(
         default={
-            "ppo": Learned(recipe="ppo.yaml", set=["env.suite=mixed"], seeds=list(range(10))),
+            "ppo": Learned(recipe="ppo.yaml", seeds=list(range(10))),
             "sac": Learned(recipe="sac.yaml", seeds=[0, 1, 2]),
             "ppo-history": Learned(recipe="ppo-history.yaml", seeds=[0, 1, 2]),
             "causal": Learned(recipe="causal.yaml", seeds=[0, 1, 2], reference=True),
