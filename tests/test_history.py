@@ -213,6 +213,7 @@ def test_a_recipe_with_history_is_trained_validated_and_evaluated(tmp_path, one_
             "env.history=3",
             "env.privileged=true",
             "env.suite=mixed",
+            "env.agent_period=0.02",
             "env.max_episode_steps=75",
             "num_envs=16",
             "total_steps=1000",
