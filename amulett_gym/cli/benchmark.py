@@ -85,7 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
         write_document(found, claims, figures, arguments.doc)
         print(f"Renewed: {arguments.doc}")
     print(f"\n{in_words(found, claims)}\n")
-    print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures, and the scenarios that it loses.")
+    lost = ", and the scenarios that are lost most clearly" if found["worst"] else ""
+    print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{lost}.")
     return 0
 
 
