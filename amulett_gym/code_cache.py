@@ -36,8 +36,9 @@ NAME = "amulett-gym"
 
 SOURCES = (
     *("code_cache.py", "compiled.py", "config.py", "errors.py", "files.py", "safe_yaml.py"),
-    *("control/*.py", "model/*.py", "simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
-    *("tasks/*.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
+    *("control/*.py", "model/*.py", "simulation/batch.py"),
+    *("simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
+    *("tasks/*.py", "envs/privileged.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
 )
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
 
