@@ -35,6 +35,7 @@ def faults(request: pytest.FixtureRequest) -> Callable[[str, int], None]:
     def count(outcome: str, number: int = 1) -> None:
         request.node.user_properties.append((f"faults {outcome}", number))
 
+    count("lost", 0)  # so that a test that fails before it has counted is known to have injected some
     return count
 
 
@@ -46,7 +47,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             if getattr(report, "when", None) == "call":
                 found = [(name, number) for name, number in report.user_properties if name.startswith("faults ")]
                 for name, number in found:
-                    counts[f"{name} by {report.location[0]}"] += number
+                    if number:
+                        counts[f"{name} by {report.location[0]}"] += number
                 counts["lost"] += bool(found) and report.failed
     if any(counts.values()):
         terminalreporter.section("faults injected")

@@ -16,6 +16,7 @@ import safetensors.numpy
 import amulett_gym
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.files import write_json
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import (
     FILES,
@@ -63,7 +64,7 @@ def vouch_for(folder: Path) -> None:
     """Write a manifest for what the folder holds now, as an attacker could."""
     names = [path.name for path in folder.iterdir() if path.name != MANIFEST]
     manifest = Manifest(sha256={name: bundles._digest((folder / name).read_bytes()) for name in names})
-    (folder / MANIFEST).write_text(manifest.model_dump_json())
+    write_json(folder / MANIFEST, manifest.model_dump())
 
 
 def edit_json(path: Path, **changes) -> None:
@@ -124,6 +125,13 @@ def test_a_flipped_bit_in_any_byte_of_any_file_is_noticed(folder):
                 read_bundle(folder)
         (folder / name).write_bytes(content)
     read_bundle(folder)
+
+
+def test_a_space_that_became_a_tab_in_the_manifest_is_noticed(folder):
+    content = (folder / MANIFEST).read_text()
+    (folder / MANIFEST).write_text(content.replace("  ", " \t", 1))
+    with pytest.raises(AmulettError, match=f"{MANIFEST}.*was changed or damaged"):
+        read_bundle(folder)
 
 
 @pytest.mark.parametrize("name", [*FILES, MANIFEST])

@@ -29,7 +29,7 @@ from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_arrays, read_json, read_text
+from amulett_gym.files import read_arrays, read_json, read_text, write_json
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import (
     FILES,
@@ -367,7 +367,7 @@ def vouch_for(folder: Path) -> None:
     """Write a manifest for what the folder holds now, as an attacker would."""
     names = [path.name for path in folder.iterdir() if path.name != MANIFEST]
     manifest = Manifest(sha256={name: bundles._digest((folder / name).read_bytes()) for name in names})
-    (folder / MANIFEST).write_text(manifest.model_dump_json())
+    write_json(folder / MANIFEST, manifest.model_dump())
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ from amulett_gym.config import Group, describe, profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
-from amulett_gym.files import parse_json, read_bytes, write_json
+from amulett_gym.files import parse_json, read_bytes, to_json, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
@@ -208,8 +208,11 @@ def read_bundle(folder: str | Path) -> Bundle:
         raise AmulettError(f"cannot read policy bundle '{folder}': {error.strerror or error}") from error
     if not is_folder:
         raise AmulettError(f"cannot read policy bundle '{folder}': it is no folder")
-    manifest = _parse(Manifest, _read(folder / MANIFEST), folder / MANIFEST)
+    listed = _read(folder / MANIFEST)
+    manifest = _parse(Manifest, listed, folder / MANIFEST)
     contents = _verified(folder, manifest)
+    if listed.replace(b"\r\n", b"\n") != to_json(_json(listed, folder / MANIFEST)).encode():  # it has no hash itself
+        raise AmulettError(f"'{folder / MANIFEST}' was changed or damaged: amulett-gym does not write it like that")
     policy = _parse(PolicyDescription, contents[POLICY], folder / POLICY)
     _check_observations(policy, folder / POLICY)
     return Bundle(
