@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
-from amulett_agents.model import make_model  # noqa: E402
+from amulett_agents.model import make_model, make_validation_env  # noqa: E402
 from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
@@ -379,7 +379,7 @@ def test_a_run_keeps_recipe_command_validations_and_policies(run):
 
 def test_the_kept_policy_costs_what_its_validation_said(run):
     config, result = run
-    env = gym.make_vec(SCALING, num_envs=10, split="validation", max_episode_steps=75)
+    env = make_validation_env(config)
     policy = amulett_gym.load_policy(result.last, env)
     observations, _ = env.reset(seed=config.validation.seed)
     total = 0.0
@@ -393,9 +393,10 @@ def test_the_kept_policy_costs_what_its_validation_said(run):
 def test_sb3s_own_checkpoint_is_the_last_policy(run):
     _, result = run
     model = PPO.load(result.out / "last_sb3.zip", device="cpu")
-    observations = np.random.default_rng(0).uniform(-1, 1, (50, 13)).astype(np.float32)
+    shape = (50, *model.observation_space.shape)  # what its critic saw, too
+    observations = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
     expected, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_allclose(read_bundle(result.last).act(observations), expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(read_bundle(result.last).act(observations[:, :13]), expected, rtol=0, atol=1e-5)
 
 
 def test_tensorboard_shows_the_rewards_terms_and_the_validations(run):
@@ -424,7 +425,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(run, tmp_p
 
 
 def test_validation_charges_only_the_episode_of_each_device():
-    config = load_train_config(None, SMALL)
+    config = load_train_config(None, [*SMALL, "network.initial_tension=null"])
     model = make_model(config)
     keywords = {"num_envs": 6, "profile": {"base": "testbed", "plant": {"velocity_limit_deg": 80.0}}}
     scores = evaluate(model, gym.make_vec(SCALING, **keywords), seed=3)
@@ -527,7 +528,7 @@ def test_sac_is_trained_logged_and_kept_like_ppo(tmp_path, monkeypatch):
     assert header == ",".join(COLUMNS)
     assert [int(row.split(",")[0]) for row in rows] == [0, 704, 1408, 2000]
     assert float(rows[0].split(",")[-1]) == pytest.approx(config.sac.initial_std)
-    env = gym.make_vec(SCALING, num_envs=10, split="validation", max_episode_steps=75)
+    env = make_validation_env(config)
     policy, total = amulett_gym.load_policy(result.last, env), 0.0
     observations, _ = env.reset(seed=config.validation.seed)
     for _ in range(75):
@@ -547,7 +548,7 @@ def test_the_first_policy_of_sac_is_the_constant_of_the_recipe():
         config = load_train_config(None, [*SMALL, "algorithm=sac", f"network.initial_tension={tension}"])
         observations = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
         actions, _ = make_model(config).predict(observations, deterministic=True)
-        assert 4 + (actions + 1) / 2 * 4 == pytest.approx(tension, abs=0.01)
+        assert 4 + (actions + 1) / 2 * 11 == pytest.approx(tension, abs=0.01)
 
 
 def test_a_model_leaves_no_folder_behind(tmp_path, monkeypatch):
