@@ -98,6 +98,9 @@ class PpoSettings(Group):
     gamma: float = Field(default=0.97, ge=0, le=1, description="discount of an agent step [1]")
     gae_lambda: float = Field(default=0.9, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
     clip_range: float = Field(default=0.3, gt=0, le=10, description="of the policies' ratio about 1 [1]")
+    target_kl: float | None = Field(
+        default=0.03, gt=0, le=100, description="an update ends when it has changed the policy by 1.5 times this [1]"
+    )
     ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the exploration's entropy [1]")
     vf_coef: float = Field(default=0.5, ge=0, le=100, description="weight of the critic's loss [1]")
     max_grad_norm: float = Field(default=0.5, gt=0, le=1e6, description="to which gradients are clipped [1]")
@@ -190,7 +193,7 @@ class TrainConfig(Group):
     network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
     validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
     num_envs: int = Field(default=2048, ge=1, le=10**6, description="simulated side by side [devices]")
-    total_steps: int = Field(default=6_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
+    total_steps: int = Field(default=5_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
     max_seconds: float | None = Field(
         default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
     )
@@ -238,6 +241,7 @@ SPRINT = (
     "network.initial_tension=null",
     "ppo.privileged_critic=false",
     "ppo.learning_rate=0.001",
+    "ppo.target_kl=null",
     "validation.episodes=100",
     # 5 s: below the floor of the force estimation strings go slack slowly; a shorter sight runs past good tensions.
     "ppo.gamma=0.98",

@@ -57,6 +57,7 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
         gamma=ppo.gamma,
         gae_lambda=ppo.gae_lambda,
         clip_range=ppo.clip_range,
+        target_kl=ppo.target_kl,
         ent_coef=ppo.ent_coef,
         vf_coef=ppo.vf_coef,
         max_grad_norm=ppo.max_grad_norm,
