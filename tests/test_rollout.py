@@ -81,3 +81,10 @@ def test_the_digest_names_device_scenarios_and_loop(trials):
     digests = {name: Trials(protocol).digest() for name, protocol in other.items()}
     assert len({trials.digest(), *digests.values()}) == 5
     assert Trials(PROTOCOL).digest() == trials.digest()
+    for bits in (0, 255):  # what lies in memory before
+        rows = np.frombuffer(bytearray([bits]) * trials.rows.nbytes, dtype=trials.rows.dtype).copy()
+        for name in rows.dtype.names:
+            rows[name] = trials.rows[name]
+        again = Trials(PROTOCOL)
+        again.rows = rows
+        assert again.digest() == trials.digest() == again.digest(np.arange(3))
