@@ -177,7 +177,7 @@ def without_a_refit(content: dict[str, Any]) -> None:
         (without_parameter, "'without.variable' lacks inertia"),
         (with_unknown_parameter, "'spread' has colour, which this version does not know"),
         (with_text_for_a_number, "'spread.0.value' is 'heavy'"),
-        (with_nan, "'cost' is nan"),
+        (with_nan, "NaN is no number in JSON"),
         (with_zero, "'without.tension-5.max_deflection' is 0"),
         (with_another_reading, "other readings: eq6 printed \\(not text\\)"),
         (without_a_refit, "'readings_refitted' lacks isav_columns as-printed"),
