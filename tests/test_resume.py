@@ -49,6 +49,7 @@ SMALL = [
     "ppo.n_steps=32",
     "ppo.batch_size=128",
     "ppo.n_epochs=2",
+    "ppo.gamma=0.99",
     "env.max_episode_steps=75",
     "validation.every_steps=700",
     "validation.episodes=4",
