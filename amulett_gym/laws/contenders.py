@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,15 @@ from amulett_gym.laws.parametric import tuned_names
 
 CONSTANT = "constant:"
 
-_IN_THE_LOOP: dict[str, dict[str, Any]] = {
+_PRETRAINED = {"pretrained": "scaling", "pretrained:tension": "tension"}
+"""Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card."""
+
+IN_THE_LOOP: dict[str, dict[str, Any]] = {
     "eq6": {"tension_law": "eq6"},
     "eq6-printed": {"tension_law": "eq6-printed"},
     "position-only": {"control": "position-only"},
 }
+"""Contenders that act within the loop: what the environment has to be told."""
 
 _DESCRIPTIONS = {
     "eq6": "eq. 6 as the text describes it, inside the loop at control rate",
@@ -30,6 +35,8 @@ _DESCRIPTIONS = {
     "position-only": "position control alone: a fixed co-contraction, no tension loop",
     "eq6-held": "eq. 6 as the text describes it, from outside at agent rate",
     "eq6-held-printed": "eq. 6 exactly as printed, from outside at agent rate",
+    "pretrained": "the best learned policy that comes with the package (PPO on mixed, Amulett/Scaling-v0)",
+    "pretrained:tension": "the same, trained in Amulett/Tension-v0",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
 }
@@ -77,8 +84,8 @@ def parse_contender(name: str) -> Contender:
     AmulettError
         If the name is unknown, a tension is not a positive number, or a folder holds no valid policy bundle.
     """
-    if name in _IN_THE_LOOP:
-        return Contender(name, dict(_IN_THE_LOOP[name]))
+    if name in IN_THE_LOOP:
+        return Contender(name, dict(IN_THE_LOOP[name]))
     if name in ("eq6-held", "eq6-held-printed") or name in tuned_names():
         return Contender(name, policy_name=name)
     if name.startswith(CONSTANT):
@@ -109,7 +116,7 @@ def constant_tension(name: str) -> float:
 
 
 def bundle_folder(name: str) -> Path:
-    """Return the folder of a policy bundle: `name` itself, or its ``best`` if it is a training run's folder.
+    """Return the folder of a policy bundle: a shipped one, `name` itself, or its ``best`` if it is a training run's.
 
     Raises
     ------
@@ -118,6 +125,8 @@ def bundle_folder(name: str) -> Path:
     """
     if not name:
         raise unknown("policy", name, contender_names())
+    if name in _PRETRAINED:
+        return Path(str(resources.files("amulett_gym") / "policies" / _PRETRAINED[name]))
     folder = Path(name)
     try:
         for candidate in (folder, folder / "best"):

@@ -17,10 +17,9 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
+    IN_THE_LOOP,
     bundle_folder,
     constant_tension,
-    contender_names,
-    parse_contender,
 )
 from amulett_gym.laws.history import History
 from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
@@ -41,8 +40,8 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     Parameters
     ----------
     name_or_folder : str or Path
-        ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"``, a tuned law (`parametric.tuned_names`) or a policy
-        bundle's folder (or a training run's, for its best policy).
+        ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"``, a tuned law (`parametric.tuned_names`),
+        ``"pretrained"``, or a policy bundle's folder (or a training run's, for its best policy).
     env : gymnasium.Env or VectorEnv
         An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
         an action. The policy is for this environment: one that remembers (`laws.history`) reads its clock.
@@ -62,9 +61,8 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     if not hasattr(base, "tension_range"):
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
     name, tension_range = str(name_or_folder), base.tension_range
-    keywords = parse_contender(name).env_keywords if name in contender_names() else {}
-    if keywords:
-        (key, value), *_ = keywords.items()
+    if name in IN_THE_LOOP:
+        (key, value), *_ = IN_THE_LOOP[name].items()
         raise AmulettError(
             f"'{name}' acts inside the loop, not on observations: make the environment with {key}='{value}' instead"
         )
