@@ -36,7 +36,7 @@ from amulett_gym.tasks.scenario import load_scenario
 SHORT = [
     *("env.suite=mixed", "env.max_episode_steps=100", "network.hidden=[8]", "num_envs=8", "total_steps=512"),
     *("ppo.n_steps=16", "ppo.batch_size=64", "validation.every_steps=256", "validation.episodes=4"),
-    "checkpoint_seconds=0.0",
+    *("checkpoint_seconds=0.0", "env.agent_period=0.02", "ppo.gamma=0.99"),
 ]
 TINY = {
     "suites": ["mixed", "paper-step"],
