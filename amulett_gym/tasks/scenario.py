@@ -60,14 +60,14 @@ class Wave(Group):
     frequency: float = Field(ge=0, le=50, description="f, at its beginning [Hz]")
     chirp: float = Field(default=0.0, ge=-50, le=50, description="by which the frequency changes a second [Hz/s]")
     time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
-    duration: float = Field(gt=0, le=1e6, description="[s]")
+    duration: float = Field(ge=1e-3, le=1e6, description="[s], at least a millisecond")
 
 
 class Push(Group):
     """An external torque for a while: at once (a pulse), or with ramps (a slow push)."""
 
     time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
-    duration: float = Field(gt=0, le=1e6, description="ramps included [s]")
+    duration: float = Field(ge=1e-3, le=1e6, description="ramps included [s], at least a millisecond")
     torque: float = Field(ge=-100, le=100, description="positive in flexion [N m]")
     rise: float = Field(
         default=0.0, ge=0, le=1e6, description="how long it rises, and falls again at its end [s]; 0: a pulse"
@@ -92,7 +92,7 @@ class Shake(Group):
     rms: float = Field(gt=0, le=100, description="root mean square [N m]")
     bandwidth: float = Field(gt=0, le=100, description="corner frequency of each low-pass [Hz]")
     time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
-    duration: float = Field(gt=0, le=1e6, description="[s]")
+    duration: float = Field(ge=1e-3, le=1e6, description="[s], at least a millisecond")
 
 
 class Obstacle(Group):
