@@ -1,0 +1,91 @@
+"""The policies that come with the package."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import amulett_gym
+from amulett_gym import ENV_IDS, load_policy
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import bundle_folder, contender_names
+
+NAMES = ("pretrained", "pretrained:tension")
+CARD = Path(amulett_gym.__file__).parent / "policies" / "README.md"
+
+
+@pytest.mark.parametrize(("name", "env_id"), zip(NAMES, ENV_IDS, strict=True))
+def test_there_is_one_for_each_kind_of_action(name, env_id):
+    bundle = read_bundle(bundle_folder(name))
+    assert name in contender_names()
+    assert bundle.env.id == env_id
+    assert not bundle.policy.is_privileged
+
+
+def test_both_act_alike_in_both_environments():
+    actions = []
+    for name in NAMES:
+        for env_id in ENV_IDS:
+            env = gym.make_vec(env_id, num_envs=5, agent_period=0.05)
+            observations, _ = env.reset(seed=1)
+            policy = load_policy(name, env)
+            for _ in range(20):
+                chosen = policy(observations)
+                observations, *_ = env.step(chosen)
+            actions.append(chosen)
+    for other in actions[1:]:
+        np.testing.assert_allclose(other, actions[0], rtol=0, atol=1e-5)
+
+
+def test_numpy_computes_what_torch_would():
+    torch = pytest.importorskip("torch")
+    for name in NAMES:
+        bundle = read_bundle(bundle_folder(name))
+        assert bundle.policy.network.activation == "relu"
+        layers = []
+        for weight, bias in bundle.layers:
+            linear = torch.nn.Linear(weight.shape[1], weight.shape[0])
+            with torch.no_grad():
+                linear.weight.copy_(torch.tensor(weight))
+                linear.bias.copy_(torch.tensor(bias))
+            layers += [linear, torch.nn.ReLU()]
+        observations = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 13)).astype(np.float32)
+        with torch.no_grad():
+            expected = torch.nn.Sequential(*layers[:-1])(torch.tensor(observations)).clamp(-1, 1).numpy()
+        np.testing.assert_allclose(bundle.act(observations), expected, rtol=0, atol=1e-6)
+
+
+def test_they_are_compared_without_torch():
+    code = (
+        "import sys; from amulett_gym.cli import main; "
+        "main(['evaluate', '--policies', 'eq6', 'pretrained', '--suite', 'mixed', '--episodes', '3', '--json']); "
+        "assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["policies"]["pretrained"]["cost"]["mean"] > 0
+
+
+def test_it_costs_less_than_what_was_tuned_by_hand():
+    costs = evaluate(["pretrained", "eq6-tuned", "constant:5.5"], suite="mixed", episodes=100, seed=5_000).values
+    mean = {name: values["cost"].mean() for name, values in costs.items()}
+    assert mean["pretrained"] < min(mean["eq6-tuned"], mean["constant:5.5"]) < mean["eq6"]
+
+
+def test_an_environment_of_another_rate_is_refused_with_the_right_one():
+    with pytest.raises(AmulettError, match=r"agent_period=0\.05"):
+        load_policy("pretrained", gym.make(ENV_IDS[0]))
+
+
+def test_their_card_says_where_they_come_from():
+    card = CARD.read_text()
+    for name in NAMES:
+        provenance = read_bundle(bundle_folder(name)).provenance
+        assert f"seed {provenance['seed']}" in card
+        assert f"{provenance['steps']:,} steps" in card
