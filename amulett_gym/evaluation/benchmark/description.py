@@ -44,7 +44,7 @@ class Clairvoyant(Group):
     """The search for each scenario's best schedule with the future known."""
 
     scenarios: dict[str, int] = Field(
-        default={"mixed": 70, "steps": 20, "reach": 20, "track": 20, "contact": 20, "hold-push": 20},
+        default={"mixed": 50, "steps": 10, "reach": 10, "track": 10, "contact": 10, "hold-push": 10},
         description="suite -> number of its held-out scenarios, from the first on",
     )
     check: int = Field(
