@@ -271,7 +271,8 @@ class ScalingEnv(TensionEnv):
 
     The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
     `Amulett/Tension-v0`, in which the same action means the same tension. `action_range=(low, high)` sets another range
-    of factors.
+    of factors. The ramp is one of control ticks: one that comes too late leaves the setpoint where it is, and the next
+    action begins where the last one wanted to be.
 
     ## Observation Space
 
