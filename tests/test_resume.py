@@ -344,6 +344,7 @@ def test_everything_that_is_kept_is_restored(broken_off):
 
 
 def command_line(words: list[str], result: Path) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell that put pytest in the background had it ignored
     with result.open("w") as sys.stdout:
         code = main(words)
     raise SystemExit(code)

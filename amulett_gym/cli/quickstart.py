@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from amulett_gym.cli.train import check_installed
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import output_folder
-from amulett_gym.laws.contenders import CONSTANT
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.runner import Results
@@ -125,6 +124,7 @@ def beside_best_constant(results: Results, policy: str) -> str:
     """Return in words how a policy stands against the constant that costs least on the same scenarios."""
     from amulett_gym.evaluation.results import span
     from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
+    from amulett_gym.laws.contenders import CONSTANT
 
     costs = {name: values["cost"] for name, values in results.values.items()}
     best = min((name for name in costs if name.startswith(CONSTANT)), key=lambda name: float(costs[name].sum()))
