@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from amulett_gym.cli.train import add_overrides, check_installed
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import check_writable, write_json
 
@@ -40,15 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", metavar="FILE", help="recipe of --ppo (default: that of amulett train) and --time-to-beat (its own)"
     )
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help="change keys of that recipe, for example num_envs=1024",
-    )
+    add_overrides(parser, "change keys of that recipe, for example num_envs=1024")
     parser.add_argument("--seeds", type=int, default=10, help="training runs of --time-to-beat (default: 10)")
     parser.add_argument("--limit", type=float, default=120.0, help="longest of these runs [s] (default: 120)")
     parser.add_argument(
@@ -166,8 +159,6 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _recipe(arguments: argparse.Namespace, section: str) -> Any:
     """Return a section's checked recipe; torch is not imported yet."""
-    from amulett_gym.cli.train import check_installed
-
     check_installed()
     from amulett_agents.config import SPRINT, load_train_config
 

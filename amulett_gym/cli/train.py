@@ -24,6 +24,16 @@ _NEEDED = ("torch", "stable_baselines3", "tensorboard")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--config", metavar="FILE", help="recipe in YAML (default: the tuned recipe, configs/ppo.yaml)")
+    add_overrides(parser, "change keys of the recipe, for example ppo.gamma=0.98")
+    parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
+    parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
+    parser.add_argument("--seed", type=int, help="in the place of the recipe's")
+    parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
+    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+
+
+def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Add `--set`, whose words are `load_train_config`'s overrides."""
     parser.add_argument(
         "--set",
         nargs="+",
@@ -31,13 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help="change keys of the recipe, for example ppo.gamma=0.98",
+        help=meaning,
     )
-    parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
-    parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
-    parser.add_argument("--seed", type=int, help="in the place of the recipe's")
-    parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:

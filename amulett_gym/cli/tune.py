@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.train import check_installed
+from amulett_gym.cli.train import add_overrides, check_installed
 from amulett_gym.errors import AmulettError
 
 HELP = "search a recipe's settings; given again, the same command goes on where it was interrupted or killed"
@@ -25,15 +25,7 @@ _MOST_SHOWN = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--config", metavar="FILE", help="recipe in YAML that is changed (default: the default recipe)")
-    parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help="change keys of the recipe before, for example total_steps=500000",
-    )
+    add_overrides(parser, "change keys of the recipe before, for example total_steps=500000")
     parser.add_argument("--space", metavar="FILE", required=True, help="what to try: keys with ranges or choices")
     parser.add_argument("--trials", type=int, default=40, help="how many, those already done included (default: 40)")
     parser.add_argument("--seeds", type=int, default=1, help="runs of each trial, whose mean counts (default: 1)")
