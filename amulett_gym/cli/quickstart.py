@@ -122,15 +122,15 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
 
 def beside_best_constant(results: Results, policy: str) -> str:
     """Return in words how a policy stands against the constant that costs least on the same scenarios."""
-    from amulett_gym.evaluation.results import span
+    from amulett_gym.evaluation.results import span_of
     from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
     from amulett_gym.laws.contenders import CONSTANT
 
     costs = {name: values["cost"] for name, values in results.values.items()}
     best = min((name for name in costs if name.startswith(CONSTANT)), key=lambda name: float(costs[name].sum()))
     ratio = ratio_of_sums(costs[policy], costs[best], draw_weights(len(costs[best])))
-    numbers = span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
-    return f"The best constant on these scenarios is {best.removeprefix(CONSTANT)} N; the policy costs {numbers} of it."
+    tension = best.removeprefix(CONSTANT)
+    return f"The best constant on these scenarios is {tension} N; the policy costs {span_of(ratio)} of it."
 
 
 def _say(arguments: argparse.Namespace, message: str) -> None:

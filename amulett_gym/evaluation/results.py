@@ -111,12 +111,12 @@ def verdict(results: Results) -> str:
     against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
     text = f"{best} costs least in {scenarios}"
     if best != YARDSTICK:
-        share = _span(against)
+        share = span_of(against)
         text += f": {'practically' if share == EQUAL else f'{share} of'} what {YARDSTICK} costs"
         text += _doubt(against, best, YARDSTICK)
     if best == YARDSTICK or ranking[1] != YARDSTICK:
         lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
-        times = _span(lead)
+        times = span_of(lead)
         times = "practically" if times == EQUAL else f"{times} times"
         text += f". {ranking[1]} comes next, at {times} the cost of {best}"
         text += _doubt(lead, ranking[1], best)
@@ -234,7 +234,8 @@ def _numbers(estimate: Estimate) -> dict[str, float | None]:
     return {key: value if math.isfinite(value) else None for key, value in numbers.items()}
 
 
-def _span(ratio: Estimate) -> str:
+def span_of(ratio: Estimate) -> str:
+    """Return an estimated ratio in words, as `span` does."""
     return span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
 
 
