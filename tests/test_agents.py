@@ -24,7 +24,7 @@ import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
 from amulett_agents.model import make_model, make_validation_env  # noqa: E402
-from amulett_agents.training import COLUMNS, evaluate  # noqa: E402
+from amulett_agents.training import COLUMNS, evaluate, torch_threads  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
@@ -51,10 +51,8 @@ SMALL = [
 @pytest.fixture(autouse=True)
 def one_thread():
     """Torch's threads only get in each other's way in networks this small."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+    with torch_threads(1):
+        yield
 
 
 def weights(folder: Path) -> list[np.ndarray]:

@@ -35,6 +35,7 @@ from amulett_agents.checkpoint import (  # noqa: E402
     restore,
 )
 from amulett_agents.model import make_model  # noqa: E402
+from amulett_agents.training import torch_threads  # noqa: E402
 from amulett_gym import files  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
@@ -86,10 +87,8 @@ processes.set_forkserver_preload(["amulett_agents.training"])
 
 @pytest.fixture(autouse=True)
 def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+    with torch_threads(1):
+        yield
 
 
 def recipe(changes=()):

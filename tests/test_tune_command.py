@@ -16,6 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("optuna")
 
 from amulett_agents import load_train_config  # noqa: E402
+from amulett_agents.training import torch_threads  # noqa: E402
 from amulett_agents.tuning import Trial, _propose, best_of, load_space, tune  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
@@ -49,10 +50,8 @@ processes.set_forkserver_preload(["amulett_agents.tuning"])
 
 @pytest.fixture(autouse=True)
 def one_thread():
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+    with torch_threads(1):
+        yield
 
 
 @pytest.fixture

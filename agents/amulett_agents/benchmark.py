@@ -11,7 +11,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
@@ -19,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import exploration, make_model
-from amulett_agents.training import evaluate, warm_up
+from amulett_agents.training import evaluate, torch_threads, warm_up
 from amulett_gym.evaluation.speed import spread
 from amulett_gym.laws.policies import tension_to_action
 
@@ -106,7 +105,7 @@ def ppo_throughput(
         ``env`` and ``null``, the medians of the agent steps a second; ``ratio``, the median of env to null in the same
         turn, and ``ratio_spread``, its least and most.
     """
-    with _threads(config.threads):
+    with torch_threads(config.threads):
         models = {"env": make_model(config), "null": make_model(config)}
         like = models["null"].get_env()
         assert like is not None
@@ -260,7 +259,7 @@ def time_to_beat(config: TrainConfig, referee: Referee, limit: float, watch: Wat
         Called after each evaluation.
     """
     run = Run(config.seed)
-    with _threads(config.threads):
+    with torch_threads(config.threads):
         warm_up(config)
         clock = _Clock()
         model = make_model(config)
@@ -356,14 +355,3 @@ def _fixed(config: TrainConfig, split: str, tension_law: str) -> gym.vector.Vect
         max_episode_steps=config.env.max_episode_steps,
         **config.env.keywords(),
     )
-
-
-@contextlib.contextmanager
-def _threads(number: int) -> Iterator[None]:
-    """Let torch compute with so many threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(number)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

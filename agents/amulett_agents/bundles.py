@@ -15,15 +15,13 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
-from amulett_agents.networks import StandardInputs, TwoSights, TwoSightsPolicy
+from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy
 from amulett_gym.config import profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.provenance import git_revision, versions
-
-ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 
 def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:

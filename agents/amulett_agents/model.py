@@ -16,8 +16,9 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStac
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.config import TrainConfig
 from amulett_agents.networks import look_at_inputs
-from amulett_agents.ppo import FadingExploration, make_ppo, sees_more
+from amulett_agents.ppo import make_ppo, sees_more
 from amulett_agents.sac import make_sac
+from amulett_agents.schedules import FadingExploration
 from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC

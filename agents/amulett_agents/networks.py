@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -12,7 +12,11 @@ import torch
 from gymnasium.spaces import Space
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.torch_layers import FlattenExtractor, create_mlp
+
+from amulett_agents.config import NetworkSettings
+
+ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 EPISODES = 256
 SEED = 0
@@ -79,6 +83,17 @@ class StandardInputs(FlattenExtractor):
         return (features - self.means) * self.gains
 
 
+def policy_keywords(network: NetworkSettings, critic: Literal["vf", "qf"], inputs: Inputs | None) -> dict[str, Any]:
+    """Return SB3's ``policy_kwargs`` for a recipe's networks; `critic` is what the algorithm calls its critic's."""
+    keywords: dict[str, Any] = {
+        "net_arch": {"pi": list(network.hidden), critic: list(network.critic_hidden or network.hidden)},
+        "activation_fn": ACTIVATIONS[network.activation],
+    }
+    if inputs is not None:
+        keywords |= {"features_extractor_class": StandardInputs, "features_extractor_kwargs": {"inputs": inputs}}
+    return keywords
+
+
 class TwoSights(torch.nn.Module):
     """A policy that sees some of the features beside a critic that sees all: what SB3 calls an ``mlp_extractor``."""
 
@@ -94,8 +109,8 @@ class TwoSights(torch.nn.Module):
     ) -> None:
         super().__init__()
         self.register_buffer("visible", torch.tensor(list(visible)))
-        self.policy_net = _layers(len(visible), hidden, activation)
-        self.value_net = _layers(features, critic, activation)
+        self.policy_net = torch.nn.Sequential(*create_mlp(len(visible), -1, list(hidden), activation))
+        self.value_net = torch.nn.Sequential(*create_mlp(features, -1, list(critic), activation))
         self.latent_dim_pi, self.latent_dim_vf = hidden[-1], critic[-1]
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -128,11 +143,3 @@ class TwoSightsPolicy(ActorCriticPolicy):
 def visible_entries(shown: int, known: int, history: int) -> list[int]:
     """Return where the `known` first entries of each observation are in a stack of `history`, each of `shown`."""
     return [frame * shown + entry for frame in range(history) for entry in range(known)]
-
-
-def _layers(inputs: int, sizes: Sequence[int], activation: type[torch.nn.Module]) -> torch.nn.Sequential:
-    layers: list[torch.nn.Module] = []
-    for size in sizes:
-        layers += [torch.nn.Linear(inputs, size), activation()]
-        inputs = size
-    return torch.nn.Sequential(*layers)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecEnv
 
-from amulett_agents.bundles import ACTIVATIONS
 from amulett_agents.config import TrainConfig
-from amulett_agents.networks import Inputs, StandardInputs
+from amulett_agents.networks import Inputs, policy_keywords
+from amulett_agents.schedules import learning_rate
 
 _NEARLY_ONE = 0.999
 """Where tanh is cut off: a first policy at an end of the range has to be a finite number before it."""
@@ -29,21 +28,11 @@ def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
     inputs : Inputs or None
         What observations are like; None: they are taken as they are.
     """
-    sac, network = config.sac, config.network
-    about_policy: dict[str, Any] = {
-        "net_arch": {"pi": list(network.hidden), "qf": list(network.critic_hidden or network.hidden)},
-        "activation_fn": ACTIVATIONS[network.activation],
-    }
-    if inputs is not None:
-        about_policy |= {"features_extractor_class": StandardInputs, "features_extractor_kwargs": {"inputs": inputs}}
-
-    def falling(left: float) -> float:
-        return max(left, 0.0) * sac.learning_rate
-
+    sac = config.sac
     model = SAC(
         "MlpPolicy",
         env,
-        learning_rate=falling if sac.anneal else sac.learning_rate,
+        learning_rate=learning_rate(sac.learning_rate, sac.anneal),
         buffer_size=sac.buffer_size,
         learning_starts=sac.learning_starts,
         batch_size=sac.batch_size,
@@ -54,7 +43,7 @@ def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
         ent_coef=f"auto_{sac.initial_ent_coef}" if sac.ent_coef is None else sac.ent_coef,
         target_entropy=sac.target_entropy,
         stats_window_size=config.num_envs,
-        policy_kwargs=about_policy,
+        policy_kwargs=policy_keywords(config.network, "qf", inputs),
         seed=config.seed,
         device="cpu",
     )

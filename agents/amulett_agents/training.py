@@ -136,7 +136,7 @@ def train(
                 f"'{out}' holds a training run already; choose another folder, resume it (--resume), or overwrite it "
                 "(--overwrite)"
             )
-        with _torch_threads(config.threads):
+        with torch_threads(config.threads):
             # A wrong environment is refused before anything of an earlier run is cleared away.
             model, validation = make_model(config), make_validation_env(config)
             warm_up(config)
@@ -182,7 +182,7 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
         if checkpoint is None and (out / "evaluations.csv").exists():
             raise AmulettError(f"'{out}' holds no checkpoint to resume from; an earlier version trained it")
         command = _check_versions(out)
-        with _torch_threads(config.threads):
+        with torch_threads(config.threads):
             model, validation = make_model(config), make_validation_env(config)
             if checkpoint is not None:
                 _check_recipe(checkpoint, config, model)
@@ -417,7 +417,8 @@ def _interruptible(run: _Run) -> Iterator[None]:
 
 
 @contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
+def torch_threads(count: int) -> Iterator[None]:
+    """Let torch compute with so many threads for a while."""
     threads = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
