@@ -131,7 +131,7 @@ INLINE real sine(real a) {
 
 /* By their bits, which hold under fast math too. */
 INLINE mask is_nan(real a) { return (bits_of(a) << 1) > 0xFFE0000000000000u; }
-INLINE mask is_finite(real a) { return (bits_of(a) << 1) < 0xFFE0000000000000u; }
+INLINE mask is_near(real a) { return (bits_of(a) << 1) <= (bits_of(all(FARTHEST)) << 1); }
 
 /* ---- simulation/random.py ---- */
 
@@ -454,16 +454,16 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) 
         x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0;
         v += h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0;
     }
-    mask finite = is_finite(x) & is_finite(v);
+    mask near = is_near(x) & is_near(v);
 #if WIDTH == 1
-    if (!finite) {
+    if (!near) {
         s->failure[i] = NOT_FINITE;
         return;
     }
 #else
-    bool all_finite = !any(not(finite));
+    bool all_near = !any(not(near));
     states before;
-    if (!all_finite) before = *s;
+    if (!all_near) before = *s;
 #endif
     integer failure = either(absolute(v) > p->velocity_limit, all_integers(VELOCITY_LIMIT), s->failure[i]);
     s->failure[i] = either(absolute(x) > p->angle_limit, all_integers(ANGLE_LIMIT), failure);
@@ -482,9 +482,9 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) 
     real tension_error = s->tension_setpoint[i] - force;
     s->tension_ise[i] += counted * tension_error * tension_error;
 #if WIDTH > 1
-    if (!all_finite) {
-        keep(s, &before, not(finite));
-        s->failure[i] = either(finite, s->failure[i], all_integers(NOT_FINITE));
+    if (!all_near) {
+        keep(s, &before, not(near));
+        s->failure[i] = either(near, s->failure[i], all_integers(NOT_FINITE));
     }
 #endif
 }

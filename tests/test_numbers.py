@@ -238,6 +238,26 @@ def test_a_device_that_is_thrown_off_its_limits_is_terminated_among_calm_ones():
 
 
 @pytest.mark.parametrize(
+    ("damping", "failure"),
+    [
+        (1.2, "joint angle limit"),
+        (1.5, "joint angle limit"),
+        (2.0, "state is not finite"),
+        (4.0, "state is not finite"),
+    ],
+)
+def test_however_far_an_unstable_device_gets_in_one_tick_every_number_is_finite(damping, failure):
+    # A friction that its integration steps follow just so, times a scenario's factor: 1e12, 1e75, 1e157 deg, infinity.
+    env = TensionEnv(device("testbed", damping={"d": 72919.0}, loop={"substeps": 146}))
+    push = {"time": 0.0, "duration": 1.0, "torque": 0.1}
+    env.reset(seed=0, options={"scenario": {"device": {"damping": damping}, "pushes": [push]}})
+    _, reward, terminated, _, info = env.step(np.zeros(1))
+    assert terminated and info["failure"] == failure and -501 <= reward <= -500
+    assert all(math.isfinite(info[name]) for name in ("joint_angle", "joint_velocity", "force_biceps"))
+    assert all(math.isfinite(value) for name, value in info["metrics"].items() if name not in MAY_BE_MISSING)
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"plant": {"masses": [{"mass": 1e-3, "arm": 0.05}]}}, "swings by .* rad in an integration step"),

@@ -47,6 +47,7 @@ ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), n
 SHAKE_STREAM = np.uint64(0x5A4E)
 TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
 # scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
+FARTHEST = 1e100  # [rad], [rad/s]; within a tick an unstable arm can get so far that the square, a metric, is no number
 
 
 @compiled
@@ -444,8 +445,8 @@ def arrive(p, c, s, m, i):
     """Take over the motion's end, unless the device failed on the way, and add what the way cost."""
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
     error_before = s.setpoint[i] - s.angle[i]
-    if not (math.isfinite(x) and math.isfinite(v)):
-        s.failure[i] = NOT_FINITE  # the last finite state stays, so that nothing downstream meets a NaN
+    if not (abs(x) <= FARTHEST and abs(v) <= FARTHEST):
+        s.failure[i] = NOT_FINITE  # the last state stays, so that nothing downstream meets a NaN or overflows
         return
     if abs(x) > p.angle_limit:
         s.failure[i] = ANGLE_LIMIT
