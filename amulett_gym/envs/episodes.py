@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from amulett_gym.config import STABLE_STEP, Profile, load_profile
 from amulett_gym.envs import transition
-from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
+from amulett_gym.envs.privileged import PRIVILEGED, tell_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, Control
@@ -32,6 +33,9 @@ DEFAULT_STEPS = 500
 
 TENSION_RANGE = (4.0, 15.0)
 """Tension setpoints that an action can choose by default [N]."""
+
+Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]
+"""Parameters, settings, and blocks of scenarios and states."""
 
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
@@ -112,6 +116,8 @@ class Episodes:
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
         self._max_force = simulation.max_force
+        masses = self.profile.plant.masses
+        self._bare_inertia = float(inertia([item.mass for item in masses], [item.arm for item in masses]))
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
@@ -166,9 +172,11 @@ class Episodes:
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
         """Return what the given devices (all if None) sense now, shape (len(devices), observation_size)."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
-        observations = np.empty((devices.size, len(transition.OBSERVATIONS)), dtype=np.float32)
+        observations = np.empty((devices.size, self.observation_size), dtype=np.float32)
         transition.observe_devices(*self._arrays, devices, observations)
-        return self._with_privileged(observations, devices)
+        if self.privileged:  # compiled for those only who ask for it
+            self._tell_privileged(self._arrays, devices, observations)
+        return observations
 
     def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
         """Take one agent step with all devices.
@@ -190,15 +198,28 @@ class Episodes:
             If an action is NaN.
         """
         num_devices = self.simulation.num_devices
-        observations = np.empty((num_devices, len(transition.OBSERVATIONS)), dtype=np.float32)
+        observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
         report = np.empty((num_devices, transition.REPORT_SIZE))
         if np.isnan(actions).any():
             raise AmulettError(f"the action of device {int(np.isnan(actions).argmax())} is NaN; allowed is [-1, 1]")
         if len(self._shares) == 1:
-            transition.step(*self._arrays, actions, observations, report)
+            self._step(self._arrays, actions, observations, report)
         else:
             self._step_in_threads(actions, observations, report)
-        return self._with_privileged(observations, np.arange(num_devices)), report
+        return observations, report
+
+    def _step(
+        self, arrays: Arrays, actions: NDArray[np.floating[Any]], observations: Observations, report: Report
+    ) -> None:
+        """Take one agent step with the devices of some blocks."""
+        transition.step(*arrays, actions, observations, report)
+        if self.privileged:
+            self._tell_privileged(arrays, np.arange(len(observations)), observations)
+
+    def _tell_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
+        parameters, _, scenarios, states = arrays
+        first = len(transition.OBSERVATIONS)
+        tell_privileged(parameters, self._bare_inertia, scenarios, states, devices, first, observations)
 
     def _step_in_threads(self, actions: NDArray[np.floating[Any]], observations: Observations, report: Report) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
@@ -206,8 +227,8 @@ class Episodes:
 
         def step(blocks: slice) -> None:
             rows = slice(blocks.start * LANES, blocks.stop * LANES)
-            of_devices = actions[rows], observations[rows], report[rows]
-            transition.step(parameters, settings, scenarios[blocks], states[blocks], *of_devices)
+            arrays = parameters, settings, scenarios[blocks], states[blocks]
+            self._step(arrays, actions[rows], observations[rows], report[rows])
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
@@ -279,11 +300,6 @@ class Episodes:
         self._keys[...] = state["keys"]
         self._episodes[...] = state["episodes"]
         self.started[...] = state["started"]
-
-    def _with_privileged(self, observations: Observations, devices: NDArray[np.int64]) -> Observations:
-        if not self.privileged:
-            return observations
-        return np.concatenate([observations, observe_privileged(self.simulation, devices)], axis=1)
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys

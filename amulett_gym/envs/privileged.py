@@ -7,14 +7,12 @@ payload, the obstacle, the coming push and all the rest were told. Such a policy
 from __future__ import annotations
 
 import math
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from amulett_gym.model.plant import inertia
-from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import FAMILIES, LANES, Family
+from amulett_gym.compiled import compiled
+from amulett_gym.simulation.layout import LANES, Family
 
 _SOON = 2.0
 """How far ahead coming events are seen [s]: about the time between two of them in the suites."""
@@ -79,121 +77,140 @@ PRIVILEGED = tuple(PRIVILEGED_SCALES)
 """Names of the entries that follow those of `transition.OBSERVATIONS`."""
 
 _SCALES = np.array(list(PRIVILEGED_SCALES.values()))
+_BUILT, _SENSORS, _TRUTH, _LOADS, _OBSTACLE, _PUSHES, _MOVES, _WAVE, _TASK = (
+    PRIVILEGED.index(name)
+    for name in (
+        "spring_biceps_factor",
+        "encoder_bias",
+        "true_error",
+        "static_torque",
+        "obstacle",
+        "push_remaining",
+        "move_remaining",
+        "wave_amplitude",
+        "counts_in",
+    )
+)
 _SLACK = 1e-6  # [s]; a fraction of a control tick
-_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "damping", "noise")
-
-Values = NDArray[np.float64]
 
 
-def observe_privileged(simulation: Simulation, devices: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Return what the given devices cannot know.
+@compiled
+def tell_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observations):
+    """Fill what the given devices cannot know into their observations, one row each, from the column `first` on.
 
-    Parameters
-    ----------
-    simulation : Simulation
-    devices : ndarray of int, shape (N,)
-
-    Returns
-    -------
-    ndarray of float32, shape (N, len(PRIVILEGED))
-        In [-1, 1]. What there is none of (obstacle, push, move, wave) is 0, a time until it 1.
+    What there is none of (obstacle, push, move, wave) is 0, a time until it 1. `bare_inertia` is that of the profile's
+    arm without a payload [kg m2].
     """
-    block, lane = np.divmod(devices, LANES)
-
-    def scenario(name: str) -> Values:
-        return np.ascontiguousarray(simulation.scenarios[name][block, ..., lane])
-
-    def state(name: str) -> Values:
-        return np.ascontiguousarray(simulation.states[name][block, lane])
-
-    time = state("tick") * simulation.control_period
-    angle = state("angle")
-    values: dict[str, Values] = {f"{name}_factor": scenario(f"{name}_factor") - 1.0 for name in _FACTORS}
-    masses = simulation.profile.plant.masses
-    bare = inertia([item.mass for item in masses], [item.arm for item in masses])
-    values["loaded_inertia"] = scenario("inertia") / bare - 1.0
-    for name in ("encoder_bias", "slider_bias_biceps", "slider_bias_triceps", "late_probability", "static_torque"):
-        values[name] = scenario(name)
-    values["weight_torque"] = values["static_torque"] * np.sin(angle)
-    values["true_error"] = state("setpoint") - angle
-    values["true_velocity"] = state("velocity")
-    for name in ("force_biceps", "force_triceps", "position_integral", "tension_integral"):
-        values[name] = state(name)
-    values["push_torque"], values["contact_torque"] = state("push_torque"), state("contact_torque")
-    values |= _obstacle(scenario, angle)
-    values |= _pushes(scenario, time)
-    values |= _moves(scenario, state, time)
-    values |= _wave(scenario, time)
-    values["counts_in"] = np.maximum(scenario("measure_from") - time, 0.0)
-    family = scenario("family")
-    for number, task in enumerate(FAMILIES):
-        if task is not None:
-            values[f"family_{task.replace('-', '_')}"] = (family == number).astype(np.float64)
-    scaled = np.stack([values[name] for name in PRIVILEGED], axis=1) / _SCALES
-    return np.clip(scaled, -1.0, 1.0).astype(np.float32)
+    values = np.empty(_SCALES.size)
+    for n in range(devices.size):
+        block, i = devices[n] // LANES, np.uint64(devices[n] % LANES)
+        c, s = c_blocks[block], s_blocks[block]
+        time = s.tick[i] * p[0].control_period
+        _tell_device(bare_inertia, c, i, values)
+        _tell_truth(c, s, i, values)
+        _tell_obstacle(c, s, i, values[_OBSTACLE:])
+        _tell_pushes(c, i, time, values[_PUSHES:])
+        _tell_moves(c, s, i, time, values[_MOVES:])
+        _tell_wave(c, i, time, values[_WAVE:])
+        values[_TASK] = max(c.measure_from[i] - time, 0.0)
+        for k in range(1, _SCALES.size - _TASK):
+            values[_TASK + k] = 1.0 if c.family[i] == k else 0.0
+        for k in range(_SCALES.size):
+            observations[n, first + k] = min(max(values[k] / _SCALES[k], -1.0), 1.0)
 
 
-def _obstacle(scenario: Any, angle: Values) -> dict[str, Values]:
-    stiffness, side = scenario("obstacle_stiffness"), scenario("obstacle_side")
-    there = stiffness > 0.0
-    return {
-        "obstacle": there.astype(np.float64),
-        "obstacle_distance": np.where(there, side * (scenario("obstacle_angle") - angle), 0.0),
-        "obstacle_side": np.where(there, side, 0.0),
-        "obstacle_yield": np.where(there, 1.0 / np.where(there, stiffness, 1.0), 0.0),
-        "obstacle_damping": scenario("obstacle_damping"),
-    }
+@compiled
+def _tell_device(bare_inertia, c, i, values):
+    """Tell how the device was built, and what it carries."""
+    built, sensors = values[_BUILT:], values[_SENSORS:]
+    built[0] = c.spring_biceps_factor[i] - 1.0
+    built[1] = c.spring_triceps_factor[i] - 1.0
+    built[2] = c.pulley_biceps_factor[i] - 1.0
+    built[3] = c.pulley_triceps_factor[i] - 1.0
+    built[4] = c.damping_factor[i] - 1.0
+    built[5] = c.noise_factor[i] - 1.0
+    built[6] = c.inertia[i] / bare_inertia - 1.0
+    sensors[0] = c.encoder_bias[i]
+    sensors[1] = c.slider_bias_biceps[i]
+    sensors[2] = c.slider_bias_triceps[i]
+    sensors[3] = c.late_probability[i]
 
 
-def _pushes(scenario: Any, time: Values) -> dict[str, Values]:
-    begin, duration, slope = scenario("push_time"), scenario("push_duration"), scenario("push_slope")
-    exists = np.arange(begin.shape[1]) < scenario("push_count")[:, None]
-    elapsed = time[:, None] - begin
-    begun = elapsed >= -_SLACK
-    remaining = np.where(exists & begun, np.maximum(duration - elapsed, 0.0), 0.0).max(axis=1)
-    wait = np.where(exists & ~begun, -elapsed, np.inf)
-    row, following = np.arange(time.size), wait.argmin(axis=1)
-    wait = wait[row, following]
-    comes = np.isfinite(wait)
-    rise = np.where(slope > 0.0, 1.0 / np.where(slope > 0.0, slope, 1.0), 0.0)
-    return {
-        "push_remaining": remaining,
-        "next_push_in": np.minimum(wait, _SOON),
-        "next_push_torque": np.where(comes, scenario("push_torque")[row, following], 0.0),
-        "next_push_duration": np.where(comes, duration[row, following], 0.0),
-        "next_push_rise": np.where(comes, rise[row, following], 0.0),
-        "shake_rms": scenario("shake_rms"),
-        "shake_bandwidth": scenario("shake_bandwidth"),
-    }
+@compiled
+def _tell_truth(c, s, i, values):
+    """Tell what is behind the sensors, and what acts on the joint."""
+    truth, loads = values[_TRUTH:], values[_LOADS:]
+    truth[0] = s.setpoint[i] - s.angle[i]
+    truth[1] = s.velocity[i]
+    truth[2] = s.force_biceps[i]
+    truth[3] = s.force_triceps[i]
+    truth[4] = s.position_integral[i]
+    truth[5] = s.tension_integral[i]
+    loads[0] = c.static_torque[i]
+    loads[1] = c.static_torque[i] * math.sin(s.angle[i]) if c.static_torque[i] != 0.0 else 0.0
+    loads[2] = s.push_torque[i]
+    loads[3] = s.contact_torque[i]
 
 
-def _moves(scenario: Any, state: Any, time: Values) -> dict[str, Values]:
-    begin, angle, duration = scenario("move_time"), scenario("move_angle"), scenario("move_duration")
-    row, present = np.arange(time.size), state("move")
-    moved = present >= 0
-    now = np.maximum(present, 0)
-    target = np.where(moved, angle[row, now], scenario("initial_angle"))
-    left = np.where(moved, np.maximum(begin[row, now] + duration[row, now] - time, 0.0), 0.0)
+@compiled
+def _tell_obstacle(c, s, i, values):
+    values[:5] = 0.0
+    if c.obstacle_stiffness[i] > 0.0:
+        values[0] = 1.0
+        values[1] = c.obstacle_side[i] * (c.obstacle_angle[i] - s.angle[i])
+        values[2] = c.obstacle_side[i]
+        values[3] = np.float32(1.0) / c.obstacle_stiffness[i]  # in the width that it is kept in
+        values[4] = c.obstacle_damping[i]
+
+
+@compiled
+def _tell_pushes(c, i, time, values):
+    """Tell how long the present push lasts; of the next one when and what it is; and the shaking."""
+    remaining, wait, following = 0.0, math.inf, -1
+    for k in range(c.push_count[i]):
+        elapsed = time - c.push_time[k, i]
+        if elapsed >= -_SLACK:
+            remaining = max(remaining, c.push_duration[k, i] - elapsed)
+        elif -elapsed < wait:
+            wait, following = -elapsed, k
+    values[0] = remaining
+    values[1] = min(wait, _SOON)
+    values[2:5] = 0.0
+    if following >= 0:
+        slope = c.push_slope[following, i]
+        values[2] = c.push_torque[following, i]
+        values[3] = c.push_duration[following, i]
+        values[4] = 1.0 / slope if slope > 0.0 else 0.0
+    values[5] = c.shake_rms[i]
+    values[6] = c.shake_bandwidth[i]
+
+
+@compiled
+def _tell_moves(c, s, i, time, values):
+    """Tell what is left of the setpoint's present move; of the next one when and what it is."""
+    present = s.move[i]
+    target, left = c.initial_angle[i], 0.0
+    if present >= 0:
+        target = c.move_angle[present, i]
+        left = max(c.move_time[present, i] + c.move_duration[present, i] - time, 0.0)
+    values[0] = target - (s.setpoint[i] - s.setpoint_wave[i]) if left > 0.0 else 0.0
+    values[1] = left
+    values[2], values[3], values[4] = _SOON, 0.0, 0.0
     following = present + 1
-    comes = following < scenario("move_count")
-    following = np.minimum(following, begin.shape[1] - 1)
-    return {
-        "move_remaining": np.where(left > 0.0, target - (state("setpoint") - state("setpoint_wave")), 0.0),
-        "move_ends_in": left,
-        "next_move_in": np.where(comes, np.minimum(begin[row, following] - time, _SOON), _SOON),
-        "next_move_change": np.where(comes, angle[row, following] - target, 0.0),
-        "next_move_duration": np.where(comes, duration[row, following], 0.0),
-    }
+    if following < c.move_count[i]:
+        values[2] = min(c.move_time[following, i] - time, _SOON)
+        values[3] = c.move_angle[following, i] - target
+        values[4] = c.move_duration[following, i]
 
 
-def _wave(scenario: Any, time: Values) -> dict[str, Values]:
-    amplitude, elapsed = scenario("wave_amplitude"), time - scenario("wave_time")
-    runs = (amplitude > 0.0) & (elapsed >= 0.0) & (elapsed < scenario("wave_duration") - _SLACK)
-    first, chirp = scenario("wave_frequency"), scenario("wave_chirp")
-    phase = 2.0 * np.pi * elapsed * (first + 0.5 * chirp * elapsed)
-    return {
-        "wave_amplitude": amplitude,
-        "wave_frequency": np.where(runs, first + chirp * elapsed, first),
-        "wave_sine": np.where(runs, np.sin(phase), 0.0),
-        "wave_cosine": np.where(runs, np.cos(phase), 0.0),
-    }
+@compiled
+def _tell_wave(c, i, time, values):
+    elapsed = time - c.wave_time[i]
+    values[0] = c.wave_amplitude[i]
+    values[1] = c.wave_frequency[i]
+    values[2], values[3] = 0.0, 0.0
+    if c.wave_amplitude[i] > 0.0 and 0.0 <= elapsed < c.wave_duration[i] - _SLACK:
+        phase = 2.0 * math.pi * elapsed * (c.wave_frequency[i] + 0.5 * c.wave_chirp[i] * elapsed)
+        values[1] = c.wave_frequency[i] + c.wave_chirp[i] * elapsed
+        values[2] = math.sin(phase)
+        values[3] = math.cos(phase)

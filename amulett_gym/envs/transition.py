@@ -42,6 +42,8 @@ OBSERVATIONS = (
 )
 """Names of the observation's entries, in order."""
 
+_ENTRIES = len(OBSERVATIONS)
+
 OBSERVATION_SCALES = {
     "position_error": math.radians(90.0),
     "joint_angle": math.radians(150.0),
@@ -159,7 +161,7 @@ def observe_devices(p, e, c_blocks, s_blocks, devices, observations):
 
 @compiled
 def observe(p, e, c, s, i, row):
-    """Fill one observation with what the microcontroller knows, scaled and clipped to [-1, 1]."""
+    """Fill the first of a row with what the microcontroller knows, scaled and clipped to [-1, 1]."""
     time = s.tick[i] * p.control_period
     row[0] = (s.setpoint[i] - s.measured_angle[i]) / _ERROR
     row[1] = s.measured_angle[i] / _ANGLE
@@ -176,9 +178,9 @@ def observe(p, e, c, s, i, row):
     row[12] = 2.0 * (s.tension_setpoint[i] - e.low) / (e.high - e.low) - 1.0
     if e.observation_noise > 0.0:
         key = c.noise_key[i] ^ _NOISE_STREAM
-        for k in range(row.size):
-            row[k] += e.observation_noise * noise(key, np.uint64(s.tick[i] * row.size + k))
-    for k in range(row.size):
+        for k in range(_ENTRIES):
+            row[k] += e.observation_noise * noise(key, np.uint64(s.tick[i] * _ENTRIES + k))
+    for k in range(_ENTRIES):
         row[k] = min(max(row[k], -1.0), 1.0)
 
 
