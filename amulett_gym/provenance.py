@@ -9,6 +9,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
@@ -115,8 +116,12 @@ def versions() -> dict[str, str]:
     return found
 
 
+@cache
 def git_revision() -> str | None:
-    """Return the git revision of the checkout that amulett-gym runs from, ``-dirty`` if edited; None from a wheel."""
+    """Return the git revision of the checkout that amulett-gym runs from, ``-dirty`` if edited; None from a wheel.
+
+    It is asked once: what this process has imported stays, whatever is edited later.
+    """
     root = Path(amulett_gym.__file__).parent.parent
     if not (root / ".git").exists():
         return None
