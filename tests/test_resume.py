@@ -485,6 +485,15 @@ def test_a_truncated_checkpoint_is_refused(length, broken_off, faults):
     read_checkpoint(folder)
 
 
+def test_a_manifest_without_end_is_not_read(broken_off, faults):
+    folder = newest_checkpoint(broken_off).folder
+    with (folder / MANIFEST).open("r+b") as file:
+        file.truncate(10**12)  # of which the disk holds nothing
+    with pytest.raises(AmulettError, match=f"{MANIFEST}' has {10**12} bytes; at most"):
+        read_checkpoint(folder)
+    faults("refused", 1)
+
+
 @pytest.mark.parametrize(("key", "value"), [("version", 2), ("amulett_gym", "0.0.9")])
 def test_a_checkpoint_of_another_version_is_refused(key, value, broken_off):
     path = newest_checkpoint(broken_off).folder / MANIFEST

@@ -16,7 +16,6 @@ It is written beside its place and renamed; the one before it is kept. Nothing i
 from __future__ import annotations
 
 import hashlib
-import json
 import random
 import shutil
 import warnings
@@ -39,12 +38,13 @@ from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.model import Model
 from amulett_gym.config import Group, describe
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import write_json
+from amulett_gym.files import read_json, write_json
 
 FOLDER = "checkpoints"
 ARRAYS, STATE, MANIFEST = "arrays.safetensors", "run.json", "manifest.json"
 BUNDLES = ("best", "last")
 FORMAT = 1
+_MAX_BYTES = 40_000_000  # of a JSON file; a validation takes about a kilobyte
 _KEPT = 2
 _NOISE = ("exploration_mat", "exploration_matrices")
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -453,8 +453,6 @@ def _digest(path: Path) -> str:
 
 def _parse(kind: type[BaseModel], path: Path) -> Any:
     try:
-        return kind.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        return kind.model_validate(read_json(path, "checkpoint file", _MAX_BYTES))
     except ValidationError as error:
         raise describe(error, kind, f"'{path}'") from error
-    except (ValueError, RecursionError) as error:
-        raise AmulettError(f"'{path}' is damaged: {error}") from error
