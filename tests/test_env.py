@@ -337,6 +337,12 @@ def test_wrong_keywords_are_refused(keywords, message):
             make(**keywords)
 
 
+def test_what_a_refused_constructor_leaves_can_be_closed():
+    from amulett_gym.envs.vector import ScalingVectorEnv
+
+    ScalingVectorEnv.__new__(ScalingVectorEnv).close()  # as Gymnasium 1.2 does when it is forgotten
+
+
 def test_wrong_reset_options_are_refused():
     env = gym.make(SCALING).unwrapped
     with pytest.raises(AmulettError, match="unknown reset option 'scenarios'.*did you mean 'scenario'"):

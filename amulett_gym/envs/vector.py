@@ -222,6 +222,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def close_extras(self, **kwargs: Any) -> None:
         """Let go of the renderers and threads."""
+        if not hasattr(self, "episodes"):
+            return  # its arguments were refused; the oldest Gymnasium we support closes it all the same
         self.episodes.close()
         for renderer in self._renderers:
             renderer.close()
