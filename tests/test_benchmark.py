@@ -30,6 +30,7 @@ from amulett_gym.evaluation.rollout import Trials
 from amulett_gym.evaluation.runner import Own, Protocol, evaluate, play_alone
 from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.provenance import read_provenance
 from amulett_gym.tasks import suites
 from amulett_gym.tasks.scenario import load_scenario
 
@@ -148,6 +149,21 @@ def test_no_episode_is_trained_on_and_judged_on(found, monkeypatch):
     configs = [run.config for run in needed]
     monkeypatch.setitem(suites.SPLITS, "held-out", suites.SPLITS["train"])
     assert frozen.seed_overlap(configs, seed=4, episodes=5)["overlap"] > 0
+
+
+def test_a_folder_says_from_the_start_what_fills_it(done, tmp_path, monkeypatch, capsys):
+    def died(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "_work", died)
+        words = ["benchmark", "--config", str(described(tmp_path, TINY)), "--out", str(tmp_path / "out")]
+        assert main([*words, "--runs", str(done / "runs")]) == 130  # as Ctrl-C ends it
+    note = read_provenance(tmp_path / "out")
+    assert note.command == ["amulett", *words] and note.seeds == [load_benchmark(tmp_path / "tiny.yaml").seed, 3, 4]
+    assert note.config["runs"] == str(done / "runs") and note.config["profile"]["name"] == "testbed"
+    assert main(["rerun", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 2
+    assert "is not finished: there is no benchmark.json" in capsys.readouterr().err
 
 
 def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):

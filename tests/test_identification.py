@@ -275,7 +275,7 @@ def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
         # As a terminal does: a group of its own, in which everyone gets the signal.
         preexec_fn=lambda: (os.setsid(), signal.signal(signal.SIGINT, signal.SIG_DFL)),
     )
-    stages = tmp_path / "study" / "stages"
+    stages, note = tmp_path / "study" / "stages", tmp_path / "study" / "command.json"
     while process.poll() is None and not (stages.is_dir() and any(stages.glob("start-*.json"))):
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
@@ -284,6 +284,7 @@ def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
     assert "Traceback" not in stderr
     kept = {path.name: path.read_text() for path in stages.iterdir()}
     assert "start-1.json" in kept
+    assert json.loads(note.read_text())["command"][:2] == ["amulett", "identify"]  # though it is not finished
     for text in kept.values():
         json.loads(text)
 

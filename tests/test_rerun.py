@@ -125,9 +125,10 @@ def test_a_training_run_is_trained_again_to_the_same_weights(tmp_path, monkeypat
     assert "is not finished: amulett train --resume" in capsys.readouterr().err
 
 
-def test_whatever_the_words_say_it_writes_to_the_new_folder_alone(comparison, tmp_path, monkeypatch):
+def test_whatever_the_words_say_it_writes_to_the_new_folder_alone(comparison, tmp_path, monkeypatch, capsys):
     words = ["amulett", "benchmark", "--out", "a", "--out=b", "--doc", "c.md", "--runs", "d"]
-    copy = edited(comparison, tmp_path / "copy", kind="benchmark", command=words, working_folder=str(tmp_path))
+    note = {"kind": "benchmark", "command": words, "config": {"runs": "d"}, "working_folder": str(tmp_path)}
+    copy = edited(comparison, tmp_path / "copy", **note)
     (copy / "benchmark.json").write_text('{"number": 1}')
     given = []
 
@@ -140,6 +141,7 @@ def test_whatever_the_words_say_it_writes_to_the_new_folder_alone(comparison, tm
     monkeypatch.setattr("amulett_gym.cli.benchmark.run", run)
     assert main(["rerun", str(copy), "--out", str(tmp_path / "new")]) == 0
     assert given == [(str(tmp_path / "new"), None, None)]
+    assert "Warning: the training runs were those in 'd'; here they are trained again" in capsys.readouterr().out
 
 
 def test_nothing_is_overwritten(comparison, tmp_path, capsys):

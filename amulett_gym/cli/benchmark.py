@@ -48,7 +48,6 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.benchmark.results import content
     from amulett_gym.evaluation.benchmark.stages import run_benchmark
     from amulett_gym.laws.contenders import Contender, parse_contender
-    from amulett_gym.provenance import write_provenance
 
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:
@@ -58,29 +57,21 @@ def run(arguments: argparse.Namespace) -> int:
     profile = load_profile_of(description, recipes)
     named = with_zips(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
+    words = _command(arguments)
     evidence = run_benchmark(
         description,
         arguments.out,
         recipes,
         arguments.runs,
         own,
+        [*words, "--out", arguments.out],
         say=_say,
         progress=sys.stderr.isatty(),
     )
     print("Drawing intervals and figures ...", flush=True)
-    words = _command(arguments)
     found = content(evidence, shlex.join(words), machine())
     claims = check_claims(found)
     figures = write_benchmark(evidence, found, claims, arguments.out)
-    resolved = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
-    seeds = [seed for entry in description.learned.values() for seed in entry.seeds]
-    write_provenance(
-        arguments.out,
-        "benchmark",
-        {**resolved, "trust_pickle": arguments.trust_pickle},
-        [description.seed, *seeds],
-        [*words, "--out", arguments.out],
-    )
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
         print(f"Renewed: {arguments.doc}")

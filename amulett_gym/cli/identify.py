@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict
 from itertools import count
 from typing import Any
 
@@ -44,7 +43,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Identify, print what was found, and write the files."""
     from amulett_gym.paper.reproduction import Readings
     from amulett_gym.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
-    from amulett_gym.provenance import write_provenance
 
     chosen: dict[str, Any] = {name: getattr(arguments, name) for name in ("seeds", *_COUNTS)}
     for name, value in {**chosen, "processes": arguments.processes}.items():
@@ -66,8 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
             print(f"{next(numbers):3d} of {total}  {name:32} {shown}", flush=True)
 
     with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out):
-        content = study(arguments.out, recipe, Readings(), arguments.processes, report, arguments.overwrite)
-        write_provenance(arguments.out, "identify", asdict(recipe), recipe.seeds, _command(arguments.out, recipe))
+        words = _command(arguments.out, recipe)
+        content = study(arguments.out, recipe, Readings(), arguments.processes, report, arguments.overwrite, words)
     if arguments.json:
         print(json.dumps(content, indent=2, allow_nan=False))
         return 0

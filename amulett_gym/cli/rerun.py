@@ -102,6 +102,9 @@ def _changed_inputs(note: Provenance) -> list[str]:
     """Say which learned policies are others than those that were compared."""
     from amulett_gym.cli.evaluate import policy_digest
 
+    if note.kind == "benchmark" and note.config.get("runs") is not None:
+        # To take them from there, as a note says, would be to train there what is missing.
+        return [f"the training runs were those in '{note.config['runs']}'; here they are trained again"]
     then = note.config.get("sha256", {}) if note.kind == "evaluate" else {}
     return [f"the policy '{name}' is another one than then" for name in then if policy_digest(name) != then[name]]
 

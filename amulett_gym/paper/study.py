@@ -50,6 +50,7 @@ from amulett_gym.paper.identification import (
 )
 from amulett_gym.paper.reproduction import ALTERNATIVES, BOUNDS, MEASUREMENT_TIME, Readings, Row, compare, measure
 from amulett_gym.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
+from amulett_gym.provenance import write_provenance
 
 SPRING_LAWS = {
     0.0: "linear",
@@ -117,13 +118,14 @@ def study(
     processes: int = 2,
     report: Report = lambda name, stage: None,
     overwrite: bool = False,
+    command: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Identify the parameters and write what was found.
 
     Parameters
     ----------
     folder : str or Path
-        For ``recipe.json``, ``stages/*.json``, ``identification.json`` and a profile for each device.
+        For ``recipe.json``, ``command.json``, ``stages/*.json``, ``identification.json`` and a profile for each device.
     recipe : Recipe
     readings : Readings
     processes : int
@@ -132,6 +134,8 @@ def study(
         Called with a stage's name and result when it is there; `stage_count` tells how many will come.
     overwrite : bool
         Whether a study of another recipe in the folder may be replaced.
+    command : sequence of str, optional
+        The words of the command, for ``command.json``.
 
     Returns
     -------
@@ -147,6 +151,7 @@ def study(
     if not overwrite:
         _refuse_other_recipe(folder / "recipe.json", recipe)
     write_json(folder / "recipe.json", asdict(recipe))
+    write_provenance(folder, "identify", asdict(recipe), recipe.seeds, command)
     size = {"population": recipe.population, "generations": recipe.generations}
     stages: dict[str, Any] = {}
 

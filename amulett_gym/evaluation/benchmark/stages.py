@@ -30,6 +30,7 @@ from amulett_gym.evaluation.benchmark.runs import (
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.files import locked_folder, output_folder, read_text, write_json
 from amulett_gym.laws.contenders import Contender, parse_contender
+from amulett_gym.provenance import write_provenance
 
 DESCRIPTION = "description.json"
 """File by which a benchmark's folder is recognised."""
@@ -130,6 +131,7 @@ def run_benchmark(
     recipes: Path,
     runs: str | Path | None = None,
     own: Sequence[Contender] = (),
+    command: Sequence[str] | None = None,
     say: Say = lambda message: None,
     progress: bool = False,
 ) -> Evidence:
@@ -146,6 +148,8 @@ def run_benchmark(
         Folder of the training runs, ``<entry>/seed-<k>``; what is missing is trained there. ``out/runs`` if None.
     own : sequence of Contender
         Further contenders, such as :class:`amulett_gym.evaluation.runner.Own`.
+    command : sequence of str, optional
+        The words of the command, for ``command.json``.
     say : callable
         Called with a line when something has happened.
     progress : bool
@@ -171,12 +175,16 @@ def run_benchmark(
     reference.check_starts(description)
     check_frozen(description.suites)
     needed = required_runs(description, recipes, out / RUNS if runs is None else Path(runs))
+    chosen = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
+    chosen["runs"] = None if runs is None else str(runs)
+    seeds = [description.seed, *(seed for entry in description.learned.values() for seed in entry.seeds)]
     overlap = seed_overlap([run.config for run in needed], description.seed, description.episodes)
     if overlap["overlap"]:
         raise AmulettError(f"{overlap['overlap']} episodes would be trained on or chosen by, and judged on as well")
     found_hashes = hashes(profile, description.suites)
     with output_folder(out, "benchmark", [[DESCRIPTION]]), locked_folder(out):
         _remember(out / DESCRIPTION, description, recipes, found_hashes)
+        write_provenance(out, "benchmark", chosen, seeds, command)
         _remove_leftovers(out)
         missing = check_runs(needed)
         say(
