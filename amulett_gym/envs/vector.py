@@ -170,8 +170,9 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             super().reset(seed=int(seed))
         self.episodes.seed(devices, seeds, self.np_random)
         self._ended[mask] = False
-        observations = self.episodes.observe()
-        observations[mask] = self.episodes.start(devices, scenarios)
+        observations = self.episodes.start(devices, scenarios)
+        if devices.size < self.num_envs:
+            observations = self.episodes.observe()  # the others', too
         self._clear_renderers(devices)
         return observations, self._info(self.episodes.report())
 
