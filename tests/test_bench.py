@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import amulett_gym
-from amulett_gym.cli import bench, main
+from amulett_gym.cli import bench, build_parser, main
 from amulett_gym.config import load_profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import peers, performance, scale
@@ -76,6 +76,12 @@ def test_an_installed_package_has_no_c_to_compare_with(monkeypatch, tmp_path):
         (["--ppo", "--set", "ppo.n_epoch=1"], "did you mean 'n_epochs'"),
         (["--doc", "none.md"], "cannot read document 'none.md'"),
         (["--json", ""], "--json is empty"),
+        (["--set", "num_envs=64"], "--set changes nothing here: it is read by --ppo or --time-to-beat, which was not"),
+        (["--scale", "--config", "configs/ppo.yaml"], "--config changes nothing here"),
+        (["--ppo", "--seeds", "3"], "--seeds changes nothing here: it is read by --time-to-beat"),
+        (["--ppo", "--limit", "3"], "--limit changes nothing here"),
+        (["--ppo", "--simulated", "60"], "--simulated changes nothing here: it is read by --scale"),
+        (["--ppo", "--out", "figures"], "--out changes nothing here"),
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_measured(words, message, capsys, monkeypatch, tmp_path):
@@ -83,6 +89,14 @@ def test_wrong_options_are_refused_before_anything_is_measured(words, message, c
     monkeypatch.setattr(bench, "_MEASURE", {})
     assert main(["bench", *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_command_that_is_written_down_has_the_options_of_its_section():
+    words = ["bench", "--ppo", "--scale", "--turns", "2", "--simulated", "60", "--set", "num_envs=64"]
+    arguments = build_parser().parse_args(words)
+    assert bench._command(arguments, "ppo") == "amulett bench --ppo --turns 2 --set num_envs=64"
+    assert bench._command(arguments, "scale") == "amulett bench --scale --turns 2 --simulated 60.0"
+    assert bench._command(arguments, "speed") == "amulett bench --turns 2"
 
 
 def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
@@ -281,8 +295,8 @@ def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
     from amulett_agents.benchmark import ppo_throughput
 
     turns = []
-    found = ppo_throughput(recipe, turns=3, seconds=0.0, watch=lambda: turns.append(1))
-    assert len(turns) == 6
+    found = ppo_throughput(recipe, turns=3, watch=lambda: turns.append(1))
+    assert len(turns) == 3
     assert found["ratio_spread"][0] <= found["ratio"] <= found["ratio_spread"][1]
     assert min(found["env"], found["null"]) > 0
 
@@ -372,11 +386,8 @@ def test_ppo_has_the_recipe_of_training_and_time_to_beat_its_own():
 
 
 def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, recipe, tmp_path, monkeypatch):
-    from amulett_agents import benchmark
-
     monkeypatch.setattr(bench, "_recipe", lambda arguments, section: recipe)
     words = ["--ppo", "--time-to-beat", "--seeds", "2", "--limit", "2"]
-    monkeypatch.setattr(benchmark, "TURN_SECONDS", 0.0)
     assert main([*QUICK, *words, "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0
     data = json.loads((tmp_path / "b.json").read_text())
     assert len(data["time_to_beat_s"]) == len(data["time_to_beat_lower_s"]) == 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +24,6 @@ from amulett_gym.evaluation.speed import spread
 from amulett_gym.laws.policies import tension_to_action
 
 TURNS = 9
-TURN_SECONDS = 1.0
 CONSTANTS = tuple(np.arange(4.0, 15.01, 0.5).tolist())
 """Constant tensions that a policy has to beat [N]: the range of tensions that the environment offers by default."""
 HELD_OUT_SEED = 10_000
@@ -83,19 +83,18 @@ class ConstantVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-def ppo_throughput(
-    config: TrainConfig, turns: int = TURNS, seconds: float = TURN_SECONDS, watch: Watch = int
-) -> dict[str, Any]:
-    """Let the same PPO learn on our environment and on a null environment, in turns.
+def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) -> dict[str, Any]:
+    """Let the same PPO learn on our environment and on a null environment, rollout by rollout in turns.
+
+    A turn is as many rollouts of each as an episode takes, so that every turn has its share of episodes' ends, which
+    the null environment has none of. Every update takes all its epochs: `target_kl`, which ends one early, would have
+    the two do unequal work.
 
     Parameters
     ----------
     config : TrainConfig
         The recipe of both.
     turns : int
-        Turns of each.
-    seconds : float
-        About how long a turn takes [s]: whole rollouts and updates, at least one.
     watch : callable
         Called after each turn, for a progress bar.
 
@@ -105,6 +104,7 @@ def ppo_throughput(
         ``env`` and ``null``, the medians of the agent steps a second; ``ratio``, the median of env to null in the same
         turn, and ``ratio_spread``, its least and most.
     """
+    config = config.model_copy(update={"ppo": config.ppo.model_copy(update={"target_kl": None})})
     with torch_threads(config.threads):
         models = {"env": make_model(config), "null": make_model(config)}
         like = models["null"].get_env()
@@ -113,16 +113,18 @@ def ppo_throughput(
         rollout = config.num_envs * config.ppo.n_steps
         for model in models.values():
             model.learn(rollout)  # compile, allocate
-        started = time.perf_counter()
-        models["null"].learn(rollout, reset_num_timesteps=False)
-        steps = rollout * max(round(seconds / (time.perf_counter() - started)), 1)
+        rollouts = math.ceil(config.env.max_episode_steps / config.ppo.n_steps)
         rates: dict[str, list[float]] = {name: [] for name in models}
         for _ in range(turns):
-            for name, model in models.items():
-                started = time.perf_counter()
-                model.learn(steps, reset_num_timesteps=False)
-                rates[name].append(steps / (time.perf_counter() - started))
-                watch()
+            seconds = dict.fromkeys(models, 0.0)
+            for _ in range(rollouts):
+                for name, model in models.items():
+                    started = time.perf_counter()
+                    model.learn(rollout, reset_num_timesteps=False)
+                    seconds[name] += time.perf_counter() - started
+            for name, passed in seconds.items():
+                rates[name].append(rollouts * rollout / passed)
+            watch()
     ratio = spread([env / null for env, null in zip(rates["env"], rates["null"], strict=True)])
     return {
         "env": spread(rates["env"])["median"],

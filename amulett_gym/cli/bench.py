@@ -22,6 +22,16 @@ EXAMPLES = """  amulett bench
   amulett bench --scale --out runs/bench --doc docs/performance.md
 """
 
+_READ_BY = {
+    "config": ("ppo", "time-to-beat"),
+    "set": ("ppo", "time-to-beat"),
+    "seeds": ("time-to-beat",),
+    "limit": ("time-to-beat",),
+    "simulated": ("scale",),
+    "out": ("scale", "time-to-beat"),
+}
+"""The sections that read an option; all of them read those that are not here."""
+
 Data = dict[str, Any]
 
 
@@ -59,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     from amulett_gym.evaluation import performance
 
-    asked = [name for name in performance.SECTIONS if name == "speed" or getattr(arguments, name.replace("-", "_"))]
+    asked = [name for name in performance.SECTIONS if _asked(arguments, name)]
     recipes = {section: _recipe(arguments, section) for section in asked if section in ("ppo", "time-to-beat")}
     if "c" in asked:
         yardstick()  # refused before anything is measured
@@ -153,8 +163,21 @@ def _check(arguments: argparse.Namespace) -> None:
     for option in ("json", "out", "doc"):
         if getattr(arguments, option) == "":
             raise AmulettError(f"--{option} is empty; it has to name a file or folder")
+    for option, sections in _READ_BY.items():
+        if _given(arguments, option) and not any(_asked(arguments, section) for section in sections):
+            asking = " or ".join(f"--{section}" for section in sections)
+            raise AmulettError(f"--{option} changes nothing here: it is read by {asking}, which was not asked for")
     if arguments.json not in (None, "-"):
         check_writable(arguments.json)
+
+
+def _asked(arguments: argparse.Namespace, section: str) -> bool:
+    return section == "speed" or bool(getattr(arguments, section.replace("-", "_")))
+
+
+def _given(arguments: argparse.Namespace, option: str) -> bool:
+    name = "overrides" if option == "set" else option
+    return bool(getattr(arguments, name) != arguments.parser.get_default(name))
 
 
 def _recipe(arguments: argparse.Namespace, section: str) -> Any:
@@ -219,7 +242,7 @@ def _c(arguments: argparse.Namespace, data: Data, config: Any) -> None:
 def _ppo(arguments: argparse.Namespace, data: Data, config: Any) -> None:
     from amulett_agents.benchmark import ppo_throughput
 
-    with _bar(2 * arguments.turns, "PPO") as bar:
+    with _bar(arguments.turns, "PPO") as bar:
         data["ppo"] = ppo_throughput(config, arguments.turns, watch=bar.update)
 
 
@@ -293,9 +316,8 @@ def _command(arguments: argparse.Namespace, section: str) -> str:
 
     words = ["amulett", "bench", *([] if section == "speed" else [f"--{section}"])]
     for option in ("devices", "turns", "seed", "seeds", "limit", "simulated", "config"):
-        value = getattr(arguments, option)
-        if value != arguments.parser.get_default(option):
-            words += [f"--{option}", str(value)]
-    if arguments.overrides:
+        if _given(arguments, option) and section in _READ_BY.get(option, (section,)):
+            words += [f"--{option}", str(getattr(arguments, option))]
+    if arguments.overrides and section in _READ_BY["set"]:
         words += ["--set", *arguments.overrides]
     return shlex.join(words)
