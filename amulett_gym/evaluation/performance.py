@@ -154,8 +154,8 @@ def _ppo(data: Data) -> list[Table]:
         ["null environment", f"{ppo['null']:,.0f}", "1"],
     ]
     note = (
-        f"The recipe of `amulett train`, {ppo['num_envs']} devices. Rollouts alternate, each with its update; a turn is "
-        "as many of each as an episode takes, the ratio turn by turn (least-most)."
+        f"The recipe of `amulett train`, {ppo['num_envs']} devices. Rollouts alternate, each with its update; a turn "
+        "is as many of each as an episode takes, the ratio turn by turn (least-most)."
     )
     return [Table("PPO of Stable-Baselines3", ("agent steps/s", "ratio"), rows, note)]
 
