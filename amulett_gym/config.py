@@ -38,6 +38,9 @@ Degrees = Annotated[float, Field(ge=0, le=180)]
 LEAST_INERTIA = 1e-9
 """Of an arm [kg m2]: a gram at 1 mm."""
 
+MOST_TENSION = 1e6
+"""Largest string tension that can be asked for [N]; the square of one without bound, a metric, would be no number."""
+
 STABLE_STEP = 2.5
 """Time constants, or radians of a swing, that an integration step may cover; Runge-Kutta is stable up to 2.78."""
 
@@ -216,8 +219,10 @@ class Loop(Sourced):
 class VariableStiffness(Sourced):
     """Parameters of eq. 6 (Figure 6)."""
 
-    nominal_tension: float = Field(ge=1e-3, le=1e6, description="sigma, desired string tension [N]")
-    minimum_tension: float = Field(ge=1e-3, le=1e6, description="sigma_min, minimum desired string tension [N]")
+    nominal_tension: float = Field(ge=1e-3, le=MOST_TENSION, description="sigma, desired string tension [N]")
+    minimum_tension: float = Field(
+        ge=1e-3, le=MOST_TENSION, description="sigma_min, minimum desired string tension [N]"
+    )
     error_offset_deg: float = Field(
         ge=1e-3, le=360, description="d_offset, error at which the factor is smallest [deg]"
     )

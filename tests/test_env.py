@@ -314,6 +314,7 @@ def test_scenarios_of_the_splits_differ():
         ({"reward_weights": {"effort": math.nan}}, "'effort' is nan"),
         ({"action_range": (2.0, 1.0)}, "0 < low < high"),
         ({"action_range": 3.0}, "a pair"),
+        ({"action_range": (1.0, 1e6)}, r"reaches to 1e\+07 N; at most 1,000,000 N"),
         ({"agent_period": 0.0111}, r"multiple of the profile's control period, 0\.0\d+ s; the nearest is 0\.01\d* s"),
         ({"agent_period": -1.0}, "agent_period is -1.0"),
         ({"agent_period": math.nan}, "agent_period is nan"),

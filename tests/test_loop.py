@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from amulett_gym.config import load_profile
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.trajectory import record
@@ -99,6 +100,12 @@ def test_positive_tension_output_pulls_the_antagonist_tighter(agonist, sign):
     assert simulation.read("tension_output")[0] > 0
     assert sign * (simulation.read(f"drive_{antagonist}")[0] - before) > 0
     assert simulation.read(f"force_{antagonist}")[0] > 10.1
+
+
+@pytest.mark.parametrize("tension", [np.nan, -np.inf, 1.1e6, -1.1e6])
+def test_a_tension_beyond_all_strings_is_refused(tension):
+    with pytest.raises(AmulettError, match="at most 1,000,000 N can be asked for"):
+        start(device()).command_tension(tension)
 
 
 @pytest.mark.parametrize("base", PROFILES)

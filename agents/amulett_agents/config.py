@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import Group, describe, load_profile, merge, read_yaml
+from amulett_gym.config import MOST_TENSION, Group, describe, load_profile, merge, read_yaml
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.safe_yaml import parse_yaml
@@ -67,8 +67,8 @@ class EnvSettings(Group):
     @field_validator("tension_range")
     @classmethod
     def _check_range(cls, tension_range: list[float]) -> list[float]:
-        if not 0 < tension_range[0] < tension_range[1]:
-            raise ValueError("it has to be [low, high] with 0 < low < high")
+        if not 0 < tension_range[0] < tension_range[1] <= MOST_TENSION:
+            raise ValueError(f"it has to be [low, high] with 0 < low < high, at most {MOST_TENSION:,.0f} N")
         return tension_range
 
     def keywords(self) -> dict[str, Any]:

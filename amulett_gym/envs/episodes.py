@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import STABLE_STEP, Profile, load_profile
+from amulett_gym.config import MOST_TENSION, STABLE_STEP, Profile, load_profile
 from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, tell_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
@@ -91,6 +91,10 @@ class Episodes:
             raise AmulettError(f"threads is {threads!r}; it has to be a whole number of at least 1")
         if not isinstance(privileged, bool):
             raise AmulettError(f"privileged is {privileged!r}; it has to be True or False")
+        if tension_range[1] > MOST_TENSION:
+            raise AmulettError(
+                f"action_range reaches to {tension_range[1]:g} N; at most {MOST_TENSION:,.0f} N are allowed"
+            )
         _check_step(self.profile)
         self.suite, self.split = suite, split
         self.privileged = privileged

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.config import Profile
+from amulett_gym.config import MOST_TENSION, Profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up
 from amulett_gym.simulation import kernel
@@ -97,10 +97,10 @@ class Simulation:
         Raises
         ------
         AmulettError
-            If a tension is not finite.
+            If a tension is NaN or more than 1e6 N, either way.
         """
-        if not np.isfinite(tension).all():
-            raise AmulettError(f"the tension command is {tension!r}; it has to be finite")
+        if not (np.abs(tension) <= MOST_TENSION).all():
+            raise AmulettError(f"the tension command is {tension!r}; at most {MOST_TENSION:,.0f} N can be asked for")
         block, lane = np.divmod(np.arange(self.num_devices), LANES)
         self.states["tension_command"][block, lane] = tension
         self.states["tension_rate"][block, lane] = 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from amulett_gym.config import Group, Profile, describe
+from amulett_gym.config import MOST_TENSION, Group, Profile, describe
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_json
 from amulett_gym.simulation.layout import (
@@ -139,7 +139,7 @@ class Scenario(Group):
     initial_tension: float | None = Field(
         default=None,
         gt=0,
-        le=1e6,
+        le=MOST_TENSION,
         description="of the antagonist at the start [N]; null: the profile's nominal tension",
     )
     moves: list[Move] = Field(default=[], max_length=MAX_MOVES, description="of the setpoint, in their order")
