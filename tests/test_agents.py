@@ -16,6 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import A2C, PPO, SAC, TD3  # noqa: E402
+from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
@@ -24,6 +25,7 @@ import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
 from amulett_agents.model import make_model, make_validation_env  # noqa: E402
+from amulett_agents.time_limit import ValuesAtTimeLimits  # noqa: E402
 from amulett_agents.training import COLUMNS, evaluate, torch_threads  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
@@ -111,6 +113,26 @@ def test_the_adapter_is_bit_for_bit_sb3s_own_vector_of_single_environments(env_i
             assert_infos_agree(our_info, their_info)
     assert endings >= 5
     assert_infos_agree(ours.reset_infos[0], theirs.reset_infos[0])
+
+
+class Rewards(BaseCallback):
+    """Keeps the rewards that PPO's update sees."""
+
+    def _on_step(self):
+        return True
+
+    def _on_rollout_end(self):
+        self.seen = self.model.rollout_buffer.rewards.copy()
+
+
+@pytest.mark.parametrize("limit", [500.0, 80.0])  # [deg/s]; with the lower one, some episodes fail
+def test_what_is_beyond_the_time_limit_is_added_once_and_as_sb3_adds_it(limit):
+    profile = f"env.profile={{base: testbed, plant: {{velocity_limit_deg: {limit}}}}}"
+    config = load_train_config(None, [*SMALL, "env.max_episode_steps=10", profile])
+    theirs, ours = Rewards(), Rewards()
+    make_model(config).learn(512, callback=[theirs])
+    make_model(config).learn(512, callback=[ValuesAtTimeLimits(), ours])
+    np.testing.assert_allclose(ours.seen, theirs.seen, rtol=1e-6, atol=1e-6)
 
 
 def test_the_adapter_sums_rewards_and_their_terms_over_the_episode():

@@ -18,7 +18,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
-from amulett_agents.model import exploration, make_model
+from amulett_agents.model import callbacks, make_model
 from amulett_agents.training import evaluate, torch_threads, warm_up
 from amulett_gym.evaluation.speed import spread
 from amulett_gym.laws.policies import tension_to_action
@@ -120,7 +120,7 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
             for _ in range(rollouts):
                 for name, model in models.items():
                     started = time.perf_counter()
-                    model.learn(rollout, reset_num_timesteps=False)
+                    model.learn(rollout, callbacks(config), reset_num_timesteps=False)
                     seconds[name] += time.perf_counter() - started
             for name, passed in seconds.items():
                 rates[name].append(rollouts * rollout / passed)
@@ -265,7 +265,7 @@ def time_to_beat(config: TrainConfig, referee: Referee, limit: float, watch: Wat
         warm_up(config)
         clock = _Clock()
         model = make_model(config)
-        model.learn(config.total_steps, callback=[*exploration(config), _Judge(run, referee, clock, limit, watch)])
+        model.learn(config.total_steps, callback=[*callbacks(config), _Judge(run, referee, clock, limit, watch)])
     return run
 
 

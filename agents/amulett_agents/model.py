@@ -19,6 +19,7 @@ from amulett_agents.networks import look_at_inputs
 from amulett_agents.ppo import make_ppo, sees_more
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import FadingExploration
+from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC
@@ -72,12 +73,13 @@ def make_model(config: TrainConfig) -> Model:
     return model
 
 
-def exploration(config: TrainConfig) -> list[BaseCallback]:
-    """Return what a recipe's exploration needs besides the model: callbacks for its `learn`."""
+def callbacks(config: TrainConfig) -> list[BaseCallback]:
+    """Return what a recipe's model needs for its `learn`."""
     ppo = config.ppo
-    if config.algorithm != "ppo" or ppo.final_std is None:
+    if config.algorithm != "ppo":
         return []
-    return [FadingExploration(ppo.initial_std, ppo.final_std)]
+    fading = [] if ppo.final_std is None else [FadingExploration(ppo.initial_std, ppo.final_std)]
+    return [ValuesAtTimeLimits(), *fading]
 
 
 def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:

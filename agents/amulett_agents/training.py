@@ -38,7 +38,7 @@ from amulett_agents.checkpoint import (
     write_checkpoint,
 )
 from amulett_agents.config import TrainConfig, load_train_config
-from amulett_agents.model import Model, exploration, exploration_std, make_model, make_validation_env
+from amulett_agents.model import Model, callbacks, exploration_std, make_model, make_validation_env
 from amulett_gym.config import load_profile
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
@@ -202,7 +202,7 @@ def _learn(model: Model, run: _Run) -> TrainResult:
     try:
         with _interruptible(run):
             interval = 1 if run.config.algorithm == "ppo" else None  # SB3's SAC logs by single episodes; so we do it
-            model.learn(run.config.total_steps, callback=[*exploration(run.config), run], log_interval=interval)  # type: ignore[arg-type]
+            model.learn(run.config.total_steps, callback=[*callbacks(run.config), run], log_interval=interval)  # type: ignore[arg-type]
     except (KeyboardInterrupt, _Stopped):
         run.interrupted = True
     except OSError as error:  # of TensorBoard's writer; all else that writes says what it could not write
