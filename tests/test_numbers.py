@@ -33,6 +33,7 @@ KEYWORDS = st.fixed_dictionaries(
         "tension_law": st.sampled_from(list(TENSION_LAWS)),
         "action_range": tension_ranges,
         "observation_noise": st.sampled_from([0.0, 0.1, 1e300]),
+        "privileged": st.booleans(),
     }
 )
 ROUNDING = 1 + 1e-9
