@@ -33,6 +33,7 @@ from amulett_gym.envs.reward import TERMS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.laws.contenders import contender_names  # noqa: E402
+from amulett_gym.laws.features import FEATURES  # noqa: E402
 
 SCALING, TENSION = amulett_gym.ENV_IDS
 ROOT = Path(__file__).parent.parent
@@ -416,7 +417,8 @@ def test_sb3s_own_checkpoint_is_the_last_policy(run):
     shape = (50, *model.observation_space.shape)  # what its critic saw, too
     observations = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
     expected, _ = model.predict(observations, deterministic=True)
-    np.testing.assert_allclose(read_bundle(result.last).act(observations[:, :13]), expected, rtol=0, atol=1e-5)
+    known = 13 + len(FEATURES)
+    np.testing.assert_allclose(read_bundle(result.last).act(observations[:, :known]), expected, rtol=0, atol=1e-5)
 
 
 def test_tensorboard_shows_the_rewards_terms_and_the_validations(run):
@@ -566,8 +568,10 @@ def test_sac_is_trained_logged_and_kept_like_ppo(tmp_path, monkeypatch):
 def test_the_first_policy_of_sac_is_the_constant_of_the_recipe():
     for tension in (5.0, 7.0, 8.0):
         config = load_train_config(None, [*SMALL, "algorithm=sac", f"network.initial_tension={tension}"])
-        observations = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
-        actions, _ = make_model(config).predict(observations, deterministic=True)
+        model = make_model(config)
+        shape = (20, *model.observation_space.shape)
+        observations = np.random.default_rng(0).uniform(-1, 1, shape).astype(np.float32)
+        actions, _ = model.predict(observations, deterministic=True)
         assert 4 + (actions + 1) / 2 * 11 == pytest.approx(tension, abs=0.01)
 
 

@@ -16,11 +16,13 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_w
 from stable_baselines3.sac.policies import SACPolicy
 
 from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy
+from amulett_agents.wrappers import ActorView
 from amulett_gym.config import profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.laws.features import FEATURES
 from amulett_gym.provenance import git_revision, versions
 
 
@@ -92,27 +94,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
         raise AmulettError("VecNormalize's running statistics cannot be kept in a bundle; train without it")
     if not env.has_attr("tension_range"):
         raise AmulettError("the model was not trained in an AMULETT environment")
-    layers, network = extract_network(model.policy)
-    names: tuple[str, ...] = OBSERVATIONS
-    scales = OBSERVATION_SCALES
-    told = env.get_attr("episodes")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
-    if told:
-        names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
-    stack = unwrap_vec_wrapper(env, VecFrameStack)
-    history = 1 if stack is None else stack.stacked_obs.n_stack
-    if network.layers[0] != history * len(names):
-        raise AmulettError(
-            f"the policy sees {network.layers[0]} numbers, its environment shows {history} times {len(names)}; "
-            "wrappers that change the observation cannot be kept in a bundle, but for VecFrameStack"
-        )
-    description = PolicyDescription(
-        network=network,
-        observations=list(names),
-        observation_scales=dict(scales),
-        history=history,
-        tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
-        agent_period=env.get_attr("episodes")[0].agent_period,
-    )
+    layers, description = describe_policy(model)
     about = {
         **(provenance or {}),
         "seed": model.seed,
@@ -121,9 +103,47 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
         "git_revision": git_revision(),
     }
     training_env = describe_env(env)
-    if not told:
+    if not description.is_privileged:
         training_env.keywords.pop("privileged", None)
     return write_bundle(folder, layers, description, training_env, about)
+
+
+def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
+    """Return the weights of a model's deterministic action, and all that is needed to act with them.
+
+    Raises
+    ------
+    AmulettError
+        If the policy or the environment cannot be described by a bundle.
+    """
+    env = model.get_env()
+    assert env is not None
+    layers, network = extract_network(model.policy)
+    names: tuple[str, ...] = OBSERVATIONS
+    scales = OBSERVATION_SCALES
+    told = env.get_attr("episodes")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
+    if told:
+        names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
+    stack = unwrap_vec_wrapper(env, VecFrameStack)
+    history = 1 if stack is None else stack.stacked_obs.n_stack
+    view = unwrap_vec_wrapper(env, ActorView)
+    seen = FEATURES if view is not None and view.features else ()
+    if network.layers[0] != history * (len(names) + len(seen)):
+        raise AmulettError(
+            f"the policy sees {network.layers[0]} numbers, its environment shows {history} times "
+            f"{len(names) + len(seen)}; wrappers that change the observation cannot be kept in a bundle, but for "
+            "VecFrameStack"
+        )
+    return layers, PolicyDescription(
+        network=network,
+        observations=list(names),
+        observation_scales=dict(scales),
+        features=list(seen),
+        follow=1.0 if view is None else view.share,
+        history=history,
+        tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
+        agent_period=env.get_attr("episodes")[0].agent_period,
+    )
 
 
 def _take_in(

@@ -36,6 +36,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_w
 
 from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.model import Model
+from amulett_agents.wrappers import ActorView
 from amulett_gym.config import Group, describe
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_json, write_json
@@ -320,6 +321,8 @@ def restore(model: Model, checkpoint: Checkpoint) -> None:
         model._last_obs, model._last_episode_starts = observations, starts
         if (stack := unwrap_vec_wrapper(_env(model), VecFrameStack)) is not None:
             stack.stacked_obs.stacked_obs = observations.copy()
+        if (view := unwrap_vec_wrapper(_env(model), ActorView)) is not None:
+            view.seen = observations[:, -view.seen.shape[1] :].copy()  # the newest of a stack
         model.num_timesteps = model._num_timesteps_at_start = state.steps
         model._n_updates, model._current_progress_remaining = state.updates, state.progress_remaining
         assert model.ep_info_buffer is not None

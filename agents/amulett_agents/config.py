@@ -26,8 +26,15 @@ class EnvSettings(Group):
     tension_range: list[float] = Field(
         default=[4.0, 15.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
     )
-    agent_period: float = Field(default=0.05, gt=0, le=10, description="time from action to action [s]")
-    max_episode_steps: int = Field(default=200, ge=1, le=10**6, description="length of an episode [agent steps]")
+    agent_period: float = Field(default=0.02, gt=0, le=10, description="time from action to action [s]")
+    follow_time: float = Field(
+        default=0.05,
+        ge=0,
+        le=10,
+        description="time constant with which the tension setpoint follows what the policy wants [s]; up to "
+        "agent_period it is there within a step",
+    )
+    max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
     observation_noise: float = Field(
         default=0.0, ge=0, le=100, description="standard deviation in the observations [1]"
@@ -71,6 +78,11 @@ class EnvSettings(Group):
             raise ValueError(f"it has to be [low, high] with 0 < low < high, at most {MOST_TENSION:,.0f} N")
         return tension_range
 
+    @property
+    def share(self) -> float:
+        """Share of the way from the present setpoint to the wanted one that is gone in an agent step."""
+        return self.agent_period / max(self.follow_time, self.agent_period)
+
     def keywords(self) -> dict[str, Any]:
         """Return the keywords for `gym.make`, without those that differ between training and validation."""
         unit = load_profile(self.profile).variable_stiffness.nominal_tension if self.id == ENV_IDS[0] else 1.0
@@ -91,12 +103,12 @@ class PpoSettings(Group):
     """Settings of Stable-Baselines3's PPO; see its documentation."""
 
     n_steps: int = Field(default=32, ge=1, le=10**6, description="of each device between two updates [agent steps]")
-    batch_size: int = Field(default=4096, ge=2, le=10**8, description="of a gradient step [agent steps]")
+    batch_size: int = Field(default=16384, ge=2, le=10**8, description="of a gradient step [agent steps]")
     n_epochs: int = Field(default=8, ge=1, le=1000, description="times that an update sees its rollout [1]")
-    learning_rate: float = Field(default=1.5e-3, gt=0, le=1, description="of Adam [1]")
+    learning_rate: float = Field(default=2e-3, gt=0, le=1, description="of Adam [1]")
     anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
-    gamma: float = Field(default=0.97, ge=0, le=1, description="discount of an agent step [1]")
-    gae_lambda: float = Field(default=0.9, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
+    gae_lambda: float = Field(default=0.95, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
     clip_range: float = Field(default=0.3, gt=0, le=10, description="of the policies' ratio about 1 [1]")
     target_kl: float | None = Field(
         default=0.03, gt=0, le=100, description="an update ends when it has changed the policy by 1.5 times this [1]"
@@ -110,9 +122,9 @@ class PpoSettings(Group):
         le=1e6,
         description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.005, a whole episode 1",
     )
-    initial_std: float = Field(default=0.15, gt=0, le=10, description="of the exploration, in the action's unit [1]")
+    initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
     final_std: float | None = Field(
-        default=0.02, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
+        default=0.05, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
     privileged_critic: bool = Field(
         default=True, description="let the critic, which is needed for training only, see what no device can know"
@@ -162,6 +174,9 @@ class NetworkSettings(Group):
     standard_inputs: bool = Field(
         default=True, description="bring each observation to mean 0 and deviation 1, as measured before training"
     )
+    features: bool = Field(
+        default=True, description="also see nonlinear features of the observation: what is small, but matters"
+    )
     activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
     initial_tension: float | None = Field(
         default=7.0, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
@@ -204,6 +219,11 @@ class TrainConfig(Group):
     )
     checkpoint: bool = Field(default=False, description="also keep SB3's own last_sb3.zip (a pickle: mind who made it)")
 
+    @property
+    def first_scenario(self) -> int:
+        """Seed of the first device; device i has this plus i, so that no two training seeds share a scenario."""
+        return self.seed * self.num_envs
+
     @model_validator(mode="after")
     def _check_batch(self) -> TrainConfig:
         rollout = self.num_envs * self.ppo.n_steps
@@ -239,6 +259,7 @@ SPRINT = (
     "network.hidden=[32, 32]",
     "network.critic_hidden=[32, 32]",
     "network.initial_tension=null",
+    "network.features=false",
     "ppo.privileged_critic=false",
     "ppo.learning_rate=0.001",
     "ppo.target_kl=null",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack
 
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.config import TrainConfig
@@ -20,26 +20,10 @@ from amulett_agents.ppo import make_ppo, sees_more
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
+from amulett_agents.wrappers import ActorView, ScaledRewards
 from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC
-
-
-class ScaledRewards(VecEnvWrapper):
-    """Rewards times a fixed factor: what is learned from; the environment inside logs returns as they are."""
-
-    def __init__(self, venv: VecEnv, factor: float) -> None:
-        super().__init__(venv)
-        self.factor = factor
-
-    def reset(self) -> Any:
-        """Start an episode with all devices."""
-        return self.venv.reset()
-
-    def step_wait(self) -> Any:
-        """Take one step with all devices."""
-        observations, rewards, dones, infos = self.venv.step_wait()
-        return observations, rewards * np.float32(self.factor), dones, infos
 
 
 def make_model(config: TrainConfig) -> Model:
@@ -59,16 +43,19 @@ def make_model(config: TrainConfig) -> Model:
     keywords = settings.keywords() | {"privileged": settings.privileged or sees_more(config)}
     steps = settings.max_episode_steps
     env: VecEnv = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
+    low, high = settings.tension_range
+    env = ActorView(env, (low, high), config.network.features, settings.share)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)
-    low, high = settings.tension_range
     tension = config.network.initial_tension
     first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
     inputs = None
     if config.network.standard_inputs:
-        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history)
+        shown = (low, high) if config.network.features else None
+        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
+    env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
     return model
 

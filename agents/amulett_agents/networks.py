@@ -15,13 +15,14 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor, create_mlp
 
 from amulett_agents.config import NetworkSettings
+from amulett_gym.laws.features import with_features
 
 ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
 EPISODES = 256
 SEED = 0
-LEAST_DEVIATION = 0.01
-"""Entries that hardly change are not blown up by more than a hundred."""
+LEAST_DEVIATION = 0.2
+"""Of the range that an entry may have: what hardly ever changes is not blown up by more than five times."""
 
 
 @dataclass(frozen=True)
@@ -31,15 +32,22 @@ class Inputs:
     Attributes
     ----------
     means, deviations : ndarray of float32, shape (entries,)
-        Of each entry of an observation.
+        Of each entry of what the networks are shown.
     """
 
     means: NDArray[np.float32]
     deviations: NDArray[np.float32]
 
 
-def look_at_inputs(env_id: str, keywords: dict[str, Any], steps: int, first_action: float, history: int) -> Inputs:
-    """Return what observations are like under the first policy, a constant tension.
+def look_at_inputs(
+    env_id: str,
+    keywords: dict[str, Any],
+    steps: int,
+    first_action: float,
+    history: int,
+    tension_range: tuple[float, float] | None = None,
+) -> Inputs:
+    """Return what observations are like under a first policy, a constant tension.
 
     They are measured once, in training scenarios that are always the same, and never again: nothing drifts, and a
     bundle holds them within its first layer's weights. The environment's own scales span all that can happen; of a
@@ -55,14 +63,18 @@ def look_at_inputs(env_id: str, keywords: dict[str, Any], steps: int, first_acti
     first_action : float
     history : int
         Observations that the policy sees; all of them are like the last one.
+    tension_range : (float, float), optional
+        Tensions at action -1 and +1 [N], for networks that see features, too.
     """
     env = gym.make_vec(env_id, num_envs=EPISODES, split="train", max_episode_steps=steps, **keywords)
     seen = [env.reset(seed=SEED)[0]]
     actions = np.full((EPISODES, 1), first_action, dtype=np.float32)
     seen += [env.step(actions)[0] for _ in range(steps - 1)]
     env.close()
-    observations = np.concatenate(seen).astype(np.float64)
-    means, deviations = observations.mean(axis=0), np.maximum(observations.std(axis=0), LEAST_DEVIATION)
+    shown = np.concatenate(seen).astype(np.float64)
+    if tension_range is not None:
+        shown = with_features(shown, tension_range)
+    means, deviations = shown.mean(axis=0), np.maximum(shown.std(axis=0), LEAST_DEVIATION)
     return Inputs(np.tile(means, history).astype(np.float32), np.tile(deviations, history).astype(np.float32))
 
 

@@ -11,6 +11,7 @@ from amulett_agents.config import TrainConfig
 from amulett_agents.networks import Inputs, TwoSightsPolicy, policy_keywords, visible_entries
 from amulett_agents.schedules import learning_rate
 from amulett_gym.envs.transition import OBSERVATIONS
+from amulett_gym.laws.features import FEATURES
 
 
 def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> PPO:
@@ -31,8 +32,9 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
     if sees_more(config):
         assert env.observation_space.shape is not None
         shown = env.observation_space.shape[0] // config.env.history
+        known = len(OBSERVATIONS) + (len(FEATURES) if config.network.features else 0)
         policy = TwoSightsPolicy
-        about_policy["visible"] = visible_entries(shown, len(OBSERVATIONS), config.env.history)
+        about_policy["visible"] = visible_entries(shown, known, config.env.history)
 
     model = PPO(
         policy,

@@ -26,7 +26,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from amulett_agents.bundles import extract_network, save_policy
+from amulett_agents.bundles import describe_policy, save_policy
 from amulett_agents.checkpoint import (
     BUNDLES,
     FOLDER,
@@ -43,8 +43,7 @@ from amulett_gym.config import load_profile
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path, locked_folder, output_folder, read_json, write_json, write_text
-from amulett_gym.laws.bundle import forward
-from amulett_gym.laws.history import History
+from amulett_gym.laws.actor import Actor
 from amulett_gym.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
@@ -511,16 +510,14 @@ def evaluate(model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int) 
         ``cost``, minus the mean return; each reward term's share of it; the number of ``failures``; the present
         ``exploration_std``, of SAC at the first observations.
     """
-    layers, network = extract_network(model.policy)
-    size: int = env.single_observation_space.shape[0]  # type: ignore[index]
-    seen = History(env, network.layers[0] // size, size)
+    act = Actor(*describe_policy(model), env)
     observations, info = env.reset(seed=seed)
-    std = exploration_std(model, seen.add(observations))
+    std = exploration_std(model, act.see(observations))
     playing = np.ones(env.num_envs, dtype=bool)
     costs = dict.fromkeys(TERMS, 0.0)
     failures = 0
     while playing.any():
-        observations, _, terminated, truncated, info = env.step(forward(layers, network, seen.add(observations)))
+        observations, _, terminated, truncated, info = env.step(act(observations))
         for term in TERMS:
             costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
         failures += int((terminated & playing).sum())

@@ -38,6 +38,7 @@ from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.files import parse_json, read_bytes, to_json, write_json
+from amulett_gym.laws.features import FEATURES
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
@@ -75,10 +76,19 @@ class PolicyDescription(Group):
     network: Network
     observations: list[str] = Field(description="names of the observation's entries, in order; all in [-1, 1]")
     observation_scales: dict[str, float] = Field(description="what an entry of 1 stands for [rad, rad/s, s, N]")
+    features: list[str] = Field(
+        default=[], description="names of the features that follow an observation's first 13 entries: all, or none"
+    )
     tension_range: list[float] = Field(
         min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
     )
     agent_period: float = Field(gt=0, le=100, description="time an action is held [s]")
+    follow: float = Field(
+        default=1.0,
+        gt=0,
+        le=1,
+        description="share of the way from the present tension setpoint to the network's output that an action goes",
+    )
     history: int = Field(
         default=1,
         ge=1,
@@ -89,15 +99,20 @@ class PolicyDescription(Group):
     @model_validator(mode="after")
     def _check_sizes(self) -> PolicyDescription:
         inputs, outputs = self.network.layers[0], self.network.layers[-1]
-        if (inputs, outputs) != (self.history * len(self.observations), 1):
+        if (inputs, outputs) != (self.history * self.size, 1):
             times = f"{self.history} times " if self.history > 1 else ""
             raise ValueError(
-                f"the network maps {inputs} numbers to {outputs}; it has to map {times}the {len(self.observations)} "
-                "observations to 1 action"
+                f"the network maps {inputs} numbers to {outputs}; it has to map {times}the {self.size} observations "
+                "and features to 1 action"
             )
         if not 0 < self.tension_range[0] < self.tension_range[1] <= 1e6:
             raise ValueError(f"tension_range is {self.tension_range}; it has to be 0 < low < high, at most 1e6 N")
         return self
+
+    @property
+    def size(self) -> int:
+        """How many numbers the network sees of a moment."""
+        return len(self.observations) + len(self.features)
 
     @property
     def is_privileged(self) -> bool:
@@ -338,6 +353,9 @@ def _check_observations(policy: PolicyDescription, path: Path) -> None:
     if tuple(policy.observations) not in (OBSERVATIONS, OBSERVATIONS + PRIVILEGED):
         different = ", ".join(sorted(set(policy.observations) ^ set(OBSERVATIONS))) or "their order"
         raise AmulettError(f"'{path}': the observations are not those of this amulett-gym; what differs: {different}")
+    if tuple(policy.features) not in ((), FEATURES):
+        different = ", ".join(sorted(set(policy.features) ^ set(FEATURES))) or "their order"
+        raise AmulettError(f"'{path}': the features are not those of this amulett-gym; what differs: {different}")
     scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {})}
     for name, scale in scales.items():
         theirs = policy.observation_scales.get(name, math.nan)

@@ -14,6 +14,7 @@ from amulett_gym.config import Profile
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.laws.actor import Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -21,7 +22,6 @@ from amulett_gym.laws.contenders import (
     bundle_folder,
     constant_tension,
 )
-from amulett_gym.laws.history import History
 from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
@@ -157,20 +157,16 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
         )
     low, high = bundle.policy.tension_range
     own_range = (low, high)
-    history = History(env, bundle.policy.history, size) if bundle.policy.history > 1 else None
-
-    def remembered(batch: NDArray[np.float64]) -> NDArray[np.float64]:
-        return batch if history is None else history.add(batch)
-
+    actor = Actor(bundle.layers, bundle.policy, env)
     if own_range == tuple(tension_range):
-        return lambda batch: bundle.act(remembered(batch[:, :size]))
+        return actor
     _check_reach(f"policy bundle '{bundle.folder}'", low, high, tension_range)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         converted = batch[:, :size].copy()
         setpoint = action_to_tension(batch[:, _TENSION_SETPOINT], tension_range)
         converted[:, _TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
-        tension = action_to_tension(bundle.act(remembered(converted)), own_range)
+        tension = action_to_tension(actor(converted), own_range)
         return tension_to_action(tension, tension_range).astype(np.float32)
 
     return act

@@ -85,7 +85,7 @@ def seed_overlap(configs: Sequence[Any], seed: int, episodes: int) -> dict[str, 
     """
     train, validation = [], []
     for config in configs:
-        devices = config.seed + np.arange(config.num_envs)
+        devices = config.first_scenario + np.arange(config.num_envs)
         # Twice as many as full episodes would be: an episode may end early.
         count = 2 * (config.total_steps // (config.num_envs * config.env.max_episode_steps) + 2)
         train.append(_keys(devices, count, "train"))

@@ -1,0 +1,77 @@
+"""What stands between the adapter and a learner: what its networks see and do, and rewards of a useful size."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+
+from amulett_gym.laws.actor import follow
+from amulett_gym.laws.features import FEATURES, with_features
+
+
+class ActorView(VecEnvWrapper):
+    """The environment as an `amulett_gym.laws.actor.Actor`'s network sees it, and acts in it.
+
+    Parameters
+    ----------
+    venv : VecEnv
+    tension_range : (float, float)
+        Tensions at action -1 and +1 [N].
+    features : bool
+        Whether observations are shown with their features.
+    share : float
+        Of the way from the present setpoint to what the network wants, how much an action goes.
+
+    Attributes
+    ----------
+    seen : ndarray of float32, shape (num_envs, entries)
+        The present observations, as they are shown.
+    """
+
+    def __init__(self, venv: VecEnv, tension_range: tuple[float, float], features: bool, share: float) -> None:
+        assert venv.observation_space.shape is not None
+        size = venv.observation_space.shape[0] + (len(FEATURES) if features else 0)
+        super().__init__(venv, gym.spaces.Box(-1.0, 1.0, (size,), np.float32))
+        self.tension_range, self.features, self.share = tension_range, features, share
+        self.seen: NDArray[np.float32] = np.zeros((venv.num_envs, size), dtype=np.float32)
+
+    def reset(self) -> Any:
+        """Start an episode with all devices."""
+        self.seen = self._show(self.venv.reset())
+        return self.seen
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Go towards what the network wants."""
+        self.venv.step_async(follow(actions, self.seen, self.share))
+
+    def step_wait(self) -> Any:
+        """Take one step with all devices."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        for device in np.flatnonzero(dones):
+            infos[device]["terminal_observation"] = self._show(infos[device]["terminal_observation"][None])[0]
+        self.seen = self._show(observations)
+        return self.seen, rewards, dones, infos
+
+    def _show(self, observations: Any) -> NDArray[np.float32]:
+        return with_features(observations, self.tension_range) if self.features else observations
+
+
+class ScaledRewards(VecEnvWrapper):
+    """Rewards times a fixed factor: what is learned from; the environment inside logs returns as they are."""
+
+    def __init__(self, venv: VecEnv, factor: float) -> None:
+        super().__init__(venv)
+        self.factor = factor
+
+    def reset(self) -> Any:
+        """Start an episode with all devices."""
+        return self.venv.reset()
+
+    def step_wait(self) -> Any:
+        """Take one step with all devices."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        return observations, rewards * np.float32(self.factor), dones, infos
