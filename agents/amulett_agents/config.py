@@ -105,7 +105,7 @@ class PpoSettings(Group):
     n_steps: int = Field(default=32, ge=1, le=10**6, description="of each device between two updates [agent steps]")
     batch_size: int = Field(default=16384, ge=2, le=10**8, description="of a gradient step [agent steps]")
     n_epochs: int = Field(default=8, ge=1, le=1000, description="times that an update sees its rollout [1]")
-    learning_rate: float = Field(default=1.5e-3, gt=0, le=1, description="of Adam [1]")
+    learning_rate: float = Field(default=2e-3, gt=0, le=1, description="of Adam [1]")
     anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
     gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
     gae_lambda: float = Field(default=0.95, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
@@ -124,7 +124,7 @@ class PpoSettings(Group):
     )
     initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
     final_std: float | None = Field(
-        default=0.04, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
+        default=0.05, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
     privileged_critic: bool = Field(
         default=True, description="let the critic, which is needed for training only, see what no device can know"
@@ -208,7 +208,7 @@ class TrainConfig(Group):
     network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
     validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
     num_envs: int = Field(default=2048, ge=1, le=10**6, description="simulated side by side [devices]")
-    total_steps: int = Field(default=7_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
+    total_steps: int = Field(default=5_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
     max_seconds: float | None = Field(
         default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
     )
