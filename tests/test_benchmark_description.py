@@ -69,7 +69,7 @@ def test_the_quick_one_is_a_small_one_of_the_same_make():
         ({"learned": {"x": {"seeds": [1, 1]}}, "best_learned": "x"}, "seeds have to differ"),
         ({"learned": {"x": {"seeds": [1], "reference": True}}, "best_learned": "x"}, "a reference and no contender"),
         ({"ablations": ["stiffness"]}, "unknown reward term 'stiffness'"),
-        ({"clairvoyant": {"scenarios": {"mixed": 201}}}, "names 201 of mixed"),
+        ({"clairvoyant": {"scenarios": {"mixed": 501}}}, "names 501 of mixed"),
         ({"clairvoyant": {"scenarios": {"mixed": 1}}}, "an interval needs at least 2"),
         ({"bootstrap": {"resamples": 1}}, "'bootstrap.resamples' is 1"),
     ],
