@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.config import Profile, load_profile, merge
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import STATE_NAMES
 from amulett_gym.simulation.trajectory import Trajectory, record
@@ -72,3 +75,24 @@ def mirrored(scenario: Mapping[str, Any]) -> dict[str, Any]:
 def state_of(simulation: Simulation, index: int) -> dict[str, NDArray[Any]]:
     """Return everything one device remembers."""
     return {name: simulation.read(name)[index] for name in STATE_NAMES}
+
+
+def keep_network(
+    folder: Path,
+    layers: Layers,
+    activation: str = "tanh",
+    output: str = "clip",
+    keywords: Mapping[str, Any] | None = None,
+    **about: Any,
+) -> Path:
+    """Write a bundle of given weights; `about` are fields of its description that differ from the environment's own."""
+    sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
+    description = {
+        "network": Network(layers=sizes, activation=activation, output=output),  # type: ignore[arg-type]
+        "observations": list(OBSERVATIONS),
+        "observation_scales": dict(OBSERVATION_SCALES),
+        "tension_range": [4.0, 15.0],
+        "agent_period": 0.02,
+    }
+    env = TrainingEnv(id="Amulett/Scaling-v0", keywords=dict(keywords or {}), max_episode_steps=500)
+    return write_bundle(folder, layers, PolicyDescription(**(description | about)), env, {})

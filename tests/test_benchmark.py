@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers import keep_network
 
 from amulett_gym.cli import build_parser, main
 from amulett_gym.config import load_profile
-from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.benchmark import episodes, frozen, reference, runs, stages
 from amulett_gym.evaluation.benchmark.claims import check_claims
@@ -28,7 +29,6 @@ from amulett_gym.evaluation.benchmark.stages import run_benchmark
 from amulett_gym.evaluation.clairvoyant import start_schedules
 from amulett_gym.evaluation.rollout import Trials
 from amulett_gym.evaluation.runner import Own, Protocol, evaluate, play_alone
-from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.provenance import read_provenance
 from amulett_gym.tasks import suites
@@ -308,15 +308,7 @@ def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path, fault
 def test_the_schedule_of_a_slow_policy_does_what_the_policy_does(tmp_path):
     weights = np.random.default_rng(0).normal(0.0, 0.2, (1, len(OBSERVATIONS))).astype(np.float32)
     layers = [(weights, np.array([-0.3], np.float32))]
-    description = PolicyDescription(
-        network=Network(layers=[len(OBSERVATIONS), 1], activation="tanh", output="clip"),
-        observations=list(OBSERVATIONS),
-        observation_scales=OBSERVATION_SCALES,
-        tension_range=[5.0, 14.0],
-        agent_period=0.1,
-    )
-    environment = TrainingEnv(id="Amulett/Scaling-v0", keywords={}, max_episode_steps=100)
-    bundle = str(write_bundle(tmp_path / "slow", layers, description, environment, {}))
+    bundle = str(keep_network(tmp_path / "slow", layers, tension_range=[5.0, 14.0], agent_period=0.1))
     protocol = Protocol(load_profile("testbed"), "reach", episodes=4, duration=2.0)
     trials = Trials(protocol)
     actions = start_schedules(trials, [bundle])[bundle]

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import keep_network
 
 from amulett_gym.cli import Parser
 from amulett_gym.cli.evaluate import add_arguments, run
 from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
-from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import runner
 from amulett_gym.evaluation.episode import record_episode
@@ -20,7 +21,6 @@ from amulett_gym.evaluation.metrics import UNITS, failure_cost
 from amulett_gym.evaluation.report import write_report
 from amulett_gym.evaluation.results import in_words, number, pretty, span, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
-from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.provenance import COMMAND
 from amulett_gym.tasks.suites import families_of
 
@@ -44,15 +44,7 @@ def fragile() -> Results:
 def bundle(tmp_path):
     """Write a policy that always wants 12 N, acts every 40 ms, and was trained from 2 to 14 N."""
     layers = [(np.zeros((1, len(OBSERVATIONS)), np.float32), np.array([2 / 3], np.float32))]
-    description = PolicyDescription(
-        network=Network(layers=[len(OBSERVATIONS), 1], activation="tanh", output="clip"),
-        observations=list(OBSERVATIONS),
-        observation_scales=OBSERVATION_SCALES,
-        tension_range=[2.0, 14.0],
-        agent_period=0.04,
-    )
-    environment = TrainingEnv(id="Amulett/Scaling-v0", keywords={}, max_episode_steps=250)
-    return str(write_bundle(tmp_path / "mine" / "best", layers, description, environment, {}))
+    return str(keep_network(tmp_path / "mine" / "best", layers, tension_range=[2.0, 14.0], agent_period=0.04))
 
 
 def command(*words: str) -> int:

@@ -7,12 +7,13 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers import keep_network
 
 import amulett_gym
-from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import Actor, follow
-from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, read_bundle, write_bundle
+from amulett_gym.laws.bundle import read_bundle, write_bundle
 from amulett_gym.laws.features import FEATURES, features, with_features
 
 RANGE = (4.0, 15.0)
@@ -80,17 +81,8 @@ def test_an_action_goes_its_share_of_the_way():
 def folder(tmp_path):
     size = 13 + len(FEATURES)
     weights = np.random.default_rng(1).normal(0.0, 0.3, (1, size)).astype(np.float32)
-    description = PolicyDescription(
-        network=Network(layers=[size, 1], activation="relu", output="clip"),
-        observations=list(OBSERVATIONS),
-        observation_scales=dict(OBSERVATION_SCALES),
-        features=list(FEATURES),
-        follow=0.4,
-        tension_range=list(RANGE),
-        agent_period=0.02,
-    )
-    env = TrainingEnv(id="Amulett/Scaling-v0", keywords={"suite": "mixed"}, max_episode_steps=500)
-    return write_bundle(tmp_path / "bundle", [(weights, np.zeros(1, np.float32))], description, env, {})
+    layers = [(weights, np.zeros(1, np.float32))]
+    return keep_network(tmp_path / "bundle", layers, "relu", features=list(FEATURES), follow=0.4)
 
 
 def test_a_bundle_with_features_means_the_same_tensions_in_every_action_range(folder):

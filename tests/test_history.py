@@ -6,6 +6,7 @@ import json
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers import keep_network
 
 import amulett_gym
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
@@ -14,7 +15,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.runner import evaluate as compare
-from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, read_bundle, write_bundle
+from amulett_gym.laws.bundle import PolicyDescription, read_bundle
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.laws.history import History
 
@@ -33,15 +34,8 @@ def keep(folder, history=3, privileged=False, seed=0):
         (generator.normal(0, inputs**-0.5, (outputs, inputs)).astype(np.float32), np.zeros(outputs, np.float32))
         for inputs, outputs in itertools.pairwise(sizes)
     ]
-    description = PolicyDescription(
-        network=Network(layers=sizes, activation="tanh", output="tanh"),
-        observations=list(names),
-        observation_scales=scales,
-        tension_range=[4.0, 15.0],
-        agent_period=0.02,
-        history=history,
-    )
-    return write_bundle(folder, layers, description, TrainingEnv(id=SCALING, keywords={}, max_episode_steps=500), {})
+    seen = {"observations": list(names), "observation_scales": scales, "history": history}
+    return keep_network(folder, layers, output="tanh", **seen)
 
 
 # --- the stack

@@ -27,7 +27,6 @@ from hypothesis import settings
 
 from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.config import Profile, load_profile
-from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import read_arrays, read_json, read_text, write_json
 from amulett_gym.laws import bundle as bundles
@@ -36,11 +35,7 @@ from amulett_gym.laws.bundle import (
     MANIFEST,
     Bundle,
     Manifest,
-    Network,
-    PolicyDescription,
-    TrainingEnv,
     read_bundle,
-    write_bundle,
 )
 from amulett_gym.model.spring import read_curve
 from amulett_gym.paper.own_study import OwnStudy, read_study
@@ -50,7 +45,7 @@ from amulett_gym.provenance import Provenance, read_provenance, versions
 from amulett_gym.safe_yaml import parse_yaml
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
-from tests.helpers import BUSY
+from tests.helpers import BUSY, keep_network
 
 TESTBED = load_profile("testbed")
 ROOT = Path(__file__).parent.parent
@@ -352,15 +347,7 @@ def make_bundle(folder: Path) -> Path:
     layers = [
         (random.normal(size=(o, i)).astype("f4"), random.normal(size=o).astype("f4")) for i, o in [(13, 4), (4, 1)]
     ]
-    policy = PolicyDescription(
-        network=Network(layers=[13, 4, 1], activation="tanh", output="clip"),
-        observations=list(OBSERVATIONS),
-        observation_scales=dict(OBSERVATION_SCALES),
-        tension_range=[4.0, 15.0],
-        agent_period=0.02,
-    )
-    env = TrainingEnv(id="Amulett/Scaling-v0", keywords={"suite": "steps"}, max_episode_steps=500)
-    return write_bundle(folder, layers, policy, env, {"seed": 0})
+    return keep_network(folder, layers, keywords={"suite": "steps"})
 
 
 def vouch_for(folder: Path) -> None:

@@ -15,14 +15,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from helpers import keep_network
 from PIL import Image
 
 import amulett_gym
 from amulett_gym.cli import play
 from amulett_gym.envs.rendering import STRIP_SECONDS, Renderer, frame_of
-from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.bundle import Network, PolicyDescription, TrainingEnv, write_bundle
 
 SCALING = amulett_gym.ENV_IDS[0]
 SHAPE = (560, 720, 3)
@@ -342,19 +342,8 @@ def test_play_replays_a_scenario(tmp_path):
 
 
 def test_play_gives_a_trained_policy_the_period_it_was_trained_with(tmp_path):
-    folder = write_bundle(
-        tmp_path / "policy",
-        [(np.zeros((1, len(OBSERVATIONS)), np.float32), np.zeros(1, np.float32))],
-        PolicyDescription(
-            network=Network(layers=[len(OBSERVATIONS), 1], activation="tanh", output="clip"),
-            observations=list(OBSERVATIONS),
-            observation_scales=OBSERVATION_SCALES,
-            tension_range=[5.0, 9.0],
-            agent_period=0.1,
-        ),
-        TrainingEnv(id=SCALING, keywords={}, max_episode_steps=10),
-        provenance={},
-    )
+    layers = [(np.zeros((1, len(OBSERVATIONS)), np.float32), np.zeros(1, np.float32))]
+    folder = keep_network(tmp_path / "policy", layers, tension_range=[5.0, 9.0], agent_period=0.1)
     play_command(folder, "--steps", 4, "--video", tmp_path / "video.gif")
     with Image.open(tmp_path / "video.gif") as video:
         assert (video.n_frames, video.info["duration"]) == (5, 100)

@@ -106,12 +106,37 @@ class SB3VecEnv(VecEnv):
                 ending["terminal_observation"] = observations[device].copy()
                 ending["TimeLimit.truncated"] = bool(truncated[device] and not terminated[device])
                 infos[device] = ending
-            for total in (self._returns, self._lengths, *self._terms.values()):
-                total[dones] = 0
-            observations, info = self.venv.reset(options={"reset_mask": dones})
-            for device, beginning in zip(finished.tolist(), pick(info, finished), strict=True):
-                self.reset_infos[device] = beginning
+            observations = self._begin(dones)
         return observations, rewards.astype(np.float32), dones, infos
+
+    def stagger(self, action: float, steps: int) -> NDArray[np.float32]:
+        """Begin the devices' next episodes one after the other.
+
+        Episodes that begin together go on together: whoever learns from a short rollout then sees one part of them,
+        another one next time, and never the whole.
+
+        Parameters
+        ----------
+        action : float
+            That all devices hold until then.
+        steps : int
+            Over which their beginnings are spread evenly: the length of an episode.
+
+        Returns
+        -------
+        ndarray of float32, shape (num_envs, 13)
+            The observations afterwards.
+        """
+        actions = np.full((self.num_envs, 1), action, dtype=np.float32)
+        begins = np.arange(self.num_envs) * steps // self.num_envs
+        observations = np.zeros((0, 0), dtype=np.float32)
+        for step in range(steps):
+            self.step_async(actions)
+            observations, _, dones, _ = self.step_wait()
+            due = (begins == step) & ~dones
+            if due.any():
+                observations = self._begin(due)
+        return observations
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes, and of the sums that their infos will tell.
@@ -170,6 +195,16 @@ class SB3VecEnv(VecEnv):
     ) -> list[bool]:
         """Tell that no device is wrapped."""
         return [False for _ in self._get_indices(indices)]
+
+    def _begin(self, devices: NDArray[np.bool_]) -> NDArray[np.float32]:
+        """Begin the next episode of some devices; return what all of them see."""
+        for total in (self._returns, self._lengths, *self._terms.values()):
+            total[devices] = 0
+        observations, info = self.venv.reset(options={"reset_mask": devices})
+        begun = np.flatnonzero(devices)
+        for device, beginning in zip(begun.tolist(), pick(info, begun), strict=True):
+            self.reset_infos[device] = beginning
+        return observations
 
     def _endings(self, finished: NDArray[np.int64], info: dict[str, Any]) -> list[dict[str, Any]]:
         """Return what finished devices' infos tell of their episodes."""

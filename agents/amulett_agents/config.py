@@ -208,6 +208,9 @@ class TrainConfig(Group):
     network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
     validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
     num_envs: int = Field(default=2048, ge=1, le=10**6, description="simulated side by side [devices]")
+    staggered: bool = Field(
+        default=True, description="let devices be at different times of their episodes: a rollout shows all of them"
+    )
     total_steps: int = Field(default=5_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
     max_seconds: float | None = Field(
         default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
@@ -260,6 +263,7 @@ SPRINT = (
     "network.critic_hidden=[32, 32]",
     "network.initial_tension=null",
     "network.features=false",
+    "staggered=false",
     "ppo.privileged_critic=false",
     "ppo.learning_rate=0.001",
     "ppo.target_kl=null",

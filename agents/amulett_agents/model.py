@@ -20,7 +20,7 @@ from amulett_agents.ppo import make_ppo, sees_more
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
-from amulett_agents.wrappers import ActorView, ScaledRewards
+from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
 from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC
@@ -42,14 +42,15 @@ def make_model(config: TrainConfig) -> Model:
     settings, algorithm = config.env, config.ppo if config.algorithm == "ppo" else config.sac
     keywords = settings.keywords() | {"privileged": settings.privileged or sees_more(config)}
     steps = settings.max_episode_steps
-    env: VecEnv = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
     low, high = settings.tension_range
+    tension = config.network.initial_tension
+    first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
+    devices = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
+    env: VecEnv = Staggered(devices, first_action, steps) if config.staggered else devices
     env = ActorView(env, (low, high), config.network.features, settings.share)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)
-    tension = config.network.initial_tension
-    first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
     inputs = None
     if config.network.standard_inputs:
         shown = (low, high) if config.network.features else None

@@ -9,8 +9,35 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
+from amulett_agents.adapter import SB3VecEnv
 from amulett_gym.laws.actor import follow
 from amulett_gym.laws.features import FEATURES, with_features
+
+
+class Staggered(VecEnvWrapper):
+    """The adapter's devices, each at another time of its episode.
+
+    Parameters
+    ----------
+    venv : SB3VecEnv
+    action : float
+        That devices hold until their first episode of full length begins.
+    steps : int
+        Length of an episode.
+    """
+
+    def __init__(self, venv: SB3VecEnv, action: float, steps: int) -> None:
+        super().__init__(venv)
+        self._adapter, self._action, self._steps = venv, action, steps
+
+    def reset(self) -> Any:
+        """Start anew with all devices."""
+        self._adapter.reset()
+        return self._adapter.stagger(self._action, self._steps)
+
+    def step_wait(self) -> Any:
+        """Take one step with all devices."""
+        return self.venv.step_wait()
 
 
 class ActorView(VecEnvWrapper):
