@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -233,6 +234,16 @@ def test_runs_of_another_recipe_are_refused(done, tmp_path):
     other = {**TINY, "learned": {"ppo": {"set": [*SHORT, "ppo.gamma=0.5"], "seeds": [3, 4]}}}
     with pytest.raises(AmulettError, match=r"seed-3.*another recipe.*ppo\.gamma was 0\.99 and is 0\.5"):
         bench(tmp_path, other, runs=done / "runs")
+
+
+def test_a_stored_run_that_lacks_a_key_was_not_trained_with_its_default(done, tmp_path):
+    kept = shutil.copytree(done / "runs", tmp_path / "runs")
+    recipe = kept / "ppo" / "seed-3" / "config.yaml"
+    content = yaml.safe_load(recipe.read_text())
+    del content["staggered"], content["network"]["features"]
+    recipe.write_text(yaml.safe_dump(content))
+    with pytest.raises(AmulettError, match=r"network\.features was None and is True; staggered was None and is True"):
+        bench(tmp_path, TINY, runs=kept)
 
 
 def test_ones_own_callable_takes_part(tmp_path):

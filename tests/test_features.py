@@ -1,4 +1,4 @@
-"""What a network with features sees and does: by hand, in a batch, in another action range, as in training."""
+"""What a network with features sees and does: by hand, in a batch, in another action range."""
 
 from __future__ import annotations
 
@@ -51,6 +51,45 @@ def test_the_antagonist_is_the_drive_that_does_not_pull(agonist, pulls, other):
     )
     assert (there["agonist_tension"], there["antagonist_tension"]) == pytest.approx((pulls / 20.0, other / 20.0))
     assert there["tension_error_2N"] == pytest.approx(math.tanh((other - 7.0) / 2.0))
+
+
+def test_no_feature_changes_unnoticed_under_its_name():
+    """Bundles name their features: another formula has to get another name."""
+    there = seen(
+        position_error=-0.05,
+        joint_velocity=-19.0 / 600.0,
+        time_since_move=0.04,
+        estimated_tension_biceps=0.31,
+        estimated_tension_triceps=0.28,
+        agonist=1.0,
+        tension_setpoint=-0.7,
+    )
+    assert there == pytest.approx(
+        {
+            "error_1.5deg": -0.995055,
+            "error_5deg": -0.716298,
+            "error_15deg": -0.291313,
+            "velocity_8deg_s": -0.962526,
+            "velocity_30deg_s": -0.483681,
+            "velocity_100deg_s": -0.157023,
+            "recent_0.1s": 0.449329,
+            "recent_0.4s": 0.818731,
+            "agonist_error_1.5deg": -0.995055,
+            "agonist_error_5deg": -0.716298,
+            "agonist_velocity_30deg_s": -0.483681,
+            "approach_slow": 0.957766,
+            "approach_fast": 0.346459,
+            "agonist_tension": 0.31,
+            "antagonist_tension": 0.28,
+            "antagonist_floor": 0.53705,
+            "antagonist_7N": -0.604368,
+            "tension_error_0.5N": -0.099668,
+            "tension_error_2N": -0.024995,
+            "tension_error_6N": -0.008333,
+            "setpoint_floor": 0.336376,
+        },
+        abs=1e-5,
+    )
 
 
 def test_features_keep_within_one_and_hang_on_each_row_alone():

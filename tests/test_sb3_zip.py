@@ -10,6 +10,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("stable_baselines3")
 
@@ -98,8 +99,25 @@ def test_a_model_of_another_environment_is_refused(tmp_path):
 def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
     path = saved(tmp_path)
     assert load_sb3_zip(path, TESTBED, trust_pickle=True).env_keywords == {}
-    (tmp_path / "config.yaml").write_text("env: {agent_period: 0.1, tension_range: [5.0, 8.0]}")
+    (tmp_path / "config.yaml").write_text(
+        "env: {agent_period: 0.1, tension_range: [5.0, 8.0]}\nnetwork: {features: false}"
+    )
     contender = load_sb3_zip(path, TESTBED, ENV_IDS[1], trust_pickle=True)
     assert contender.env_keywords == {"agent_period": 0.1, "action_range": [5.0, 8.0]}
     in_factors = load_sb3_zip(path, TESTBED, ENV_IDS[0], trust_pickle=True).env_keywords["action_range"]
     assert in_factors == pytest.approx([5.0 / 10.0, 8.0 / 10.0])
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"network": {"features": True}, "env": {"agent_period": 0.1}},
+        {"network": {"features": False}},  # the default low-pass
+        {"network": {"features": False}, "env": {"agent_period": 0.1, "history": 3}},
+    ],
+)
+def test_a_zip_of_a_recipe_that_shows_or_does_something_else_is_refused(tmp_path, settings):
+    path = saved(tmp_path)
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+    with pytest.raises(AmulettError, match="which its zip does not hold; use the bundle"):
+        load_sb3_zip(path, TESTBED, trust_pickle=True)

@@ -118,9 +118,9 @@ class SB3VecEnv(VecEnv):
         Parameters
         ----------
         action : float
-            That all devices hold until then.
+            That all devices hold for `steps` steps; so each episode that has begun by then began with it.
         steps : int
-            Over which their beginnings are spread evenly: the length of an episode.
+            Over which the beginnings are spread evenly: the length of an episode.
 
         Returns
         -------

@@ -31,13 +31,13 @@ class EnvSettings(Group):
         default=0.05,
         ge=0,
         le=10,
-        description="time constant with which the tension setpoint follows what the policy wants [s]; up to "
-        "agent_period it is there within a step",
+        description="the tension setpoint goes agent_period / follow_time of the way to what the policy wants in each "
+        "step [s]; all of it if that is 1 or more",
     )
     max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
     reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
     observation_noise: float = Field(
-        default=0.0, ge=0, le=100, description="standard deviation in the observations [1]"
+        default=0.0, ge=0, le=100, description="standard deviation in all entries of the observations [1]"
     )
     history: int = Field(
         default=1, ge=1, le=100, description="observations that the policy sees, the newest last [agent steps]"
@@ -120,7 +120,7 @@ class PpoSettings(Group):
         default=10.0,
         gt=0,
         le=1e6,
-        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.005, a whole episode 1",
+        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.002, a whole episode 1",
     )
     initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
     final_std: float | None = Field(
@@ -220,7 +220,9 @@ class TrainConfig(Group):
     checkpoint_seconds: float = Field(
         default=10.0, ge=0, le=1e9, description="wall time between two checkpoints to resume from [s]; 0: every rollout"
     )
-    checkpoint: bool = Field(default=False, description="also keep SB3's own last_sb3.zip (a pickle: mind who made it)")
+    checkpoint: bool = Field(
+        default=False, description="also keep last_sb3.zip, for SB3 itself (a pickle: mind who made it)"
+    )
 
     @property
     def first_scenario(self) -> int:

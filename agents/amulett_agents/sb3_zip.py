@@ -23,8 +23,10 @@ _SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}
 def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], trust_pickle: bool = False) -> Own:
     """Make a contender of a model that Stable-Baselines3 saved; it acts deterministically.
 
-    A zip does not say for how long its actions are held, nor which tensions they mean. If a training run's
-    ``config.yaml`` lies beside it, that tells; otherwise they are those of the environment's defaults.
+    A zip does not say for how long its actions are held, nor which tensions they mean. If a recipe (``config.yaml``)
+    lies beside it, that tells; otherwise they are those of the environment's defaults. What stands between a recipe's
+    network and the environment (features, a low-pass, a history) is not in a zip: that of such a run is refused, for
+    there is a bundle beside it.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
     Raises
     ------
     AmulettError
-        If the zip is not trusted, cannot be read, or holds no such policy.
+        If the zip is not trusted, cannot be read, or holds no such policy, or not all of it.
     """
     path = Path(path)
     if not trust_pickle:
@@ -54,7 +56,8 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
         )
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
-    return Own(str(path), _keywords(path.parent / "config.yaml", profile, env_id), act=_Acting(_load(path)))
+    keywords = _keywords(path.parent / "config.yaml", profile, env_id)
+    return Own(str(path), keywords, act=_Acting(_load(path)))
 
 
 class _Acting:
@@ -99,6 +102,13 @@ def _load(path: Path) -> BasePolicy:
 def _keywords(recipe: Path, profile: Profile, env_id: str) -> dict[str, Any]:
     if not recipe.is_file():
         return {}
-    env = load_train_config(recipe).env
+    config = load_train_config(recipe)
+    env = config.env
+    if config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:
+        raise AmulettError(
+            f"'{recipe}' says that the network sees or does something else than the environment shows and wants "
+            "(network.features, env.follow_time, env.history, env.privileged), which its zip does not hold; use the "
+            f"bundle '{recipe.parent / 'last'}' instead"
+        )
     unit = profile.variable_stiffness.nominal_tension if env_id == ENV_IDS[0] else 1.0
     return {"agent_period": env.agent_period, "action_range": [bound / unit for bound in env.tension_range]}

@@ -14,8 +14,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 class ValuesAtTimeLimits(BaseCallback):
     """Adds to an episode's last reward what its end would have been worth, if only the time limit ended it.
 
-    SB3's rollouts do the same, one device after the other. Episodes that began together end together: of 2,048 in one
-    step, that is a hundredth of the time that learning takes. What is added here is no longer marked as truncated, so
+    SB3's rollouts do the same, one device after the other: a hundredth of the time that learning takes where episodes
+    end together. What is added here is no longer marked as truncated, so
     that SB3 does not add it once more. For PPO: SAC's buffer wants the marks.
     """
 

@@ -56,7 +56,7 @@ FINISHED = "finished.json"
 """File that a run leaves when it has come to its end: its `TrainResult`."""
 
 _LOG_EVERY = 16_384
-"""Steps between two entries of SAC's log: as many as a rollout of PPO has by default. PPO logs every rollout."""
+"""Steps between two entries of SAC's log. PPO logs every rollout."""
 
 _OUTPUTS = (FOLDER, FINISHED, "evaluations.csv", "last_sb3.zip", *BUNDLES, "tensorboard")
 

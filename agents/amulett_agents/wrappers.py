@@ -21,7 +21,7 @@ class Staggered(VecEnvWrapper):
     ----------
     venv : SB3VecEnv
     action : float
-        That devices hold until their first episode of full length begins.
+        That all devices hold for the first `steps` steps of a run, which nobody learns from.
     steps : int
         Length of an episode.
     """

@@ -280,7 +280,8 @@ def _training(evidence: Evidence) -> Content:
     for run in evidence.runs:
         entry = found.setdefault(run.entry, {"runs": {}, "recipe": run.config.model_dump(mode="json")})
         result = outcome(run)
-        entry["runs"][str(run.seed)] = {**result, "episodes": result["steps"] // run.config.env.max_episode_steps}
+        episodes = result["steps"] // run.config.env.max_episode_steps + run.config.num_envs * run.config.staggered
+        entry["runs"][str(run.seed)] = {**result, "episodes": episodes}
     for name in LAWS:
         if name in evidence.entries and not evidence.entries[name].seeds:
             shipped = tuned_content(name, evidence.profile, "mixed")

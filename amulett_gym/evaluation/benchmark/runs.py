@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.config import read_yaml
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.benchmark.description import Benchmark, training_recipe
 from amulett_gym.files import read_json, read_text
+from amulett_gym.provenance import differences
 
 _NEEDED = ("torch", "stable_baselines3", "tensorboard")
 _CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.csv"
@@ -170,31 +172,20 @@ def learning_curve(run: TrainingRun) -> NDArray[np.float64]:
 
 
 def _check_recipe(run: TrainingRun) -> None:
-    """Refuse a stored run whose recipe is another one; how often it keeps itself does not matter."""
-    from amulett_agents.config import load_train_config
+    """Refuse a stored run whose recipe is another one; how often it keeps itself does not matter.
 
-    stored, wanted = load_train_config(run.folder / _CONFIG).model_dump(), run.config.model_dump()
-    for aside in ("checkpoint_seconds", "checkpoint", "threads"):
+    The file is compared as it is: a key that was not there when the run was trained had no value of today's.
+    """
+    stored, wanted = read_yaml(run.folder / _CONFIG, "recipe"), run.config.model_dump(mode="json")
+    unread = "sac" if wanted["algorithm"] == "ppo" else "ppo"
+    for aside in ("checkpoint_seconds", "checkpoint", "threads", unread):
         stored.pop(aside, None), wanted.pop(aside, None)
-    for aside in ("threads",):
-        stored["env"].pop(aside, None), wanted["env"].pop(aside, None)
+    for tree in (stored, wanted):
+        if isinstance(tree.get("env"), dict):
+            tree["env"].pop("threads", None)
     changed = differences(stored, wanted)
     if changed:
         raise AmulettError(
             f"the run in '{run.folder}' was trained by another recipe than {run.name} of this benchmark: "
             f"{'; '.join(changed)}; choose another folder for the runs, or mend the description"
         )
-
-
-def differences(old: Any, new: Any, name: str = "") -> list[str]:
-    """Return in words the keys in which two trees of plain data differ."""
-    if not isinstance(old, dict) or not isinstance(new, dict):
-        return [] if old == new else [f"{name} was {_short(old)} and is {_short(new)}"]
-    keys = [*old, *(key for key in new if key not in old)]
-    below = [differences(old.get(key), new.get(key), f"{name}.{key}" if name else str(key)) for key in keys]
-    return [difference for several in below for difference in several]
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."

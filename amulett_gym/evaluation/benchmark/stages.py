@@ -22,7 +22,6 @@ from amulett_gym.evaluation.benchmark.runs import (
     TrainingRun,
     ablation_name,
     check_runs,
-    differences,
     outcome,
     required_runs,
     train_missing,
@@ -30,7 +29,7 @@ from amulett_gym.evaluation.benchmark.runs import (
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.files import locked_folder, output_folder, read_text, write_json
 from amulett_gym.laws.contenders import Contender, parse_contender
-from amulett_gym.provenance import write_provenance
+from amulett_gym.provenance import differences, write_provenance
 
 DESCRIPTION = "description.json"
 """File by which a benchmark's folder is recognised."""
