@@ -32,7 +32,7 @@ def test_both_act_alike_in_both_environments():
     actions = []
     for name in NAMES:
         for env_id in ENV_IDS:
-            env = gym.make_vec(env_id, num_envs=5, agent_period=0.05)
+            env = gym.make_vec(env_id, num_envs=5)
             observations, _ = env.reset(seed=1)
             policy = load_policy(name, env)
             for _ in range(20):
@@ -55,7 +55,7 @@ def test_numpy_computes_what_torch_would():
                 linear.weight.copy_(torch.tensor(weight))
                 linear.bias.copy_(torch.tensor(bias))
             layers += [linear, torch.nn.ReLU()]
-        observations = np.random.default_rng(0).uniform(-0.5, 0.5, (200, 13)).astype(np.float32)
+        observations = np.random.default_rng(0).uniform(-0.5, 0.5, (200, layers[0].in_features)).astype(np.float32)
         with torch.no_grad():
             expected = torch.nn.Sequential(*layers[:-1])(torch.tensor(observations)).clamp(-1, 1).numpy()
         np.testing.assert_allclose(bundle.act(observations), expected, rtol=0, atol=1e-6)
