@@ -65,8 +65,9 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
 def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[str, Any] | None = None) -> Path:
     """Keep a model's policy as a bundle; `amulett_gym.load_policy` reads it without torch.
 
-    Works for any PPO, A2C or SAC with an ``MlpPolicy``, trained on `make_sb3_env`, in a `VecFrameStack` or not, or on
-    ``gym.make``.
+    Works for any PPO, A2C or SAC with an ``MlpPolicy``, trained on `make_sb3_env`, in an `ActorView` and a
+    `VecFrameStack` or not, or on ``gym.make``. Of other wrappers, those that change the observation's size are refused;
+    one that changes actions goes unnoticed.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
         raise AmulettError(
             f"the policy sees {network.layers[0]} numbers, its environment shows {history} times "
             f"{len(names) + len(seen)}; wrappers that change the observation cannot be kept in a bundle, but for "
-            "VecFrameStack"
+            "VecFrameStack and our own ActorView"
         )
     return layers, PolicyDescription(
         network=network,
