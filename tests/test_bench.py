@@ -275,6 +275,7 @@ def recipe():
             "ppo.n_steps=32",
             "ppo.batch_size=128",
             "ppo.n_epochs=1",
+            "env.agent_period=0.05",
             "env.max_episode_steps=25",
             "validation.episodes=4",
         ],
