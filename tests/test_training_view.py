@@ -10,14 +10,16 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3.common.vec_env import unwrap_vec_wrapper
 
-from amulett_agents import load_train_config, make_sb3_env
+from amulett_agents import load_train_config, make_sb3_env, train
 from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.bundles import describe_policy
 from amulett_agents.model import make_model
 from amulett_agents.training import torch_threads
 from amulett_agents.wrappers import ActorView, Staggered
+from amulett_gym import ENV_IDS
 from amulett_gym.evaluation.benchmark.frozen import seed_overlap
 from amulett_gym.laws.actor import Actor
+from amulett_gym.laws.bundle import read_bundle
 
 SMALL = ["num_envs=12", "env.max_episode_steps=40", "ppo.n_steps=16", "ppo.batch_size=64", "network.hidden=[16]"]
 
@@ -100,3 +102,13 @@ def test_training_seeds_share_no_scenario():
     alone = seed_overlap([config], seed=0, episodes=1)["train"]
     both = seed_overlap([config, config.model_copy(update={"seed": 1})], seed=0, episodes=1)["train"]
     assert both == 2 * alone
+
+
+def test_both_kinds_of_action_are_learned_alike(tmp_path):
+    """So one training gives the weights of both policies that come with the package."""
+    kept = []
+    for env_id in ENV_IDS:
+        short = ["total_steps=768", "ppo.n_epochs=2", "validation.episodes=4", f"env.id={env_id}"]
+        result = train(load_train_config(None, [*SMALL, *short]), tmp_path / env_id, progress=False)
+        kept.append([array for layer in read_bundle(result.last).layers for array in layer])
+    assert all(np.array_equal(a, b) for a, b in zip(*kept, strict=True))
