@@ -79,8 +79,8 @@ def test_it_costs_less_than_what_was_tuned_by_hand():
 
 
 def test_an_environment_of_another_rate_is_refused_with_the_right_one():
-    with pytest.raises(AmulettError, match=r"agent_period=0\.05"):
-        load_policy("pretrained", gym.make(ENV_IDS[0]))
+    with pytest.raises(AmulettError, match=r"make it with agent_period=0\.02"):
+        load_policy("pretrained", gym.make(ENV_IDS[0], agent_period=0.05))
 
 
 def test_their_card_says_where_they_come_from():
