@@ -43,6 +43,7 @@ SHORT = [
 TINY = {
     "suites": ["mixed", "paper-step"],
     "episodes": 5,
+    "seed": 0,
     "duration": 2.0,
     "contenders": ["position-only", "eq6-tuned", "parametric"],
     "constants": [6.0, 10.0],
@@ -149,7 +150,7 @@ def test_no_episode_is_trained_on_and_judged_on(found, monkeypatch):
     needed = runs.required_runs(load_benchmark(None).model_validate(TINY), Path(), Path())
     configs = [run.config for run in needed]
     monkeypatch.setitem(suites.SPLITS, "held-out", suites.SPLITS["train"])
-    assert frozen.seed_overlap(configs, seed=4, episodes=5)["overlap"] > 0
+    assert frozen.seed_overlap(configs, seed=24, episodes=5)["overlap"] > 0  # seed 3 begins at 3 * 8
 
 
 def test_a_folder_says_from_the_start_what_fills_it(done, tmp_path, monkeypatch, capsys):
