@@ -175,7 +175,8 @@ def test_numpy_torch_and_the_training_see_and_do_the_same(keywords, tmp_path, on
 
     adapter = make_sb3_env(num_envs=4, **keywords)
     env = VecFrameStack(adapter, 3)
-    model = PPO("MlpPolicy", env, n_steps=8, batch_size=32, n_epochs=2, learning_rate=0.01, device="cpu").learn(400)
+    settings = {"n_steps": 8, "batch_size": 32, "n_epochs": 2, "learning_rate": 0.01, "seed": 0, "device": "cpu"}
+    model = PPO("MlpPolicy", env, **settings).learn(400)
     folder = save_policy(model, tmp_path / "bundle")
     assert read_bundle(folder).policy.history == 3
     policy = amulett_gym.load_policy(folder, adapter.venv)
