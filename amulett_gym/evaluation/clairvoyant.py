@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 from amulett_gym import ENV_IDS
 from amulett_gym.config import load_profile
 from amulett_gym.envs.episodes import TENSION_RANGE
-from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.rollout import Actions, Trials, held, scheduled
 from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.files import atomic_path, read_arrays
+from amulett_gym.laws.actor import TENSION_SETPOINT
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.laws.policies import action_to_tension, tension_to_action
 
@@ -51,7 +51,6 @@ CONSTANTS = tuple(float(tension) for tension in range(4, 16))
 LAWS = ("eq6-held", "eq6-held-printed")
 """Laws whose schedules are starts, beside those that the caller names."""
 
-_TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 
 SUCCESS = 0.15
 """Share of changes that help at which their height stays as it is: fewer, and it falls."""
@@ -357,7 +356,7 @@ def _followed(trials: Trials, name: str) -> Actions:
         nonlocal last, wanted
         turn = step % round(hold)
         if turn == 0:
-            last, wanted = observations[:, _TENSION_SETPOINT], np.clip(policy(observations)[:, 0], -1.0, 1.0)
+            last, wanted = observations[:, TENSION_SETPOINT], np.clip(policy(observations)[:, 0], -1.0, 1.0)
         # A ramp over the law's own period is one over each of the steps in it.
         left = 1.0 - (turn + 1) / round(hold)
         steps.append((wanted + (last - wanted) * left).astype(np.float32))

@@ -53,18 +53,6 @@ FEATURES = (
 """Names of the features, in order; all are in [-1, 1]."""
 
 _ERROR, _, _VELOCITY, _TIME, _TENSION, _ = (float(scale) for scale in OBSERVATION_SCALES.values())
-_ERROR_AT, _VELOCITY_AT, _TIME_AT, _BICEPS_AT, _TRICEPS_AT, _AGONIST_AT, _SETPOINT_AT = map(
-    OBSERVATIONS.index,
-    (
-        "position_error",
-        "joint_velocity",
-        "time_since_move",
-        "estimated_tension_biceps",
-        "estimated_tension_triceps",
-        "agonist",
-        "tension_setpoint",
-    ),
-)
 _FLOOR = 5.3
 """Just above the least force that is estimated [N]."""
 
@@ -84,13 +72,13 @@ def features(observations: NDArray[np.floating[Any]], tension_range: tuple[float
     ndarray, shape (N, len(FEATURES))
         Of the observations' type.
     """
-    shown = observations[:, : len(OBSERVATIONS)]
-    error, velocity = math.degrees(_ERROR) * shown[:, _ERROR_AT], math.degrees(_VELOCITY) * shown[:, _VELOCITY_AT]
-    time, agonist = _TIME * np.maximum(shown[:, _TIME_AT], 0.0), shown[:, _AGONIST_AT]
-    biceps, triceps = _TENSION * shown[:, _BICEPS_AT], _TENSION * shown[:, _TRICEPS_AT]
+    shown = dict(zip(OBSERVATIONS, observations.T, strict=False))
+    error, velocity = math.degrees(_ERROR) * shown["position_error"], math.degrees(_VELOCITY) * shown["joint_velocity"]
+    time, agonist = _TIME * np.maximum(shown["time_since_move"], 0.0), shown["agonist"]
+    biceps, triceps = _TENSION * shown["estimated_tension_biceps"], _TENSION * shown["estimated_tension_triceps"]
     pulling, other = np.where(agonist > 0.0, biceps, triceps), np.where(agonist > 0.0, triceps, biceps)
     low, high = tension_range
-    setpoint = low + 0.5 * (high - low) * (shown[:, _SETPOINT_AT] + 1.0)
+    setpoint = low + 0.5 * (high - low) * (shown["tension_setpoint"] + 1.0)
     fine, coarse = np.tanh(error / 1.5), np.tanh(error / 5.0)
     slow, fast = np.tanh(velocity / 8.0), np.tanh(velocity / 30.0)
     columns = {

@@ -14,7 +14,7 @@ from amulett_gym.config import Profile
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.actor import Actor
+from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -31,7 +31,6 @@ Act = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 """The same of a batch alone."""
 
 _POSITION_ERROR = OBSERVATIONS.index("position_error")
-_TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 
 
 def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
@@ -164,8 +163,8 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         converted = batch[:, :size].copy()
-        setpoint = action_to_tension(batch[:, _TENSION_SETPOINT], tension_range)
-        converted[:, _TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
+        setpoint = action_to_tension(batch[:, TENSION_SETPOINT], tension_range)
+        converted[:, TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
         tension = action_to_tension(actor(converted), own_range)
         return tension_to_action(tension, tension_range).astype(np.float32)
 
