@@ -431,6 +431,25 @@ def test_steps_before_reset_and_wrong_shapes_are_refused():
     assert vector.get_state()["episodes"]["simulation"]["states"].tobytes() == before
 
 
+def test_next_episodes_are_those_of_a_reset_by_a_mask():
+    one, other = (gym.make_vec("Amulett/Scaling-v0", num_envs=5, suite="mixed").unwrapped for _ in range(2))
+    with pytest.raises(gym.error.ResetNeeded):
+        one.next_episodes(np.array([1]))
+    devices = np.array([0, 3])
+    for env in (one, other):
+        env.reset(seed=7)
+        env.step(np.zeros((5, 1)))
+    observations, info = one.next_episodes(devices)
+    expected, expected_info = other.reset(options={"reset_mask": np.isin(np.arange(5), devices)})
+    assert np.array_equal(observations, expected[devices])
+    readings = [name for name, value in info.items() if isinstance(value, np.ndarray)]
+    assert readings
+    for name in readings:
+        assert np.array_equal(info[name], expected_info[name][devices]), name
+    actions = np.full((5, 1), 0.3)
+    assert np.array_equal(one.step(actions)[0], other.step(actions)[0])
+
+
 def test_vector_seeds_and_autoreset():
     vector = gym.make_vec(SCALING, num_envs=3, max_episode_steps=5)
     assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP

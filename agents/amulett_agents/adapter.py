@@ -54,7 +54,7 @@ class SB3VecEnv(VecEnv):
     """A native vector environment (autoreset mode NEXT_STEP) seen as SB3's `VecEnv`, bit for bit as its `DummyVecEnv`.
 
     SB3 wants the first observation of the next episode in the step that ends one. So finished devices are reset at
-    once, by a mask, and what they saw last is kept in their info.
+    once, and what they saw last is kept in their info.
 
     ``infos`` are empty but for devices whose episode has just ended. Those have everything that the single
     environment's info has, and ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms
@@ -106,7 +106,7 @@ class SB3VecEnv(VecEnv):
                 ending["terminal_observation"] = observations[device].copy()
                 ending["TimeLimit.truncated"] = bool(truncated[device] and not terminated[device])
                 infos[device] = ending
-            observations = self._begin(dones)
+            observations[finished] = self._begin(finished)
         return observations, rewards.astype(np.float32), dones, infos
 
     def stagger(self, action: float, steps: int) -> NDArray[np.float32]:
@@ -133,9 +133,9 @@ class SB3VecEnv(VecEnv):
         for step in range(steps):
             self.step_async(actions)
             observations, _, dones, _ = self.step_wait()
-            due = (begins == step) & ~dones
-            if due.any():
-                observations = self._begin(due)
+            due = np.flatnonzero((begins == step) & ~dones)
+            if due.size:
+                observations[due] = self._begin(due)
         return observations
 
     def get_state(self) -> dict[str, Any]:
@@ -196,13 +196,12 @@ class SB3VecEnv(VecEnv):
         """Tell that no device is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
-    def _begin(self, devices: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Begin the next episode of some devices; return what all of them see."""
+    def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Begin the next episode of some devices; return what these see."""
         for total in (self._returns, self._lengths, *self._terms.values()):
             total[devices] = 0
-        observations, info = self.venv.reset(options={"reset_mask": devices})
-        begun = np.flatnonzero(devices)
-        for device, beginning in zip(begun.tolist(), pick(info, begun), strict=True):
+        observations, info = self.venv.unwrapped.next_episodes(devices)  # type: ignore[attr-defined]
+        for device, beginning in zip(devices.tolist(), pick(info, np.arange(devices.size)), strict=True):
             self.reset_infos[device] = beginning
         return observations
 

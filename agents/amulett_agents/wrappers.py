@@ -78,8 +78,11 @@ class ActorView(VecEnvWrapper):
     def step_wait(self) -> Any:
         """Take one step with all devices."""
         observations, rewards, dones, infos = self.venv.step_wait()
-        for device in np.flatnonzero(dones):
-            infos[device]["terminal_observation"] = self._show(infos[device]["terminal_observation"][None])[0]
+        ended = np.flatnonzero(dones).tolist()
+        if ended:
+            last = self._show(np.stack([infos[device]["terminal_observation"] for device in ended]))
+            for device, seen in zip(ended, last, strict=True):
+                infos[device]["terminal_observation"] = seen
         self.seen = self._show(observations)
         return self.seen, rewards, dones, infos
 

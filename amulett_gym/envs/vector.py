@@ -201,14 +201,36 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         again = np.flatnonzero(self._ended)
         observations, report = self.episodes.step(actions[:, 0])
         if again.size:
-            self.episodes.next_episode(again)
-            observations[again] = self.episodes.start(again)
-            report[again] = self.episodes.report(again)
-            self._clear_renderers(again)
+            observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
         truncated = ~terminated & (self.episodes.steps() >= self.max_episode_steps)
         self._ended = terminated | truncated
         return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
+
+    def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start the next episode of some devices: a reset by a mask that looks at none of the others.
+
+        Parameters
+        ----------
+        devices : ndarray of int, shape (K,)
+            Indices, none twice.
+
+        Returns
+        -------
+        observations : ndarray of float32, shape (K, 13), longer if `privileged`
+        info : dict
+            Of these K devices.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If one of them has had no reset yet.
+        """
+        if not self.episodes.started[devices].all():
+            raise gym.error.ResetNeeded("call reset() before next_episodes()")
+        observations, report = self._next_episodes(devices)
+        self._ended[devices] = False
+        return observations, self._info(report)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3)."""
@@ -249,6 +271,12 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderers": []}
+
+    def _next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        self.episodes.next_episode(devices)
+        observations = self.episodes.start(devices)
+        self._clear_renderers(devices)
+        return observations, self.episodes.report(devices)
 
     def _clear_renderers(self, devices: NDArray[np.int64]) -> None:
         for device in devices if self._renderers else ():
