@@ -6,6 +6,10 @@ reaches it on a ramp, as actions do. So it bounds from below what any policy of 
 the search goes; what acts at control rate or with other gains (`eq6`, `position-only`) plays by other rules, and may
 cost less.
 
+With `Trials.redrawn` it knows all but chance (the *foresight* reference): a schedule is judged by its mean cost over
+several draws of the noise, none of them the scenario's own. What it then costs in the scenario itself tells how much of
+the clairvoyant's lead is foresight, and how much an answer to noise that nobody can foresee.
+
 The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
 them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
 random place, width and height, or as wide a window on another start's schedule. What a change does is over within a
@@ -26,6 +30,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -149,6 +154,7 @@ def clairvoyant(
     Parameters
     ----------
     trials : Trials
+        Of several draws of each scenario, costs are their means.
     effort : Effort
     laws : sequence of str
         Contenders (names or folders) that act from outside the loop, beside `LAWS` and `CONSTANTS`: their schedules are
@@ -166,7 +172,7 @@ def clairvoyant(
         If a contender is unknown or acts in the loop, or a file cannot be read or written.
     """
     found = []
-    count = len(trials.rows)
+    count = len(trials.rows) // trials.draws
     schedules = start_schedules(trials, laws)
     for first in range(0, count, block):
         scenarios = np.arange(first, min(first + block, count))
@@ -184,15 +190,15 @@ def clairvoyant(
 
 
 def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actions]:
-    """Return the schedules that the constants and laws come to in each scenario, by name, shape (S, steps)."""
-    count = len(trials.rows)
+    """Return the schedules that the constants and laws come to in each scenario's first draw, shape (S, steps)."""
+    count = len(trials.rows) // trials.draws
     schedules = {}
     for tension in CONSTANTS:
         action = tension_to_action(np.array(tension), TENSION_RANGE).astype(np.float32)
         schedules[f"{CONSTANT}{tension:g}"] = np.full((count, trials.steps), action)
     for name in dict.fromkeys([*LAWS, *laws]):
         if name not in schedules:
-            schedules[name] = _followed(trials, name)
+            schedules[name] = _followed(trials, name)[:: trials.draws]
     return schedules
 
 
@@ -201,7 +207,7 @@ def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effo
     rng = np.random.default_rng(effort.seed)
     names, donors = list(starts), np.array(list(starts.values()))
     own = np.tile(scenarios, len(names))
-    traces = np.ascontiguousarray(trials.play(own, scheduled(donors.reshape(own.size, -1))).T)
+    traces = _play(trials, own, donors.reshape(own.size, 1, -1))[:, 0]
     start_costs = traces.sum(axis=1).reshape(len(names), scenarios.size)
     order = np.argsort(start_costs, axis=0, kind="stable")[: effort.restarts]
     chosen = (order * scenarios.size + np.arange(scenarios.size)).reshape(-1)
@@ -267,7 +273,7 @@ def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np
     share = rng.uniform(size=(count, crossed.size, bounds.size))
     changes[:, crossed] = window[:, crossed] * share[:, :, segment] * (given - state.actions[:, None])
     tried = np.clip(state.actions[:, None] + changes, -1.0, 1.0)
-    traces = _play(trials, state, tried)
+    traces = _play(trials, state.scenarios, tried)
     gains = np.add.reduceat(state.traces[:, None] - traces, bounds, axis=2)  # (count, candidates, segments)
     blind = np.delete(gains, crossed, axis=1) if candidates > crossed.size else gains
     state.heights *= np.exp((np.mean(blind > 0.0, axis=(1, 2)) - SUCCESS) / 2.0)
@@ -275,7 +281,7 @@ def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np
     together = np.clip(state.actions[:, None] + _combined(changes, gains, segment), -1.0, 1.0)
     tried, traces = (
         np.concatenate([tried, together], axis=1),
-        np.concatenate([traces, _play(trials, state, together)], axis=1),
+        np.concatenate([traces, _play(trials, state.scenarios, together)], axis=1),
     )
     best, rows = traces.sum(axis=2).argmin(axis=1), np.arange(count)
     better = traces[rows, best].sum(axis=1) < state.costs()
@@ -328,11 +334,18 @@ def _combined(changes: Values, gains: Values, segment: Devices) -> Values:
     return np.stack([chosen, np.where(even, chosen, 0.0), np.where(even, 0.0, chosen), slope, 3 * slope, 9 * slope], 1)
 
 
-def _play(trials: Trials, state: _State, actions: Values) -> Values:
-    """Return what each step of each schedule costs, shape as `actions`: (count, tried, steps)."""
-    flat = actions.reshape(-1, actions.shape[2]).astype(np.float32)
-    scenarios = np.repeat(state.scenarios, actions.shape[1])
-    return np.ascontiguousarray(trials.play(scenarios, scheduled(flat)).T).reshape(actions.shape)
+def _play(trials: Trials, scenarios: Devices, actions: NDArray[np.floating[Any]]) -> Values:
+    """Return what each step of each schedule costs, shape as `actions`: (scenarios, tried, steps)."""
+    count, tried, steps = actions.shape
+    rows = _rows(trials, np.repeat(scenarios, tried))
+    flat = np.repeat(actions.reshape(-1, steps).astype(np.float32), trials.draws, axis=0)
+    costs = trials.play(rows, scheduled(flat)).T.reshape(count, tried, trials.draws, steps)
+    return np.ascontiguousarray(costs.mean(axis=2))
+
+
+def _rows(trials: Trials, scenarios: Devices) -> Devices:
+    """Return all rows of some scenarios, those of one after the other's."""
+    return (scenarios[:, None] * trials.draws + np.arange(trials.draws)).reshape(-1)
 
 
 def _followed(trials: Trials, name: str) -> Actions:
@@ -374,7 +387,7 @@ def _kept(
     if folder is None:
         return improve(trials, scenarios, starts, effort)
     content = hashlib.sha256(json.dumps([VERSION, asdict(effort), list(starts)]).encode())
-    content.update(trials.digest(scenarios).encode())
+    content.update(trials.digest(_rows(trials, scenarios)).encode())
     for actions in starts.values():
         content.update(np.ascontiguousarray(actions).tobytes())
     digest = content.hexdigest()

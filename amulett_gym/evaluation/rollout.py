@@ -6,6 +6,7 @@ seemed to be. All that searches (tuned laws, the clairvoyant reference) stands o
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 from collections.abc import Callable
@@ -21,10 +22,13 @@ from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.laws.policies import tension_to_action
 from amulett_gym.simulation.layout import RUNNING, Control
+from amulett_gym.simulation.random import derive_keys
 
 Actions = NDArray[np.float32]
 Costs = NDArray[np.float64]
 Devices = NDArray[np.int64]
+
+_REDRAWN_STREAM = np.uint64(1_000_000)
 
 Choose = Callable[[int, Observations], Actions]
 """Maps the number of the agent step and the observations, shape (N, 13), to actions in [-1, 1], shape (N,)."""
@@ -48,6 +52,8 @@ class Trials:
         The scenarios, with the keys of their sensor noise.
     steps : int
         Agent steps of an episode.
+    draws : int
+        Rows of each scenario, which differ by chance alone: 1, but see `redrawn`.
 
     Raises
     ------
@@ -67,6 +73,23 @@ class Trials:
         first.seed(every, device_seeds(protocol.seed, protocol.episodes), np.random.default_rng(0))
         first.start(every)
         self.rows = first.simulation.read_scenarios(every)
+        self.draws = 1
+
+    def redrawn(self, draws: int) -> Trials:
+        """Return the same scenarios, each several times, one row after the other, with chance drawn anew.
+
+        Chance is what follows from a scenario's noise key: its sensors' noise, how a posture is shaken, late ticks.
+
+        Parameters
+        ----------
+        draws : int
+            At least 1.
+        """
+        other = copy.copy(self)
+        other.draws, other.rows = draws, np.repeat(self.rows, draws)
+        stream = _REDRAWN_STREAM + np.tile(np.arange(draws, dtype=np.uint64), len(self.rows))
+        other.rows["noise_key"] = derive_keys(other.rows["noise_key"], stream)
+        return other
 
     def play(self, scenarios: Devices, choose: Choose) -> Costs:
         """Let every device meet its scenario once.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.config import Pid, Profile
 from amulett_gym.errors import unknown
-from amulett_gym.model.plant import inertia, static_torque
+from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, build_tables
 
 Control = Literal["decentralized", "position-only"]
@@ -414,10 +414,9 @@ def load_arm(rows: NDArray[np.void], profile: Profile) -> None:
         `orientation`, the payload and the device's factors are read.
     profile : Profile
     """
-    count = len(rows)
     carried = rows["payload_mass"] > 0
-    masses = [np.full(count, item.mass) for item in profile.plant.masses]
-    arms = [np.full(count, item.arm) for item in profile.plant.masses]
+    masses: list[Numbers] = [item.mass for item in profile.plant.masses]
+    arms: list[Numbers] = [item.arm for item in profile.plant.masses]
     bare = inertia(masses, arms)
     masses.append(rows["payload_mass"])
     arms.append(np.where(carried, rows["payload_arm"], 0.0))
@@ -427,7 +426,7 @@ def load_arm(rows: NDArray[np.void], profile: Profile) -> None:
     loaded = inertia(masses, arms)
     rows["inertia"] = loaded * rows["inertia_factor"]
     rows["static_torque"] = np.where(vertical, static_torque(masses, arms), 0.0)
-    share = bare / rows["inertia"] if profile.damping.keeps == "torque" else np.ones(count)
+    share = bare / rows["inertia"] if profile.damping.keeps == "torque" else 1.0
     rows["friction"] = rows["damping_factor"] * share
 
 
