@@ -49,7 +49,7 @@ TINY = {
     "constants": [6.0, 10.0],
     "learned": {"ppo": {"set": SHORT, "seeds": [3, 4]}},
     "ablations": ["effort"],
-    "clairvoyant": {"scenarios": {"mixed": 3}, "check": 2, "effort": 0.03, "starts": ["parametric"]},
+    "clairvoyant": {"scenarios": {"mixed": 3}, "check": 2, "draws": 2, "effort": 0.03, "starts": ["parametric"]},
     "bootstrap": {"resamples": 100},
 }
 LAWS = {**TINY, "learned": {}, "ablations": [], "clairvoyant": {"scenarios": {}}}
@@ -124,6 +124,19 @@ def test_the_best_constant_scores_0_and_the_clairvoyant_costs_least(found):
     assert goal["second_search"]["either"] <= 1.0
 
 
+def test_foresight_without_the_noise_is_worth_less(found):
+    references = found["references"]
+    foreseen, goal = references["foresight"]["mixed"], references["clairvoyant"]["mixed"]
+    assert goal["cost"] < foreseen["cost"]  # judged in the scenarios' own noise, which the one knew
+    assert goal["with_other_noise"] > goal["cost"]
+    eq6 = found["results"]["mixed/held-out"]["eq6"]["cost"]["mean"]
+    # Of three of the five scenarios; both ratios are of sums.
+    assert foreseen["ratio_to_eq6"]["mean"] / goal["ratio_to_eq6"]["mean"] == pytest.approx(
+        foreseen["cost"] / goal["cost"]
+    )
+    assert 0.5 < foreseen["cost"] / foreseen["ratio_to_eq6"]["mean"] / eq6 < 2.0
+
+
 def test_every_claim_of_the_issue_is_judged(found):
     claims = found["claims"]
     assert sum(claim["about"] == "mixed, held-out" for claim in claims) >= 9
@@ -173,7 +186,7 @@ def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):
         raise AssertionError("this was done already")
 
     monkeypatch.setattr(episodes, "play_alone", refuse)
-    monkeypatch.setattr(reference, "_evidence", lambda found: {})
+    monkeypatch.setattr(reference, "_evidence", lambda *given: {})
     monkeypatch.setattr("amulett_gym.evaluation.clairvoyant.improve", refuse)
     monkeypatch.setattr(runs, "train_run", refuse)
     evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
@@ -183,12 +196,13 @@ def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):
 def test_schedules_of_another_simulation_are_searched_for_again(tmp_path):
     content = {**LAWS, "suites": ["mixed"], "clairvoyant": TINY["clairvoyant"]}
     first = bench(tmp_path, content).searched["mixed"]
-    (path,) = (tmp_path / "out" / "clairvoyant" / "testbed").iterdir()
-    with np.load(path) as arrays:
-        stale = dict(arrays)
-    np.savez(path, **{**stale, "costs": 0.9 * stale["costs"]})
+    for what in ("clairvoyant", "clairvoyant-check", "foresight"):
+        (path,) = (tmp_path / "out" / what / "testbed").iterdir()
+        with np.load(path) as arrays:
+            stale = dict(arrays)
+        np.savez(path, **{**stale, "costs": 0.9 * stale["costs"]})
     again = bench(tmp_path, content).searched["mixed"]
-    assert again.evidence == first.evidence
+    assert again.evidence == first.evidence and again.foresight.evidence == first.foresight.evidence
 
 
 def test_another_description_is_refused_in_the_same_folder(done):
@@ -302,7 +316,11 @@ def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, tmp_path, fault
             while process.poll() is None and not list(out.glob(pattern)):
                 time.sleep(0.005)
             os.kill(process.pid, signal.SIGKILL)
-        files = [*out.glob("episodes/*/*/[!.]*.npz"), *out.glob("clairvoyant*/*/[!.]*.npz")]
+        files = [
+            *out.glob("episodes/*/*/[!.]*.npz"),
+            *out.glob("clairvoyant*/*/[!.]*.npz"),
+            *out.glob("foresight/*/[!.]*.npz"),
+        ]
         files += out.glob("runs/*/*/finished.json")
         for file, changed in written.items():
             assert file.stat().st_mtime_ns == changed, file

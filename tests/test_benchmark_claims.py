@@ -26,7 +26,7 @@ def found():
     """Return results of a policy that shows everything."""
     against = ("eq6", "constant:6", "eq6-tuned", "parametric", "position-only")
     places = {f"mixed/{split}": {"ppo": entry(against), "eq6": entry(())} for split in ("held-out", "shifted")}
-    goal = {"scenarios": 70, "share_from_hand": {"ppo": estimate(0.55)}}
+    goal = {"scenarios": 70, "ratio_to_eq6": estimate(0.5), "share_from_hand": {"ppo": estimate(0.55)}}
     return {
         "best_learned": "ppo",
         "description": {"headline": "mixed"},
@@ -36,7 +36,8 @@ def found():
         "references": {
             "from": "parametric",
             "clairvoyant": {"mixed": goal},
-            "causal": {"causal": {"share_from_hand": {"ppo": estimate(0.5)}}},
+            "foresight": {"mixed": {**goal, "ratio_to_eq6": estimate(0.55), "share_from_hand": {"ppo": estimate(0.3)}}},
+            "causal": {"causal": {"ratio_to_eq6": estimate(0.6), "share_from_hand": {"ppo": estimate(0.5)}}},
         },
         "training": {"ppo": {"runs": {str(seed): {"seconds": 200.0 + seed} for seed in range(10)}}},
     }
@@ -49,9 +50,17 @@ def failing(found):
 def test_a_policy_that_shows_everything_holds_every_claim(found):
     claims = check_claims(found)
     assert failing(found) == []
-    assert sum(claim.holds for claim in claims if claim.holds is not None) == len(claims) - 1
-    (told,) = [claim for claim in claims if claim.holds is None]
+    assert sum(claim.holds for claim in claims if claim.holds is not None) == len(claims) - 2
+    told, foreseen = (claim for claim in claims if claim.holds is None)
     assert "position control alone" in told.claim and told.measured == 0.6
+    assert "the foresight reference" in foreseen.claim and foreseen.measured == 0.3
+
+
+def test_the_share_of_eq6_is_told_beside_what_the_references_cost(found):
+    claim = check_claims(found)[0]
+    assert claim.note == "ratio of costs; references: clairvoyant 0.500, foresight 0.550, causal 0.600"
+    found["references"].update(clairvoyant={}, foresight={}, causal={})
+    assert check_claims(found)[0].note == "ratio of costs"
 
 
 @pytest.mark.parametrize("other", ["constant:6", "eq6-tuned", "parametric"])
@@ -103,7 +112,7 @@ def test_what_was_not_measured_is_open_and_not_held(found):
     less = copy.deepcopy(found)
     for place in ("mixed/shifted", "paper-step/held-out"):
         del less["results"][place]
-    less["references"].update(clairvoyant={}, causal={})
+    less["references"].update(clairvoyant={}, foresight={}, causal={})
     opened = [claim for claim in check_claims(less) if claim.holds is None]
     assert {claim.about for claim in opened} == {"mixed, held-out", "mixed, shifted", "paper-step"}
     assert sum("half of the way" in claim.claim for claim in opened) == 2

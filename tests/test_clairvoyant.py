@@ -9,7 +9,7 @@ from scipy.optimize import differential_evolution
 from amulett_gym.config import load_profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import clairvoyant as module
-from amulett_gym.evaluation.clairvoyant import CONSTANTS, LAWS, Effort, Stage, clairvoyant, start_schedules
+from amulett_gym.evaluation.clairvoyant import CONSTANTS, LAWS, Effort, Stage, clairvoyant, replay, start_schedules
 from amulett_gym.evaluation.rollout import Trials, scheduled
 from amulett_gym.evaluation.runner import Protocol, evaluate
 
@@ -55,6 +55,18 @@ def test_more_search_never_costs_more_and_the_curve_tells(trials, found):
     less = clairvoyant(trials, replace(EFFORT, stages=EFFORT.stages[:1]))
     assert (found.costs <= less.costs).all()
     assert less.curve.tolist() == found.curve[:5].tolist()
+
+
+def test_foresight_is_judged_by_draws_that_are_not_the_scenarios_own(trials, found):
+    several = trials.redrawn(3)
+    foreseen = clairvoyant(several, EFFORT)
+    each = several.play(np.arange(9), scheduled(np.repeat(foreseen.actions, 3, axis=0))).sum(axis=0)
+    np.testing.assert_allclose(foreseen.costs, each.reshape(3, 3).mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(foreseen.costs, replay(several, foreseen.actions), rtol=1e-12)
+    # What answers one draw of the noise costs more in others than what was found for several.
+    others = trials.redrawn(20, 100)
+    assert replay(others, found.actions).mean() > found.costs.mean()
+    assert replay(others, foreseen.actions).mean() < replay(others, found.actions).mean()
 
 
 def test_few_decisions_are_taken_as_well_as_differential_evolution_takes_them():

@@ -88,3 +88,15 @@ def test_the_digest_names_device_scenarios_and_loop(trials):
         again = Trials(PROTOCOL)
         again.rows = rows
         assert again.digest() == trials.digest() == again.digest(np.arange(3))
+
+
+def test_redrawn_scenarios_differ_by_chance_alone(trials):
+    several = trials.redrawn(2)
+    assert several.draws == 2 and len(several.rows) == 2 * len(trials.rows)
+    for name in trials.rows.dtype.names:
+        same = several.rows[name].tobytes() == np.repeat(trials.rows[name], 2, axis=0).tobytes()  # NaNs as well
+        assert same == (name != "noise_key"), name
+    keys = np.concatenate([trials.rows["noise_key"], trials.redrawn(4).rows["noise_key"]])
+    assert np.unique(keys).size == keys.size
+    assert np.array_equal(several.rows["noise_key"].reshape(-1, 2)[:, 1], trials.redrawn(1, 1).rows["noise_key"])
+    assert trials.digest() != several.digest(np.arange(0, len(several.rows), 2))

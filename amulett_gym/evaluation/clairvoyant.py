@@ -202,6 +202,11 @@ def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actio
     return schedules
 
 
+def replay(trials: Trials, actions: Actions) -> Values:
+    """Return what a schedule for each scenario costs there, the mean over its draws, shape (S,)."""
+    return _play(trials, np.arange(len(actions)), actions[:, None])[:, 0].sum(axis=1)
+
+
 def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort) -> Reference:
     """Search for the best schedules of some scenarios, whose starts have the shape (len(scenarios), steps)."""
     rng = np.random.default_rng(effort.seed)

@@ -75,7 +75,7 @@ class Trials:
         self.rows = first.simulation.read_scenarios(every)
         self.draws = 1
 
-    def redrawn(self, draws: int) -> Trials:
+    def redrawn(self, draws: int, first: int = 0) -> Trials:
         """Return the same scenarios, each several times, one row after the other, with chance drawn anew.
 
         Chance is what follows from a scenario's noise key: its sensors' noise, how a posture is shaken, late ticks.
@@ -84,10 +84,12 @@ class Trials:
         ----------
         draws : int
             At least 1.
+        first : int
+            Number of the first draw; another number gives another draw.
         """
         other = copy.copy(self)
         other.draws, other.rows = draws, np.repeat(self.rows, draws)
-        stream = _REDRAWN_STREAM + np.tile(np.arange(draws, dtype=np.uint64), len(self.rows))
+        stream = _REDRAWN_STREAM + np.tile(np.arange(first, first + draws, dtype=np.uint64), len(self.rows))
         other.rows["noise_key"] = derive_keys(other.rows["noise_key"], stream)
         return other
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from amulett_gym.evaluation.benchmark.description import PAPER_STEP
-from amulett_gym.evaluation.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
+from amulett_gym.evaluation.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_EQ6, TUNED_LAW, Content
 from amulett_gym.evaluation.runner import YARDSTICK
 
 COST_SHARE = 0.65
@@ -93,6 +93,7 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
             f"combined cost at most {COST_SHARE} of eq. 6's (text)",
             mine["ratio"][YARDSTICK],
             lambda mean, low, high: mean <= COST_SHARE,
+            _bounds(found),
         )
     ]
     overall = found["constants"]["overall"]
@@ -126,22 +127,40 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
     return claims
 
 
+def _bounds(found: Content) -> str:
+    """Say what the references cost there, by which a target can be judged."""
+    references, headline = found["references"], found["description"]["headline"]
+    searched = [(kind, references[kind].get(headline)) for kind in SEARCHED]
+    told = [
+        f"{name} {goal['ratio_to_eq6']['mean']:.3f}"
+        for name, goal in [*searched, *references["causal"].items()]
+        if goal is not None
+    ]
+    return f"ratio of costs; references: {', '.join(told)}" if told else "ratio of costs"
+
+
 def _on_shares(found: Content, best: str) -> list[Claim]:
     references, headline = found["references"], found["description"]["headline"]
     goals = [("the clairvoyant reference", references["clairvoyant"].get(headline))]
     goals += [(f"the causal reference ({name})", causal) for name, causal in references["causal"].items()]
     if not references["causal"]:
         goals.append(("the causal reference", None))
-    return [
+    about, way = f"{headline}, held-out", f"the way from the best law by hand ({references['from']}) to"
+    claims = [
         _claim(
-            f"{headline}, held-out",
-            f"half of the way from the best law by hand ({references['from']}) to {name}; an aim",
+            about,
+            f"half of {way} {name}; an aim",
             None if goal is None else goal["share_from_hand"][best],
             lambda mean, low, high: mean >= HALF,
             _way(goal, best),
         )
         for name, goal in goals
     ]
+    foreseen = references["foresight"].get(headline)
+    if foreseen is not None:
+        told = f"how much of {way} the foresight reference; told, not claimed"
+        claims.append(_claim(about, told, foreseen["share_from_hand"][best], None, _way(foreseen, best)))
+    return claims
 
 
 def _way(goal: Content | None, best: str) -> str:

@@ -50,6 +50,9 @@ class Clairvoyant(Group):
     check: int = Field(
         default=10, ge=0, le=MOST_EPISODES, description="of the headline suite's, searched again at length [scenarios]"
     )
+    draws: int = Field(
+        default=8, ge=0, le=64, description="of the noise, for the headline suite's foresight reference; 0: none [1]"
+    )
     effort: Positive = Field(default=1.0, le=10, description="factor of the search's rounds [1]")
     starts: list[str] = Field(default=["eq6-tuned", "parametric"], description="laws that it starts from, too")
 
@@ -177,7 +180,7 @@ def quick(description: Benchmark) -> Benchmark:
             "episodes": min(description.episodes, QUICK_EPISODES),
             "learned": {name: entry.model_dump() for name, entry in learned.items()},
             "ablations": [],
-            "clairvoyant": {"scenarios": {description.headline: 8}, "check": 2, "effort": 0.25},
+            "clairvoyant": {"scenarios": {description.headline: 8}, "check": 2, "draws": 4, "effort": 0.25},
             "bootstrap": {"resamples": min(description.bootstrap.resamples, 1000)},
         }
     )

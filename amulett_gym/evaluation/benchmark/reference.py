@@ -1,4 +1,4 @@
-"""The clairvoyant reference of a benchmark: searched once, kept, judged as contenders are, and doubted once more."""
+"""What foresight gives: schedules that are searched once, kept, judged as contenders are, and doubted once more."""
 
 from __future__ import annotations
 
@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from amulett_gym import ENV_IDS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.benchmark.description import Benchmark
-from amulett_gym.evaluation.clairvoyant import Effort, Reference, clairvoyant
+from amulett_gym.evaluation.clairvoyant import Effort, Reference, clairvoyant, replay
 from amulett_gym.evaluation.rollout import Trials
 from amulett_gym.evaluation.runner import Own, Protocol, Run, play_alone
 from amulett_gym.laws.contenders import parse_contender
 
-FOLDER, CHECK = "clairvoyant", "clairvoyant-check"
+CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"
 MOST_THREADS = 4
 
 BLOCK = 10
 """Scenarios that are searched at once: what a kill can lose."""
+
+REDRAWS, FIRST_REDRAW = 40, 1000
+"""Draws of the noise by which schedules are judged once more; none that any was found by."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,15 @@ class Searched:
     run : Run
         What the best schedules do, by physical metrics as contenders are judged.
     evidence : dict
-        Plain data: how the mean cost fell with the episodes tried, what each start alone came to, and what a search of
-        twice as many rounds from another seed still found.
+        Plain data: how the mean cost fell with the episodes tried, what each start alone came to, what the schedules
+        cost with other noise, and what a search of twice as many rounds from another seed still found.
+    foresight : Searched or None
+        The same for schedules that were found without the scenarios' own noise.
     """
 
     run: Run
     evidence: dict[str, Any]
+    foresight: Searched | None = None
 
 
 def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]:
@@ -66,10 +72,11 @@ def check_starts(description: Benchmark) -> None:
 
 
 def blocks(description: Benchmark) -> int:
-    """Return how many blocks of scenarios are searched, the second search's among them."""
+    """Return how many blocks of scenarios are searched, by all searches together."""
     settings = description.clairvoyant
-    blocks = sum(-(-count // BLOCK) for count in settings.scenarios.values())
-    return blocks + bool(settings.check and description.headline in settings.scenarios)
+    headline = settings.scenarios.get(description.headline, 0)
+    counts = [*settings.scenarios.values(), min(settings.check, headline), headline if settings.draws else 0]
+    return sum(-(-count // BLOCK) for count in counts)
 
 
 def search(
@@ -85,50 +92,53 @@ def search(
     folder : Path
         Of the benchmark.
     advance : callable
-        Called with the suite's name after every block of scenarios.
+        Called with what is searched for after every block of scenarios.
 
     Raises
     ------
     AmulettError
         If a file is damaged.
     """
-    settings = description.clairvoyant
-    effort = _effort(settings.effort)
+    settings, effort = description.clairvoyant, _longer(Effort(), description.clairvoyant.effort)
     threads = min(os.cpu_count() or 1, MOST_THREADS)
     trials = Trials(protocol, threads=threads)
+    others = trials.redrawn(REDRAWS, FIRST_REDRAW)
 
-    def find() -> tuple[Reference, Run]:
-        found = clairvoyant(
-            trials, effort, settings.starts, folder / FOLDER, BLOCK, lambda done, count: advance(protocol.suite)
-        )
-        return found, play_alone(protocol, Own("clairvoyant", act=_Schedules(found.actions)))
+    def find(what: str, trials: Trials, effort: Effort) -> Reference:
+        def searched() -> Reference:
+            told = f"{what} on {protocol.suite}"
+            return clairvoyant(trials, effort, settings.starts, folder / what, BLOCK, lambda done, count: advance(told))
 
-    found, run = find()
-    if not np.allclose(-run.values["return"], found.costs, rtol=1e-9):
+        found = searched()
+        if np.allclose(replay(trials, found.actions), found.costs, rtol=1e-9):
+            return found
         # They no longer cost what they did: another version of the simulation found them.
-        for stale in (FOLDER, CHECK):
-            for path in (folder / stale / protocol.profile.name).glob(f"{protocol.suite}-{protocol.split}-*.npz"):
-                path.unlink()
-        found, run = find()
-    evidence = _evidence(found)
+        for path in (folder / what / protocol.profile.name).glob(f"{protocol.suite}-{protocol.split}-*.npz"):
+            path.unlink()
+        return searched()
+
+    def judged(actions: NDArray[np.float32]) -> Run:
+        return play_alone(protocol, Own("schedules", act=_Schedules(actions)))
+
+    found = find(CLAIRVOYANT, trials, effort)
+    evidence = _evidence(found, others)
+    if protocol.suite != description.headline:
+        return Searched(judged(found.actions), evidence)
     count = min(settings.check, protocol.episodes)
-    if count and protocol.suite == description.headline:
-        deeper = replace(effort, seed=effort.seed + 1, stages=tuple(_longer(stage, 2.0) for stage in effort.stages))
-        again = clairvoyant(
-            Trials(replace(protocol, episodes=count), threads=threads),
-            deeper,
-            settings.starts,
-            folder / CHECK,
-            count,
-        )
-        advance(protocol.suite)
-        first = found.costs[:count].mean()
+    if count:
+        first = found.costs[:count]
+        few = Trials(replace(protocol, episodes=count), threads=threads)
+        again = find(CHECK, few, replace(_longer(effort, 2.0), seed=effort.seed + 1))
         evidence["second_search"] = {
             "scenarios": count,
-            "ratio": float(again.costs.mean() / first),
-            "either": float(np.minimum(again.costs, found.costs[:count]).mean() / first),
+            "ratio": float(again.costs.mean() / first.mean()),
+            "either": float(np.minimum(again.costs, first).mean() / first.mean()),
         }
-    return Searched(run, evidence)
+    foresight = None
+    if settings.draws:
+        foreseen = find(FORESIGHT, trials.redrawn(settings.draws), effort)
+        foresight = Searched(judged(foreseen.actions), _evidence(foreseen, others))
+    return Searched(judged(found.actions), evidence, foresight)
 
 
 class _Schedules:
@@ -145,16 +155,12 @@ class _Schedules:
         return self._actions[:, self._step - 1, None]
 
 
-def _effort(factor: float) -> Effort:
-    effort = Effort()
-    return replace(effort, stages=tuple(_longer(stage, factor) for stage in effort.stages))
+def _longer(effort: Effort, factor: float) -> Effort:
+    stages = tuple(replace(stage, rounds=max(round(factor * stage.rounds), 1)) for stage in effort.stages)
+    return replace(effort, stages=stages)
 
 
-def _longer(stage: Any, factor: float) -> Any:
-    return replace(stage, rounds=max(round(factor * stage.rounds), 1))
-
-
-def _evidence(found: Reference) -> dict[str, Any]:
+def _evidence(found: Reference, others: Trials) -> dict[str, Any]:
     curve = found.curve
     rows = curve[np.unique(np.linspace(0, len(curve) - 1, 25).astype(int))]
     late = float(np.interp(0.75 * curve[-1, 0], curve[:, 0], curve[:, 1]))
@@ -165,4 +171,5 @@ def _evidence(found: Reference) -> dict[str, Any]:
         "best_start": float(np.min(list(found.starts.values()), axis=0).mean()),
         "searches_alone": [float(costs.mean()) for costs in found.restarts],
         "mean_cost": float(found.costs.mean()),
+        "with_other_noise": float(replay(others, found.actions).mean()),
     }

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from amulett_gym import __version__
 from amulett_gym.evaluation.benchmark.episodes import Played
 from amulett_gym.evaluation.benchmark.frozen import PRICES_SHA256
+from amulett_gym.evaluation.benchmark.reference import Searched
 from amulett_gym.evaluation.benchmark.runs import outcome
 from amulett_gym.evaluation.benchmark.stages import Evidence
 from amulett_gym.evaluation.metrics import UNITS
@@ -43,6 +44,9 @@ from amulett_gym.tasks.scenario import unpack
 
 Content = dict[str, Any]
 Values = NDArray[np.float64]
+
+SEARCHED = ("clairvoyant", "foresight")
+"""References that are schedules, which a search finds."""
 
 METRICS = (
     "position_ise",
@@ -232,22 +236,8 @@ def _profiles(evidence: Evidence) -> Content:
 
 def _references(evidence: Evidence, hand: str) -> Content:
     """Return scores (0: best constant overall, 1: clairvoyant), and the share of the way from the best law by hand."""
-    clairvoyant: Content = {}
-    for suite, searched in evidence.searched.items():
-        goal = searched.run.values["cost"]
-        count, results = goal.size, evidence.played[suite, "held-out"]
-        start = results[evidence.best_constant()].values["cost"][0, :count]
-        by_hand = results[hand].values["cost"][0, :count]
-        costs = {name: results[name].values["cost"][:, :count] for name in shown(evidence)}
-        clairvoyant[suite] = {
-            **searched.evidence,
-            "cost": float(goal.mean()),
-            "score": {name: plain(_share(start, cost, goal, evidence)) for name, cost in costs.items()},
-            "share_from_hand": {name: plain(_share(by_hand, cost, goal, evidence)) for name, cost in costs.items()},
-            "cost_more_than_an_entry": int(
-                (np.min([cost.min(axis=0) for cost in costs.values()], axis=0) < goal * (1 - 1e-9)).sum()
-            ),
-        }
+    searched = evidence.searched
+    foreseen = {suite: found.foresight for suite, found in searched.items() if found.foresight is not None}
     causal: Content = {}
     results = evidence.headline()
     for name, entry in evidence.entries.items():
@@ -255,13 +245,41 @@ def _references(evidence: Evidence, hand: str) -> Content:
             goal, by_hand = results[name].values["cost"].mean(axis=0), results[hand].values["cost"][0]
             causal[name] = {
                 "cost": float(goal.mean()),
+                "ratio_to_eq6": plain(_ratio(goal, results[YARDSTICK].values["cost"][0], evidence)),
                 "share_from_hand": {
                     other: plain(_share(by_hand, results[other].values["cost"], goal, evidence))
                     for other in shown(evidence)
                     if other != name
                 },
             }
-    return {"from": hand, "clairvoyant": clairvoyant, "causal": causal}
+    return {
+        "from": hand,
+        "clairvoyant": {suite: _goal(evidence, suite, found, hand) for suite, found in searched.items()},
+        "foresight": {suite: _goal(evidence, suite, found, hand) for suite, found in foreseen.items()},
+        "causal": causal,
+    }
+
+
+def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Content:
+    """Return what was found on a suite, and where all entries stand between it and what is there without it."""
+    goal, results = searched.run.values["cost"], evidence.played[suite, "held-out"]
+    costs = {name: results[name].values["cost"][:, : goal.size] for name in shown(evidence)}
+    start = results[evidence.best_constant()].values["cost"][0, : goal.size]
+    return {
+        **searched.evidence,
+        "cost": float(goal.mean()),
+        "ratio_to_eq6": plain(_ratio(goal, costs[YARDSTICK][0], evidence)),
+        "score": {name: plain(_share(start, cost, goal, evidence)) for name, cost in costs.items()},
+        "share_from_hand": {name: plain(_share(costs[hand][0], cost, goal, evidence)) for name, cost in costs.items()},
+        "cost_more_than_an_entry": int(
+            (np.min([cost.min(axis=0) for cost in costs.values()], axis=0) < goal * (1 - 1e-9)).sum()
+        ),
+    }
+
+
+def _ratio(costs: Values, others: Values, evidence: Evidence) -> Estimate:
+    """Return the ratio of what one costs in some scenarios to what another does."""
+    return nested_ratio(costs[None], others, _draws(evidence, 1, costs.size))
 
 
 def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Estimate:

@@ -10,7 +10,7 @@ from typing import Any
 
 from amulett_gym.evaluation.benchmark.claims import Claim
 from amulett_gym.evaluation.benchmark.description import PAPER_STEP
-from amulett_gym.evaluation.benchmark.results import POSITION_ONLY, TUNED_LAW, Content
+from amulett_gym.evaluation.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_LAW, Content
 from amulett_gym.evaluation.performance import Table
 from amulett_gym.evaluation.results import number
 from amulett_gym.evaluation.runner import YARDSTICK
@@ -242,33 +242,40 @@ def ablations(found: Content) -> Table | None:
 def references(found: Content) -> Table | None:
     """Return how far each reference lies below the best law by hand, and what speaks for the search."""
     best, rows = found["best_learned"], []
-    for suite, goal in found["references"]["clairvoyant"].items():
-        second = goal.get("second_search")
-        rows.append(
-            [
-                f"clairvoyant, {suite} ({goal['scenarios']})",
-                number(goal["cost"], 4),
-                "-" if best is None else ratio(goal["share_from_hand"][best]),
-                f"{goal['last_quarter']:.2%}",
-                " and ".join(number(cost, 4) for cost in goal["searches_alone"]),
-                "-" if second is None else f"{second['either'] - 1:+.2%} ({second['scenarios']})",
-                f"{goal['cost_more_than_an_entry']} of {goal['scenarios']}",
-            ]
-        )
+    for kind in SEARCHED:
+        for suite, goal in found["references"][kind].items():
+            second = goal.get("second_search")
+            rows.append(
+                [
+                    f"{kind}, {suite} ({goal['scenarios']})",
+                    number(goal["cost"], 4),
+                    ratio(goal["ratio_to_eq6"]),
+                    "-" if best is None else ratio(goal["share_from_hand"][best]),
+                    number(goal["with_other_noise"], 4),
+                    f"{goal['last_quarter']:.2%}",
+                    " and ".join(number(cost, 4) for cost in goal["searches_alone"]),
+                    "-" if second is None else f"{second['either'] - 1:+.2%} ({second['scenarios']})",
+                    f"{goal['cost_more_than_an_entry']} of {goal['scenarios']}",
+                ]
+            )
     for name, goal in found["references"]["causal"].items():
-        rows.append(
-            [f"causal ({name})", number(goal["cost"], 4), ratio(goal["share_from_hand"].get(best)), "-", "-", "-", "-"]
-        )
+        shares = ratio(goal["ratio_to_eq6"]), ratio(goal["share_from_hand"].get(best))
+        rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     columns = (
-        *("cost", f"share of the way, {best}", "found in the last quarter", "searches alone", "second search finds"),
-        "beaten by an entry",
+        *("cost", "to eq. 6", f"share of the way, {best}", "with other noise", "found in the last quarter"),
+        *("searches alone", "second search finds", "beaten by an entry"),
     )
     note = (
-        f"The way is that from the best law by hand, {found['references']['from']}, to the reference. The search is "
-        "independent of what was learned. Found in its last quarter: by how much the mean cost fell then. Searches "
-        "alone: what each start came to without the other. The second search has another seed and twice as many "
+        f"The way is that from the best law by hand, {found['references']['from']}, to the reference. Searches are "
+        "independent of what was learned. Clairvoyant: the best schedule of each scenario with all known; foresight: "
+        "with all known but chance, judged during the search by other draws of the noise than the scenario's own. With "
+        "other noise: what the schedules cost when chance is drawn anew. Found in the last quarter: by how much the "
+        "search's mean cost fell then. Searches "
+        "alone: what each start came to without the other, in the noise that it was searched in. The second search has "
+        "another seed and twice as many "
         "rounds; what counts is the better of both. Beaten: scenarios in which some entry costs less: one that "
-        "acts in the loop plays by other rules, another one shows that the search fell short."
+        "acts in the loop plays by other rules, another one shows that the search fell short, or that to answer "
+        "the noise is worth more than to foresee."
     )
     return Table("References", columns, rows, note) if rows else None
 
