@@ -178,7 +178,10 @@ def test_observations_and_infos_of_the_adapter_never_alias():
     _, _, _, infos = env.step(np.ones((2, 1), dtype=np.float32))
     assert np.array_equal(first, copy)
     assert infos[0] is not infos[1]
+    infos[0]["mine"] = 1
+    kept = infos[0]
     observations, _, _, infos = env.step(np.ones((2, 1), dtype=np.float32))
+    assert "mine" not in infos[0] and kept == {"mine": 1}
     last = infos[0]["terminal_observation"].copy()
     observations[...] = 0.0
     assert np.array_equal(infos[0]["terminal_observation"], last)
