@@ -302,6 +302,16 @@ def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
     assert min(found["env"], found["null"]) > 0
 
 
+def test_a_steps_rollout_and_its_share_of_the_update_are_told_apart(recipe, clock):
+    from amulett_agents.benchmark import ppo_throughput
+
+    found = ppo_throughput(recipe, turns=2)
+    # The clock is looked at before, at the rollout's beginning and end, and after: a second each time, 32 steps.
+    expected = {"rollout": pytest.approx(1000 / 32), "update": pytest.approx(2000 / 32)}
+    assert found["step_ms"] == {"env": expected, "null": expected}
+    assert found["env"] == pytest.approx(8 * 32 / 3) and found["ratio"] == pytest.approx(1.0)
+
+
 def test_the_null_environment_returns_constants(recipe):
     from stable_baselines3 import PPO
 

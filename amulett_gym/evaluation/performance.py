@@ -149,15 +149,19 @@ def _ppo(data: Data) -> list[Table]:
         return []
     ppo = data["ppo"]
     least, most = ppo["ratio_spread"]
+    parts = ("rollout", "update")
+    ratios = {"env": f"{ppo['ratio']:.3f} ({least:.3f}-{most:.3f})", "null": "1"}
     rows = [
-        ["our environment", f"{ppo['env']:,.0f}", f"{ppo['ratio']:.3f} ({least:.3f}-{most:.3f})"],
-        ["null environment", f"{ppo['null']:,.0f}", "1"],
+        [label, f"{ppo[name]:,.0f}", *(f"{ppo['step_ms'][name][part]:.2f}" for part in parts), ratios[name]]
+        for name, label in (("env", "our environment"), ("null", "null environment"))
     ]
     note = (
         f"The recipe of `amulett train`, {ppo['num_envs']} devices. Rollouts alternate, each with its update; a turn "
-        "is as many of each as an episode takes, the ratio turn by turn (least-most)."
+        "is as many of each as an episode takes, the ratio turn by turn (least-most). Milliseconds are what a step "
+        "of all devices takes on average: in the rollout, and as its share of the update."
     )
-    return [Table("PPO of Stable-Baselines3", ("agent steps/s", "ratio"), rows, note)]
+    columns = ("agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
+    return [Table("PPO of Stable-Baselines3", columns, rows, note)]
 
 
 def _time_to_beat(data: Data) -> list[Table]:
