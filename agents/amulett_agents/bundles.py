@@ -9,19 +9,20 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
-from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy
+from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy, visible_entries
 from amulett_agents.wrappers import ActorView
 from amulett_gym.config import profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.laws.bundle import Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.provenance import git_revision, versions
 
@@ -147,16 +148,71 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     )
 
 
+def start_from(model: PPO, bundle: Bundle) -> None:
+    """Let PPO's first policy be that of a bundle.
+
+    It acts as the bundle does. What the model is shown beyond what the bundle was has no weight yet.
+
+    Parameters
+    ----------
+    model : PPO
+        With its environment; see `save_policy` for which ones.
+    bundle : Bundle
+
+    Raises
+    ------
+    AmulettError
+        If the two differ in their hidden layers, or in what their observations and actions mean.
+    """
+    (_, mine), theirs = describe_policy(model), bundle.policy
+    for what, own, given in (
+        ("the activation", mine.network.activation, theirs.network.activation),
+        ("the output", mine.network.output, theirs.network.output),
+        ("hidden layers", mine.network.layers[1:], theirs.network.layers[1:]),
+        ("observations", mine.observations[: len(theirs.observations)], theirs.observations),
+        ("features", mine.features, theirs.features),
+        ("history", mine.history, theirs.history),
+        ("tension_range", mine.tension_range, theirs.tension_range),
+        ("agent_period", mine.agent_period, theirs.agent_period),
+        ("the share that an action goes (follow)", mine.follow, theirs.follow),
+    ):
+        if own != given:
+            raise AmulettError(
+                f"network.start: the policy of '{bundle.folder}' has {what} {given}; this recipe's has {own}"
+            )
+    policy = model.policy
+    linear = [module for module in policy.mlp_extractor.policy_net if isinstance(module, torch.nn.Linear)]
+    known = visible_entries(mine.size, theirs.size, mine.history)
+    layers = [(weight.astype(np.float64), bias.astype(np.float64)) for weight, bias in bundle.layers]
+    first, bias = np.zeros((len(layers[0][1]), mine.history * mine.size)), layers[0][1]
+    first[:, known] = layers[0][0]
+    if isinstance(policy.features_extractor, StandardInputs):
+        means, gains = _seen_by_policy(policy.features_extractor, policy.mlp_extractor)
+        first, bias = first / gains, bias + first @ means
+    layers[0] = first, bias
+    with torch.no_grad():
+        for module, (weight, bias) in zip([*linear, policy.action_net], layers, strict=True):
+            assert isinstance(module, torch.nn.Linear)
+            module.weight.copy_(torch.as_tensor(weight))
+            module.bias.copy_(torch.as_tensor(bias))
+
+
 def _take_in(
     layer: tuple[NDArray[np.float32], NDArray[np.float32]], inputs: StandardInputs, sights: object
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the first layer as one of the observations themselves."""
-    means, gains = inputs.means.numpy(), inputs.gains.numpy()
-    if isinstance(sights, TwoSights):
-        means, gains = means[sights.visible.numpy()], gains[sights.visible.numpy()]
+    means, gains = _seen_by_policy(inputs, sights)
     weight, bias = layer
     weight = weight.astype(np.float64) * gains
     return weight.astype(np.float32), (bias - weight @ means).astype(np.float32)
+
+
+def _seen_by_policy(inputs: StandardInputs, sights: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the means and gains of what the policy sees, which may be less than its critic does."""
+    means, gains = inputs.means.numpy(), inputs.gains.numpy()
+    if isinstance(sights, TwoSights):
+        means, gains = means[sights.visible.numpy()], gains[sights.visible.numpy()]
+    return means, gains
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:

@@ -126,6 +126,13 @@ class PpoSettings(Group):
     final_std: float | None = Field(
         default=0.05, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
+    critic_steps: int = Field(
+        default=0,
+        ge=0,
+        le=10**12,
+        description="at the beginning, in which the critic learns alone: for a policy that starts from a bundle "
+        "[agent steps]",
+    )
     privileged_critic: bool = Field(
         default=True, description="let the critic, which is needed for training only, see what no device can know"
     )
@@ -180,6 +187,13 @@ class NetworkSettings(Group):
     activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
     initial_tension: float | None = Field(
         default=7.0, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
+    )
+
+    start: str | None = Field(
+        default=None,
+        min_length=1,
+        description="PPO's first policy is that of this bundle (a folder, or pretrained), and no constant; what it was "
+        "not shown begins without weight",
     )
 
     @field_validator("hidden", "critic_hidden")
@@ -238,6 +252,8 @@ class TrainConfig(Group):
             raise ValueError(
                 f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
             )
+        if self.algorithm == "sac" and self.network.start is not None:
+            raise ValueError(f"network.start is '{self.network.start}'; only PPO can start from a bundle, not SAC")
         if self.algorithm == "sac" and self.sac.buffer_size < self.num_envs:
             raise ValueError(
                 f"sac.buffer_size is {self.sac.buffer_size}; it has to hold a step of all {self.num_envs} devices"

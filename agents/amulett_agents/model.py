@@ -14,13 +14,16 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack
 
 from amulett_agents.adapter import make_sb3_env
+from amulett_agents.bundles import start_from
 from amulett_agents.config import TrainConfig
 from amulett_agents.networks import look_at_inputs
 from amulett_agents.ppo import make_ppo, sees_more
 from amulett_agents.sac import make_sac
-from amulett_agents.schedules import FadingExploration
+from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC
@@ -32,12 +35,13 @@ def make_model(config: TrainConfig) -> Model:
     Returns
     -------
     stable_baselines3.PPO or stable_baselines3.SAC
-        Its first policy is a constant tension. Nothing is logged until it is given a logger.
+        Its first policy is a constant tension, or that of `network.start`. Nothing is logged until it is given a
+        logger.
 
     Raises
     ------
     AmulettError
-        If the environment refuses its settings.
+        If the environment refuses its settings, or the policy cannot start as that of `network.start`.
     """
     settings, algorithm = config.env, config.ppo if config.algorithm == "ppo" else config.sac
     keywords = settings.keywords() | {"privileged": settings.privileged or sees_more(config)}
@@ -56,6 +60,8 @@ def make_model(config: TrainConfig) -> Model:
         shown = (low, high) if config.network.features else None
         inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
+    if config.network.start is not None and isinstance(model, PPO):
+        start_from(model, read_bundle(bundle_folder(config.network.start)))
     env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
     return model
@@ -67,7 +73,8 @@ def callbacks(config: TrainConfig) -> list[BaseCallback]:
     if config.algorithm != "ppo":
         return []
     fading = [] if ppo.final_std is None else [FadingExploration(ppo.initial_std, ppo.final_std)]
-    return [ValuesAtTimeLimits(), *fading]
+    first = [CriticFirst(ppo.critic_steps)] if ppo.critic_steps else []
+    return [ValuesAtTimeLimits(), *fading, *first]
 
 
 def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:

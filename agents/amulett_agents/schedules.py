@@ -1,4 +1,4 @@
-"""What falls over a training run: the learning rate, and the exploration."""
+"""What changes over a training run: the learning rate, the exploration, and who learns."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
 
 
 def learning_rate(rate: float, anneal: bool) -> float | Callable[[float], float]:
@@ -34,6 +35,32 @@ class FadingExploration(BaseCallback):
         with torch.no_grad():
             log_std.fill_((1.0 - passed) * np.log(self.initial) + passed * np.log(self.final))
         log_std.requires_grad_(False)
+
+    def _on_step(self) -> bool:
+        return True
+
+
+class CriticFirst(BaseCallback):
+    """Lets PPO's critic learn alone at the beginning of a run.
+
+    A policy that knows something would unlearn it while the critic, which knows nothing yet, praises and blames at
+    random.
+
+    Parameters
+    ----------
+    steps : int
+        From which on the policy learns, too.
+    """
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self.steps = steps
+
+    def _on_rollout_start(self) -> None:
+        policy = self.model.policy
+        assert isinstance(policy, ActorCriticPolicy)
+        for part in (policy.mlp_extractor.policy_net, policy.action_net):
+            part.requires_grad_(self.model.num_timesteps >= self.steps)
 
     def _on_step(self) -> bool:
         return True
