@@ -203,8 +203,8 @@ def _take_in(
     """Return the first layer as one of the observations themselves."""
     means, gains = _seen_by_policy(inputs, sights)
     weight, bias = layer
-    weight = weight.astype(np.float64) * gains
-    return weight.astype(np.float32), (bias - weight @ means).astype(np.float32)
+    raw = weight.astype(np.float64) * gains
+    return raw.astype(np.float32), (bias - raw @ means).astype(np.float32)
 
 
 def _seen_by_policy(inputs: StandardInputs, sights: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
