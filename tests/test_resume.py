@@ -62,6 +62,7 @@ SMOOTH = [
     "ppo.use_sde=true",
     "ppo.sde_sample_freq=-1",
     "ppo.final_std=0.1",
+    "ppo.critic_steps=1500",
     "env.observation_noise=0.01",
     "env.suite=reach",
     "env.history=3",

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.policies import ActorCriticPolicy
 
 
 def learning_rate(rate: float, anneal: bool) -> float | Callable[[float], float]:
@@ -49,18 +49,19 @@ class CriticFirst(BaseCallback):
     Parameters
     ----------
     steps : int
-        From which on the policy learns, too.
+        The policy learns, too, from the first rollout on that begins after so many.
     """
 
     def __init__(self, steps: int) -> None:
         super().__init__()
         self.steps = steps
 
-    def _on_rollout_start(self) -> None:
-        policy = self.model.policy
-        assert isinstance(policy, ActorCriticPolicy)
-        for part in (policy.mlp_extractor.policy_net, policy.action_net):
-            part.requires_grad_(self.model.num_timesteps >= self.steps)
+    def _on_rollout_end(self) -> None:  # and not at its start, where a resumed run is yet to be told how far it was
+        model = self.model
+        assert isinstance(model, PPO)
+        begun = model.num_timesteps - model.n_steps * model.n_envs
+        for part in (model.policy.mlp_extractor.policy_net, model.policy.action_net):
+            part.requires_grad_(begun >= self.steps)
 
     def _on_step(self) -> bool:
         return True
