@@ -187,6 +187,12 @@ def test_observations_and_infos_of_the_adapter_never_alias():
     assert np.array_equal(infos[0]["terminal_observation"], last)
 
 
+def test_the_adapter_refuses_wrappers_below_itself():
+    wrapped = gym.wrappers.vector.RecordEpisodeStatistics(gym.make_vec("Amulett/Scaling-v0", num_envs=2))
+    with pytest.raises(AmulettError, match="is wrapped; give SB3VecEnv the native environment"):
+        type(make_sb3_env(num_envs=2))(wrapped)
+
+
 def test_the_adapter_replays_scenarios_given_by_set_options():
     env = make_sb3_env(num_envs=2)
     env.set_options({"scenario": {"initial_angle_deg": 30.0}})

@@ -450,6 +450,17 @@ def test_next_episodes_are_those_of_a_reset_by_a_mask():
     assert np.array_equal(one.step(actions)[0], other.step(actions)[0])
 
 
+@pytest.mark.parametrize("devices", [np.array([True, False]), [0], np.array([0, 0]), np.array([2]), np.array([-1])])
+def test_devices_that_are_no_indices_are_refused_and_nothing_changes(devices):
+    env = gym.make_vec("Amulett/Scaling-v0", num_envs=2).unwrapped
+    env.reset(seed=7)
+    before = pickle.dumps(env.get_state())
+    for wrong in (devices, np.zeros(0, dtype=np.int64)):
+        with pytest.raises(AmulettError, match=r"indices from 0 to 1, at least one and none twice"):
+            env.next_episodes(wrong)
+    assert pickle.dumps(env.get_state()) == before
+
+
 def test_vector_seeds_and_autoreset():
     vector = gym.make_vec(SCALING, num_envs=3, max_episode_steps=5)
     assert vector.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP

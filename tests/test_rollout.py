@@ -100,3 +100,6 @@ def test_redrawn_scenarios_differ_by_chance_alone(trials):
     assert np.unique(keys).size == keys.size
     assert np.array_equal(several.rows["noise_key"].reshape(-1, 2)[:, 1], trials.redrawn(1, 1).rows["noise_key"])
     assert trials.digest() != several.digest(np.arange(0, len(several.rows), 2))
+    for wrong in (lambda: trials.redrawn(0), lambda: several.redrawn(2)):
+        with pytest.raises(ValueError, match="draws of"):
+            wrong()

@@ -1,5 +1,6 @@
 """A policy that starts as another one ended: it acts alike, its critic learns first, and nothing else may differ."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from amulett_agents import training  # noqa: E402
 from amulett_agents.bundles import describe_policy, save_policy, start_from  # noqa: E402
 from amulett_agents.config import load_train_config  # noqa: E402
 from amulett_agents.model import callbacks, make_model  # noqa: E402
+from amulett_agents.training import resume, train  # noqa: E402
 from amulett_gym.envs.transition import OBSERVATIONS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.actor import Actor  # noqa: E402
@@ -40,6 +43,17 @@ def bundle_of(folder, *changes):
         for weights in model.policy.parameters():
             weights.copy_(0.2 * torch.randn(weights.shape, generator=generator))
     return read_bundle(save_policy(model, folder))
+
+
+def stopping_at(steps):
+    """Return a run's method that stops it, as a signal does, once it has taken so many steps."""
+    original = training._Run._on_rollout_end
+
+    def stop(self):
+        original(self)
+        self.stopping |= self.num_timesteps >= steps
+
+    return stop
 
 
 def actions_of(layers, policy, model, steps=40):
@@ -87,7 +101,7 @@ def test_the_causal_reference_starts_as_the_shipped_policy():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["network.hidden=[16, 16]"], r"hidden layers \[16, 16, 1\]; this recipe's has \[16, 8, 1\]"),
+        (["network.hidden=[16, 16]"], r"hidden layers \[16, 16\]; this recipe's has \[16, 8\]"),
         (["network.activation=tanh"], "the activation tanh; this recipe's has relu"),
         (["network.features=false"], r"features \[\]"),
         (["env.history=2"], "history 2; this recipe's has 1"),
@@ -108,6 +122,31 @@ def test_what_is_no_bundle_is_refused(tmp_path):
         model_of("network.start=pretraind")
     with pytest.raises(AmulettError, match="only PPO can start from a bundle"):
         model_of("algorithm=sac", "network.start=pretrained")
+
+
+def test_a_critic_that_learns_alone_to_the_end_is_refused():
+    with pytest.raises(AmulettError, match=r"ppo\.critic_steps is 500; it has to be less than total_steps, 500"):
+        model_of("ppo.critic_steps=500", "total_steps=500")
+    with pytest.raises(AmulettError, match=r"ppo\.final_std is null"):
+        model_of("ppo.critic_steps=500", "ppo.final_std=null")
+
+
+def test_a_run_is_resumed_without_the_bundle_that_it_began_as(tmp_path):
+    bundle_of(tmp_path / "bundle")
+    recipe = [*SMALL, "total_steps=640", "validation.episodes=2", "checkpoint_seconds=0"]
+    recipe += [f"network.start={tmp_path / 'bundle'}", "ppo.critic_steps=100"]
+    config, weights = load_train_config(None, recipe), {}
+    for name, limit in (("whole", None), ("stopped", 256)):
+        run = tmp_path / name
+        with pytest.MonkeyPatch.context() as patch:
+            if limit is not None:
+                patch.setattr(training._Run, "_on_rollout_end", stopping_at(limit))
+            train(config, run, progress=False)
+        if limit is not None:
+            shutil.rmtree(tmp_path / "bundle")
+            resume(run, progress=False)
+        weights[name] = [array for layer in read_bundle(run / "last").layers for array in layer]
+    assert all(np.array_equal(one, other) for one, other in zip(*weights.values(), strict=True))
 
 
 def test_the_critic_learns_first(tmp_path):

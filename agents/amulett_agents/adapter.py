@@ -56,22 +56,33 @@ class SB3VecEnv(VecEnv):
     SB3 wants the first observation of the next episode in the step that ends one. So finished devices are reset at
     once, and what they saw last is kept in their info.
 
-    ``infos`` are empty but for devices whose episode has just ended. Those have everything that the single
-    environment's info has, and ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms
-    summed over the episode, and ``episode``, the same as SB3's monitors add: return ``r``, length ``l``, and seconds
-    ``t`` since the adapter was made.
+    ``infos`` are empty but for devices whose episode has just ended; an empty one is that of the last step again,
+    unless somebody has written into it. The others have everything that the single environment's info has, and
+    ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms summed over the episode,
+    and ``episode``, the same as SB3's monitors add: return ``r``, length ``l``, and seconds ``t`` since the adapter was
+    made.
 
     Parameters
     ----------
     venv : VectorEnv
+        A native one, as `gym.make_vec` returns it.
+
+    Raises
+    ------
+    AmulettError
+        If it is wrapped: what begins anew would be seen without the wrappers.
     """
 
     def __init__(self, venv: VectorEnv[Any, Any, Any]) -> None:
+        if venv is not venv.unwrapped:
+            raise AmulettError(
+                f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap what it makes of it"
+            )
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros((venv.num_envs, 1), dtype=np.float32)
         self._terms: dict[str, NDArray[np.float64]] = {}
         self._returns, self._lengths = np.zeros(venv.num_envs), np.zeros(venv.num_envs, dtype=np.int64)
-        self._nothing: list[dict[str, Any]] = [{} for _ in range(venv.num_envs)]
+        self._empty_infos: list[dict[str, Any]] = [{} for _ in range(venv.num_envs)]
         self._started = time.monotonic()
         super().__init__(venv.num_envs, venv.single_observation_space, venv.single_action_space)
 
@@ -100,9 +111,9 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         dones = terminated | truncated
-        if any(self._nothing):  # whoever wrote into one may keep it
-            self._nothing = [{} for _ in range(self.num_envs)]
-        infos = self._nothing.copy()  # made once: to make thousands of dicts takes longer than all else here
+        if any(self._empty_infos):  # whoever wrote into one may keep it
+            self._empty_infos = [{} for _ in range(self.num_envs)]
+        infos = self._empty_infos.copy()  # made once: to make thousands of dicts takes longer than all else here
         if dones.any():
             finished = np.flatnonzero(dones)
             for device, ending in zip(finished.tolist(), self._endings(finished, info), strict=True):

@@ -168,7 +168,7 @@ def start_from(model: PPO, bundle: Bundle) -> None:
     for what, own, given in (
         ("the activation", mine.network.activation, theirs.network.activation),
         ("the output", mine.network.output, theirs.network.output),
-        ("hidden layers", mine.network.layers[1:], theirs.network.layers[1:]),
+        ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
         ("observations", mine.observations[: len(theirs.observations)], theirs.observations),
         ("features", mine.features, theirs.features),
         ("history", mine.history, theirs.history),

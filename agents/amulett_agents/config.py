@@ -126,9 +126,9 @@ class PpoSettings(Group):
     final_std: float | None = Field(
         default=0.05, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
     )
-    critic_steps: int = Field(
-        default=0,
-        ge=0,
+    critic_steps: int | None = Field(
+        default=None,
+        ge=1,
         le=10**12,
         description="at the beginning, in which the critic learns alone: for a policy that starts from a bundle "
         "[agent steps]",
@@ -251,6 +251,15 @@ class TrainConfig(Group):
         if self.algorithm == "ppo" and rollout % self.ppo.batch_size:
             raise ValueError(
                 f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
+            )
+        if self.ppo.critic_steps is not None and self.ppo.critic_steps >= self.total_steps:
+            raise ValueError(
+                f"ppo.critic_steps is {self.ppo.critic_steps}; it has to be less than total_steps, {self.total_steps}, "
+                "or the policy learns nothing"
+            )
+        if self.ppo.critic_steps is not None and self.ppo.final_std is None:
+            raise ValueError(
+                "ppo.final_std is null; with ppo.critic_steps it has to be given: what is learned is frozen"
             )
         if self.algorithm == "sac" and self.network.start is not None:
             raise ValueError(f"network.start is '{self.network.start}'; only PPO can start from a bundle, not SAC")

@@ -29,8 +29,14 @@ from amulett_gym.laws.policies import tension_to_action
 Model = PPO | SAC
 
 
-def make_model(config: TrainConfig) -> Model:
+def make_model(config: TrainConfig, resumed: bool = False) -> Model:
     """Make a recipe's learner and its training environment.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    resumed : bool
+        Its weights are about to be those of a checkpoint: `network.start`, which may be gone by now, is not read.
 
     Returns
     -------
@@ -60,7 +66,7 @@ def make_model(config: TrainConfig) -> Model:
         shown = (low, high) if config.network.features else None
         inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
-    if config.network.start is not None and isinstance(model, PPO):
+    if config.network.start is not None and isinstance(model, PPO) and not resumed:
         start_from(model, read_bundle(bundle_folder(config.network.start)))
     env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty

@@ -182,7 +182,7 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
             raise AmulettError(f"'{out}' holds no checkpoint to resume from; an earlier version trained it")
         command = _check_versions(out)
         with torch_threads(config.threads):
-            model, validation = make_model(config), make_validation_env(config)
+            model, validation = make_model(config, checkpoint is not None), make_validation_env(config)
             if checkpoint is not None:
                 _check_recipe(checkpoint, config, model)
             warm_up(config)

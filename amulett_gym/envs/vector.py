@@ -213,7 +213,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Parameters
         ----------
         devices : ndarray of int, shape (K,)
-            Indices, none twice.
+            Indices, at least one and none twice.
 
         Returns
         -------
@@ -223,9 +223,21 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
         Raises
         ------
+        AmulettError
+            If `devices` is anything else.
         gymnasium.error.ResetNeeded
             If one of them has had no reset yet.
         """
+        fits = isinstance(devices, np.ndarray) and devices.dtype.kind == "i" and devices.ndim == 1 and devices.size > 0
+        if (
+            not fits
+            or not 0 <= devices.min() <= devices.max() < self.num_envs
+            or np.unique(devices).size < devices.size
+        ):
+            raise AmulettError(
+                f"devices is {devices!r}; it has to be an ndarray of int, indices from 0 to {self.num_envs - 1}, at "
+                "least one and none twice. A mask goes to reset(options={'reset_mask': mask})"
+            )
         if not self.episodes.started[devices].all():
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
         observations, report = self._next_episodes(devices)

@@ -87,6 +87,10 @@ class Trials:
         first : int
             Number of the first draw; another number gives another draw.
         """
+        if draws < 1 or self.draws > 1:
+            raise ValueError(
+                f"{draws} draws of {self.draws} each; at least 1 is needed, of what was not redrawn before"
+            )
         other = copy.copy(self)
         other.draws, other.rows = draws, np.repeat(self.rows, draws)
         stream = _REDRAWN_STREAM + np.tile(np.arange(first, first + draws, dtype=np.uint64), len(self.rows))

@@ -93,7 +93,7 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
             f"combined cost at most {COST_SHARE} of eq. 6's (text)",
             mine["ratio"][YARDSTICK],
             lambda mean, low, high: mean <= COST_SHARE,
-            _bounds(found),
+            _beside_references(found, best),
         )
     ]
     overall = found["constants"]["overall"]
@@ -127,15 +127,16 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
     return claims
 
 
-def _bounds(found: Content) -> str:
-    """Say what the references cost there, by which a target can be judged."""
+def _beside_references(found: Content, best: str) -> str:
+    """Say what the references cost of eq. 6's, and what the learned entry does in the same scenarios."""
     references, headline = found["references"], found["description"]["headline"]
-    searched = [(kind, references[kind].get(headline)) for kind in SEARCHED]
-    told = [
-        f"{name} {goal['ratio_to_eq6']['mean']:.3f}"
-        for name, goal in [*searched, *references["causal"].items()]
-        if goal is not None
-    ]
+    told = []
+    for kind in SEARCHED:
+        goal = references[kind].get(headline)
+        if goal is not None:
+            beside = f"; {best} there {goal['entries_to_eq6'][best]['mean']:.3f}"
+            told.append(f"{kind} {goal['ratio_to_eq6']['mean']:.3f} (in {goal['scenarios']} scenarios{beside})")
+    told += [f"{name} {goal['ratio_to_eq6']['mean']:.3f}" for name, goal in references["causal"].items()]
     return f"ratio of costs; references: {', '.join(told)}" if told else "ratio of costs"
 
 

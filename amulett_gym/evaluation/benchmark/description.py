@@ -180,7 +180,12 @@ def quick(description: Benchmark) -> Benchmark:
             "episodes": min(description.episodes, QUICK_EPISODES),
             "learned": {name: entry.model_dump() for name, entry in learned.items()},
             "ablations": [],
-            "clairvoyant": {"scenarios": {description.headline: 8}, "check": 2, "draws": 4, "effort": 0.25},
+            "clairvoyant": {
+                "scenarios": {description.headline: 8},
+                "check": 2,
+                "draws": min(description.clairvoyant.draws, 4),
+                "effort": 0.25,
+            },
             "bootstrap": {"resamples": min(description.bootstrap.resamples, 1000)},
         }
     )

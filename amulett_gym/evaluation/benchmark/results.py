@@ -245,7 +245,7 @@ def _references(evidence: Evidence, hand: str) -> Content:
             goal, by_hand = results[name].values["cost"].mean(axis=0), results[hand].values["cost"][0]
             causal[name] = {
                 "cost": float(goal.mean()),
-                "ratio_to_eq6": plain(_ratio(goal, results[YARDSTICK].values["cost"][0], evidence)),
+                "ratio_to_eq6": plain(_ratio(goal[None], results[YARDSTICK].values["cost"][0], evidence)),
                 "share_from_hand": {
                     other: plain(_share(by_hand, results[other].values["cost"], goal, evidence))
                     for other in shown(evidence)
@@ -264,13 +264,16 @@ def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Cont
     """Return what was found on a suite, and where all entries stand between it and what is there without it."""
     goal, results = searched.run.values["cost"], evidence.played[suite, "held-out"]
     costs = {name: results[name].values["cost"][:, : goal.size] for name in shown(evidence)}
-    start = results[evidence.best_constant()].values["cost"][0, : goal.size]
+    start, by_hand, eq6 = (
+        results[name].values["cost"][0, : goal.size] for name in (evidence.best_constant(), hand, YARDSTICK)
+    )
     return {
         **searched.evidence,
         "cost": float(goal.mean()),
-        "ratio_to_eq6": plain(_ratio(goal, costs[YARDSTICK][0], evidence)),
+        "ratio_to_eq6": plain(_ratio(goal[None], eq6, evidence)),
+        "entries_to_eq6": {name: plain(_ratio(cost, eq6, evidence)) for name, cost in costs.items()},
         "score": {name: plain(_share(start, cost, goal, evidence)) for name, cost in costs.items()},
-        "share_from_hand": {name: plain(_share(costs[hand][0], cost, goal, evidence)) for name, cost in costs.items()},
+        "share_from_hand": {name: plain(_share(by_hand, cost, goal, evidence)) for name, cost in costs.items()},
         "cost_more_than_an_entry": int(
             (np.min([cost.min(axis=0) for cost in costs.values()], axis=0) < goal * (1 - 1e-9)).sum()
         ),
@@ -278,8 +281,8 @@ def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Cont
 
 
 def _ratio(costs: Values, others: Values, evidence: Evidence) -> Estimate:
-    """Return the ratio of what one costs in some scenarios to what another does."""
-    return nested_ratio(costs[None], others, _draws(evidence, 1, costs.size))
+    """Return the ratio of what an entry's seeds cost in some scenarios to what another entry does."""
+    return nested_ratio(costs, others, _draws(evidence, *costs.shape))
 
 
 def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Estimate:

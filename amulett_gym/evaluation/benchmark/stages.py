@@ -87,7 +87,7 @@ class Evidence:
     schedules : dict of str to list of Schedule
         Of each entry's members on the headline suite, held-out; without those that act inside the loop.
     searched : dict of str to Searched
-        The clairvoyant reference, by suite.
+        The clairvoyant reference, and with it the foresight one, by suite.
     runs : list of TrainingRun
     overlap : dict of str to int
         From `frozen.seed_overlap`.
@@ -254,8 +254,11 @@ def _work(
             say(f"{suite}, {split}: {len(entries)} contenders on {there.episodes} scenarios")
         searched = {}
         for suite, there in reference.protocols(description, protocol).items():
-            searched[suite] = reference.search(description, there, out, lambda what: advance(f"clairvoyant on {what}"))
-            say(f"clairvoyant, {suite}: mean cost {searched[suite].run.values['cost'].mean():.4f}")
+            searched[suite] = reference.search(description, there, out, advance)
+            foreseen = searched[suite].foresight
+            for name, found in (("clairvoyant", searched[suite]), ("foresight", foreseen)):
+                if found is not None:
+                    say(f"{name}, {suite}: mean cost {found.run.values['cost'].mean():.4f}")
     evidence = Evidence(
         description=description,
         profile=protocol.profile,
