@@ -292,7 +292,7 @@ SPRINT = (
     "ppo.gamma=0.98",
     "ppo.gae_lambda=0.9",
     # The first tension is far from good ones, and a ramp smooths what is tried: too little noise, and nothing is found
-    # in this time. Noise on the tension is dear, and least so at the ends of the range, where it is clipped: it must fall.
+    # in this time. Noise on the tension is dear, and least so at the ends of the range, where it is clipped: it falls.
     "ppo.initial_std=0.5",
     "ppo.final_std=0.03",
     "ppo.n_epochs=10",
