@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="number of scenarios (default: 100)")
     parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i (default: 0)")
     parser.add_argument("--env-id", default="Amulett/Scaling-v0", help="environment (default: Amulett/Scaling-v0)")
-    parser.add_argument("--split", default="held-out", help="train, validation, held-out or shifted (default: held-out)")
+    parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
     parser.add_argument("--out", metavar="DIR", help="folder for results.json, scenarios.csv, report.html and figures")
     parser.add_argument("--json", action="store_true", help="print the content of results.json and nothing else")
 

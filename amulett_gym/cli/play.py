@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--suite", default="steps", help="suite of scenarios (default: %(default)s)")
     parser.add_argument("--profile", default="testbed", help="device: a name or a YAML file (default: %(default)s)")
-    parser.add_argument("--split", default="held-out", help="train, validation, held-out or shifted (default: %(default)s)")
+    parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
     parser.add_argument("--seed", type=int, default=0, help="draws scenarios and noise (default: %(default)s)")
     parser.add_argument("--scenario", metavar="FILE.json", help="play this scenario in the place of drawn ones")
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="how many to play (default: %(default)s)")
