@@ -13,6 +13,7 @@ from amulett_agents.bundles import describe_policy, save_policy, start_from  # n
 from amulett_agents.config import load_train_config  # noqa: E402
 from amulett_agents.model import callbacks, make_model  # noqa: E402
 from amulett_agents.training import resume, train  # noqa: E402
+from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.envs.transition import OBSERVATIONS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.actor import Actor  # noqa: E402
@@ -103,12 +104,12 @@ def test_the_causal_reference_starts_as_the_shipped_policy():
     [
         (["network.hidden=[16, 16]"], r"hidden layers \[16, 16\]; this recipe's has \[16, 8\]"),
         (["network.activation=tanh"], "the activation tanh; this recipe's has relu"),
-        (["network.features=false"], r"features \[\]"),
+        (["network.features=false"], "features False; this recipe's has True"),
         (["env.history=2"], "history 2; this recipe's has 1"),
-        (["env.privileged=true"], "observations"),
+        (["env.privileged=true"], "observations that are told what no device can know True; this recipe's has False"),
         (["env.tension_range=[5.0, 9.0]", "network.initial_tension=6"], r"tension_range \[5.0, 9.0\]"),
         (["env.agent_period=0.05"], "agent_period 0.05; this recipe's has 0.02"),
-        (["env.follow_time=0"], "follow"),
+        (["env.follow_time=0"], "agent_period / follow_time 1.0; this recipe's has 0.4"),
     ],
 )
 def test_what_means_something_else_is_refused(given, message, tmp_path):
@@ -118,15 +119,19 @@ def test_what_means_something_else_is_refused(given, message, tmp_path):
 
 
 def test_what_is_no_bundle_is_refused(tmp_path):
-    with pytest.raises(AmulettError, match="pretraind"):
-        model_of("network.start=pretraind")
+    for wrong in ("pretraind", "eq6", str(tmp_path)):
+        with pytest.raises(
+            AmulettError, match=rf"network\.start is '{wrong}'; it has to be pretrained, pretrained:tension"
+        ):
+            model_of(f"network.start={wrong}")
     with pytest.raises(AmulettError, match="only PPO can start from a bundle"):
         model_of("algorithm=sac", "network.start=pretrained")
 
 
 def test_a_critic_that_learns_alone_to_the_end_is_refused():
-    with pytest.raises(AmulettError, match=r"ppo\.critic_steps is 500; it has to be less than total_steps, 500"):
-        model_of("ppo.critic_steps=500", "total_steps=500")
+    with pytest.raises(AmulettError, match=r"ppo\.critic_steps is 449; it can be at most 448, where the last rollout"):
+        model_of("ppo.critic_steps=449", "total_steps=500")
+    model_of("ppo.critic_steps=448", "total_steps=500")
     with pytest.raises(AmulettError, match=r"ppo\.final_std is null"):
         model_of("ppo.critic_steps=500", "ppo.final_std=null")
 
@@ -147,6 +152,9 @@ def test_a_run_is_resumed_without_the_bundle_that_it_began_as(tmp_path):
             resume(run, progress=False)
         weights[name] = [array for layer in read_bundle(run / "last").layers for array in layer]
     assert all(np.array_equal(one, other) for one, other in zip(*weights.values(), strict=True))
+    # And it is done again from the bundle that is kept with it.
+    assert main(["rerun", str(tmp_path / "whole"), "--out", str(tmp_path / "again")]) == 0
+    train(load_train_config(tmp_path / "again" / "config.yaml"), tmp_path / "whole", progress=False, overwrite=True)
 
 
 def test_the_critic_learns_first(tmp_path):

@@ -169,12 +169,12 @@ def start_from(model: PPO, bundle: Bundle) -> None:
         ("the activation", mine.network.activation, theirs.network.activation),
         ("the output", mine.network.output, theirs.network.output),
         ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
-        ("observations", mine.observations[: len(theirs.observations)], theirs.observations),
-        ("features", mine.features, theirs.features),
+        ("observations that are told what no device can know", mine.is_privileged or not theirs.is_privileged, True),
+        ("features", bool(mine.features), bool(theirs.features)),
         ("history", mine.history, theirs.history),
         ("tension_range", mine.tension_range, theirs.tension_range),
         ("agent_period", mine.agent_period, theirs.agent_period),
-        ("the share that an action goes (follow)", mine.follow, theirs.follow),
+        ("agent_period / follow_time", round(mine.follow, 6), round(theirs.follow, 6)),
     ):
         if own != given:
             raise AmulettError(

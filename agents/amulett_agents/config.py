@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -252,10 +253,11 @@ class TrainConfig(Group):
             raise ValueError(
                 f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
             )
-        if self.ppo.critic_steps is not None and self.ppo.critic_steps >= self.total_steps:
+        last = (math.ceil(self.total_steps / rollout) - 1) * rollout
+        if self.ppo.critic_steps is not None and self.ppo.critic_steps > last:
             raise ValueError(
-                f"ppo.critic_steps is {self.ppo.critic_steps}; it has to be less than total_steps, {self.total_steps}, "
-                "or the policy learns nothing"
+                f"ppo.critic_steps is {self.ppo.critic_steps}; it can be at most {last}, where the last rollout of "
+                f"total_steps, {self.total_steps}, begins, or the policy learns nothing"
             )
         if self.ppo.critic_steps is not None and self.ppo.final_std is None:
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -22,6 +23,7 @@ from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
+from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.laws.policies import tension_to_action
@@ -67,10 +69,20 @@ def make_model(config: TrainConfig, resumed: bool = False) -> Model:
         inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
-        start_from(model, read_bundle(bundle_folder(config.network.start)))
+        start_from(model, read_bundle(_start_folder(config.network.start)))
     env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
     return model
+
+
+def _start_folder(start: str) -> Path:
+    try:
+        return bundle_folder(start)
+    except AmulettError as error:
+        raise AmulettError(
+            f"network.start is '{start}'; it has to be pretrained, pretrained:tension, or the folder of a policy "
+            "bundle or of a training run"
+        ) from error
 
 
 def callbacks(config: TrainConfig) -> list[BaseCallback]:

@@ -44,12 +44,16 @@ from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.files import atomic_path, locked_folder, output_folder, read_json, write_json, write_text
 from amulett_gym.laws.actor import Actor
+from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""
 
 RUN_MARKS = ("config.yaml", COMMAND)
+START = "start"
+"""Folder of a run for the bundle that it started from."""
+
 """Files by which a training run's folder is recognised."""
 
 FINISHED = "finished.json"
@@ -58,7 +62,7 @@ FINISHED = "finished.json"
 _LOG_EVERY = 16_384
 """Steps between two entries of SAC's log. PPO logs every rollout."""
 
-_OUTPUTS = (FOLDER, FINISHED, "evaluations.csv", "last_sb3.zip", *BUNDLES, "tensorboard")
+_OUTPUTS = (FOLDER, FINISHED, "evaluations.csv", "last_sb3.zip", *BUNDLES, START, "tensorboard")
 
 
 @dataclass(frozen=True)
@@ -468,7 +472,7 @@ def _check_versions(out: Path) -> list[str] | None:
 
 def _remove_leftovers(out: Path) -> None:
     """Remove half-written files of a process that was killed; the folder has to be locked."""
-    for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES):
+    for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES, START):
         for path in out.glob(f".{name}-*"):
             if path.is_dir():
                 shutil.rmtree(path)
@@ -536,14 +540,23 @@ def warm_up(config: TrainConfig) -> None:
 
 
 def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
-    """Clear away an earlier run, all but its marks, and write down what this one is in their place."""
+    """Clear away an earlier run, all but its marks, and write down what this one is in their place.
+
+    The bundle that it starts from is kept with it: what it was named by may be another one, or gone, when somebody does
+    the same again.
+    """
     _remove_leftovers(out)
+    start, kept = config.network.start, out / f".{START}-new"
+    if start is not None:  # before anything is cleared away: it may be the earlier run's
+        shutil.copytree(bundle_folder(start), kept)
     for name in _OUTPUTS:
         path = out / name
         if path.is_dir():
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
+    if start is not None:
+        kept.rename(out / START)
     write_text(out / "config.yaml", yaml.safe_dump(config.model_dump(), sort_keys=False))
     profile = load_profile(config.env.profile).model_dump(mode="json")
     write_provenance(out, "train", {"profile": profile}, [config.seed], command)

@@ -262,7 +262,8 @@ def references(found: Content) -> Table | None:
         shares = ratio(goal["ratio_to_eq6"]), ratio(goal["share_from_hand"].get(best))
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     columns = (
-        *("cost", "to eq. 6", f"share of the way, {best}", "with other noise", "found in the last quarter"),
+        *("cost", "to eq. 6", "share of the way" if best is None else f"share of the way, {best}", "with other noise"),
+        "found in the last quarter",
         *("searches alone", "second search finds", "beaten by an entry"),
     )
     note = (
