@@ -41,6 +41,7 @@ from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.files import LOCK, locked_folder  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.provenance import read_provenance  # noqa: E402
 
 KILLS = int(os.environ.get("AMULETT_KILLS", "5"))
 SMALL = [
@@ -268,6 +269,21 @@ def test_killed_between_or_within_operations_on_its_files_it_does_too(moment, un
         train(recipe(), out, progress=False)
     assert outcome(out) == uninterrupted["plain"], die_at
     faults("survived (kills)", 2 if isinstance(die_at, tuple) else 1)
+
+
+def test_killed_before_it_wrote_its_command_a_run_still_tells_what_it_is(uninterrupted, tmp_path):
+    out = tmp_path / "run"
+
+    def dies(*arguments):
+        raise Died
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Died):
+        patch.setattr(training, "write_provenance", dies)
+        train(recipe(), out, progress=False)
+    assert (out / "config.yaml").is_file() and not (out / "command.json").exists()
+    resume(out, progress=False)
+    assert outcome(out) == uninterrupted["plain"]
+    assert read_provenance(out).seeds == [0]
 
 
 @pytest.mark.parametrize("half", [ARRAYS, STATE, MANIFEST])

@@ -191,6 +191,8 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
                 _check_recipe(checkpoint, config, model)
             warm_up(config)
             _remove_leftovers(out)
+            if not (out / RUN_MARKS[1]).is_file():  # killed before it was written; the command's words are lost
+                _write_note(out, config, None)
             return _learn(model, _Run(config, out, validation, command, progress, checkpoint))
 
 
@@ -558,6 +560,10 @@ def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> N
     if start is not None:
         kept.rename(out / START)
     write_text(out / "config.yaml", yaml.safe_dump(config.model_dump(), sort_keys=False))
+    _write_note(out, config, command)
+
+
+def _write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
     profile = load_profile(config.env.profile).model_dump(mode="json")
     write_provenance(out, "train", {"profile": profile}, [config.seed], command)
 
