@@ -133,7 +133,7 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
             model.learn(rollout)  # compile, allocate
         rollouts = math.ceil(config.env.max_episode_steps / config.ppo.n_steps)
         rates: dict[str, list[float]] = {name: [] for name in models}
-        clocks, totals = {name: RolloutClock() for name in models}, dict.fromkeys(models, 0.0)
+        clocks = {name: RolloutClock() for name in models}
         for _ in range(turns):
             seconds = dict.fromkeys(models, 0.0)
             for _ in range(rollouts):
@@ -143,10 +143,12 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
                     seconds[name] += time.perf_counter() - started
             for name, passed in seconds.items():
                 rates[name].append(rollouts * rollout / passed)
-                totals[name] += passed
             watch()
-    steps = turns * rollouts * config.ppo.n_steps
-    rolling = {name: clock.seconds for name, clock in clocks.items()}
+    step_ms = {}
+    for name, clock in clocks.items():
+        rolling = 1e3 * clock.seconds / (turns * rollouts * config.ppo.n_steps)
+        whole = 1e3 * config.num_envs * sum(1.0 / rate for rate in rates[name]) / turns
+        step_ms[name] = {"rollout": rolling, "update": whole - rolling}
     ratio = spread([env / null for env, null in zip(rates["env"], rates["null"], strict=True)])
     return {
         "env": spread(rates["env"])["median"],
@@ -154,10 +156,7 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
         "ratio": ratio["median"],
         "ratio_spread": [ratio["least"], ratio["most"]],
         "num_envs": config.num_envs,
-        "step_ms": {
-            name: {"rollout": 1e3 * rolling[name] / steps, "update": 1e3 * (total - rolling[name]) / steps}
-            for name, total in totals.items()
-        },
+        "step_ms": step_ms,
     }
 
 

@@ -15,8 +15,8 @@ class ValuesAtTimeLimits(BaseCallback):
     """Adds to an episode's last reward what its end would have been worth, if only the time limit ended it.
 
     SB3's rollouts do the same, one device after the other: a hundredth of the time that learning takes where episodes
-    end together. What is added here is no longer marked as truncated, so
-    that SB3 does not add it once more. For PPO: SAC's buffer wants the marks.
+    end together. What is added here is no longer marked as truncated, so that SB3 does not add it once more. For PPO:
+    SAC's buffer wants the marks.
     """
 
     def _on_step(self) -> bool:

@@ -51,10 +51,10 @@ COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""
 
 RUN_MARKS = ("config.yaml", COMMAND)
+"""Files by which a training run's folder is recognised."""
+
 START = "start"
 """Folder of a run for the bundle that it started from."""
-
-"""Files by which a training run's folder is recognised."""
 
 FINISHED = "finished.json"
 """File that a run leaves when it has come to its end: its `TrainResult`."""
