@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
+from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError, unknown
 
 Indices = None | int | Iterable[int]
@@ -47,7 +47,7 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
         raise unknown("environment", env_id, amulett_gym.ENV_IDS)
     if num_envs < 1:
         raise AmulettError(f"num_envs is {num_envs}; at least 1 is needed")
-    return SB3VecEnv(gym.make_vec(name, num_envs=num_envs, **keywords))
+    return SB3VecEnv(cast(TensionVectorEnv, gym.make_vec(name, num_envs=num_envs, **keywords)))
 
 
 class SB3VecEnv(VecEnv):
@@ -64,7 +64,7 @@ class SB3VecEnv(VecEnv):
 
     Parameters
     ----------
-    venv : VectorEnv
+    venv : TensionVectorEnv
         A native one, as `gym.make_vec` returns it.
 
     Raises
@@ -73,7 +73,7 @@ class SB3VecEnv(VecEnv):
         If it is wrapped: what begins anew would be seen without the wrappers.
     """
 
-    def __init__(self, venv: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, venv: TensionVectorEnv) -> None:
         if venv is not venv.unwrapped:
             raise AmulettError(
                 f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap what it makes of it"
@@ -89,7 +89,7 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> NDArray[np.float32]:
         """Start an episode with all devices; return the observations, shape (num_envs, 13)."""
         seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
-        observations, info = self.venv.reset(seed=seeds, options=self._common_options())  # type: ignore[arg-type]
+        observations, info = self.venv.reset(seed=seeds, options=self._common_options())
         self._terms = {name: np.zeros(self.num_envs) for name in info["reward_terms"]}
         self._returns[:], self._lengths[:] = 0.0, 0
         self.reset_infos = pick(info, np.arange(self.num_envs))
@@ -163,7 +163,7 @@ class SB3VecEnv(VecEnv):
         if not self._terms:
             raise AmulettError("call reset() before get_state(): there is no episode yet")
         return {
-            "venv": self.venv.unwrapped.get_state(),  # type: ignore[attr-defined]
+            "venv": self.venv.get_state(),
             "returns": self._returns.copy(),
             "lengths": self._lengths.copy(),
             "terms": {name: total.copy() for name, total in self._terms.items()},
@@ -171,7 +171,7 @@ class SB3VecEnv(VecEnv):
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot taken by `get_state` from an adapter of the same environment."""
-        self.venv.unwrapped.set_state(state["venv"])  # type: ignore[attr-defined]
+        self.venv.set_state(state["venv"])
         self._returns[...], self._lengths[...] = state["returns"], state["lengths"]
         self._terms = {name: total.copy() for name, total in state["terms"].items()}
 
@@ -182,20 +182,20 @@ class SB3VecEnv(VecEnv):
     def get_images(self) -> list[NDArray[np.uint8] | None]:
         """Draw every device."""
         frames = self.venv.render()
-        return [None] * self.num_envs if frames is None else list(frames)  # type: ignore[arg-type]
+        return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Return an attribute of the vector environment once for each of the devices, which share it."""
         if attr_name == "render_mode":
             return [self.venv.render_mode for _ in self._get_indices(indices)]
-        value = getattr(self.venv.unwrapped, attr_name)
+        value = getattr(self.venv, attr_name)
         return [value for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the vector environment; the devices share it, so it cannot be set for some of them."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise AmulettError(f"'{attr_name}' belongs to all {self.num_envs} devices; it cannot be set for some")
-        setattr(self.venv.unwrapped, attr_name, value)
+        setattr(self.venv, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
         """Refuse: devices of a native vector environment have no methods of their own."""
@@ -214,7 +214,7 @@ class SB3VecEnv(VecEnv):
         """Begin the next episode of some devices; return what these see."""
         for total in (self._returns, self._lengths, *self._terms.values()):
             total[devices] = 0
-        observations, info = self.venv.unwrapped.next_episodes(devices)  # type: ignore[attr-defined]
+        observations, info = self.venv.next_episodes(devices)
         for device, beginning in zip(devices.tolist(), pick(info, np.arange(devices.size)), strict=True):
             self.reset_infos[device] = beginning
         return observations
