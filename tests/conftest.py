@@ -13,7 +13,7 @@ from collections.abc import Callable
 import pytest
 from hypothesis import settings
 
-from amulett_gym.config import Profile, load_profile
+from amulett_gym.profile import Profile, load_profile
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 

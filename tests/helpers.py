@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import Profile, load_profile, merge
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.laws.bundle import Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import STATE_NAMES
 from amulett_gym.simulation.trajectory import Trajectory, record
@@ -96,3 +97,12 @@ def keep_network(
     }
     env = TrainingEnv(id="Amulett/Scaling-v0", keywords=dict(keywords or {}), max_episode_steps=500)
     return write_bundle(folder, layers, PolicyDescription(**(description | about)), env, {})
+
+
+def make_bundle(folder: Path) -> Path:
+    """Write a bundle of random weights."""
+    random = np.random.default_rng(0)
+    layers = [
+        (random.normal(size=(o, i)).astype("f4"), random.normal(size=o).astype("f4")) for i, o in [(13, 4), (4, 1)]
+    ]
+    return keep_network(folder, layers, keywords={"suite": "steps"})

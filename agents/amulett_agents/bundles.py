@@ -18,13 +18,13 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy, visible_entries
 from amulett_agents.wrappers import ActorView
-from amulett_gym.config import profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES
-from amulett_gym.provenance import git_revision, versions
+from amulett_gym.profile import profile_names
+from amulett_gym.storage.provenance import git_revision, versions
 
 
 def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:

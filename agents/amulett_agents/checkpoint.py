@@ -37,9 +37,10 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_w
 from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.model import Model
 from amulett_agents.wrappers import ActorView
-from amulett_gym.config import Group, describe
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_json, write_json
+from amulett_gym.settings import Group, describe
+from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.writing import write_json
 
 FOLDER = "checkpoints"
 ARRAYS, STATE, MANIFEST = "arrays.safetensors", "run.json", "manifest.json"

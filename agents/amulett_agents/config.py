@@ -11,10 +11,11 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import MOST_TENSION, Group, describe, load_profile, merge, read_yaml
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.safe_yaml import parse_yaml
+from amulett_gym.profile import MOST_TENSION, load_profile
+from amulett_gym.settings import Group, describe, merge
+from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 from amulett_gym.tasks.suites import suite_names
 
 

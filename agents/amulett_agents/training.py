@@ -39,13 +39,15 @@ from amulett_agents.checkpoint import (
 )
 from amulett_agents.config import TrainConfig, load_train_config
 from amulett_agents.model import Model, callbacks, exploration_std, make_model, make_validation_env
-from amulett_gym.config import load_profile
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import atomic_path, locked_folder, output_folder, read_json, write_json, write_text
 from amulett_gym.laws.actor import Actor
 from amulett_gym.laws.contenders import bundle_folder
-from amulett_gym.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
+from amulett_gym.profile import load_profile
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
+from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.writing import atomic_path, output_folder, write_json, write_text
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 """Columns of ``evaluations.csv``; a term is its mean cost per episode."""

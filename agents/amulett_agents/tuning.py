@@ -30,10 +30,13 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulett_agents.config import TrainConfig, read_numbers
 from amulett_agents.training import RUN_MARKS, TrainResult, resume, train
-from amulett_gym.config import Group, describe, read_yaml
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import locked_folder, output_folder, read_json, write_json, write_text
-from amulett_gym.provenance import differences, write_provenance
+from amulett_gym.settings import Group, describe
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.provenance import differences, write_provenance
+from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.safe_yaml import read_yaml
+from amulett_gym.storage.writing import output_folder, write_json, write_text
 
 STUDY, TRIALS, BEST = "study.json", "trials.json", "best.yaml"
 RUNS = "trials"

@@ -13,7 +13,7 @@ from typing import Any
 
 from amulett_gym.cli.train import add_overrides, check_installed
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import check_writable, write_json
+from amulett_gym.storage.writing import check_writable, write_json
 
 HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
 EXAMPLES = """  amulett bench
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
     _check(arguments)
-    from amulett_gym.evaluation import performance
+    from amulett_gym.studies.speed import document as performance
 
     asked = [name for name in performance.SECTIONS if _asked(arguments, name)]
     recipes = {section: _recipe(arguments, section) for section in asked if section in ("ppo", "time-to-beat")}
@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         elif arguments.json is not None and data:
             write_json(arguments.json, data)
     if arguments.out is not None:
-        from amulett_gym.evaluation.performance_figures import draw
+        from amulett_gym.studies.speed.figures import draw
 
         for path in draw(data, arguments.out):
             _say(quiet, f"Written: {path}")
@@ -134,23 +134,14 @@ def yardstick() -> Any:
     Raises
     ------
     AmulettError
-        If amulett-gym does not run from a checkout, whose ``benchmarks/`` is not installed, or there is no compiler.
+        If there is no C compiler.
     """
-    from importlib import import_module
+    from amulett_gym.c.build import NO_COMPILER, find_compiler
+    from amulett_gym.studies.speed import yardstick
 
-    import amulett_gym
-
-    root = Path(amulett_gym.__file__).resolve().parent.parent
-    if not (root / "benchmarks" / "yardstick.py").is_file():
-        raise AmulettError("--c needs the folder benchmarks of a checkout, which an installed package does not hold")
-    sys.path.insert(0, str(root))
-    try:
-        module = import_module("benchmarks.yardstick")
-    finally:
-        sys.path.remove(str(root))
-    if module.find_compiler() is None:
-        raise AmulettError(f"--c: {module.NO_COMPILER}")
-    return module
+    if find_compiler() is None:
+        raise AmulettError(f"--c: {NO_COMPILER}")
+    return yardstick
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -190,7 +181,7 @@ def _recipe(arguments: argparse.Namespace, section: str) -> Any:
 
 
 def _speed(arguments: argparse.Namespace, data: Data, config: Any) -> None:
-    from amulett_gym.evaluation.speed import PROFILES, contestants, race
+    from amulett_gym.studies.speed.rates import PROFILES, contestants, race
 
     entrants = contestants(arguments.devices, arguments.seed)
     with _bar(arguments.turns * len(entrants), "turns") as bar:
@@ -261,7 +252,7 @@ def _time_to_beat(arguments: argparse.Namespace, data: Data, config: Any) -> Non
 
 
 def _scale(arguments: argparse.Namespace, data: Data, config: Any) -> None:
-    from amulett_gym.evaluation import scale
+    from amulett_gym.studies.speed import scale
 
     found: Data = data.setdefault("scale", {})
     turns = min(arguments.turns, 3)
@@ -279,8 +270,8 @@ def _scale(arguments: argparse.Namespace, data: Data, config: Any) -> None:
 
 
 def _peers(arguments: argparse.Namespace, data: Data, config: Any) -> None:
-    from amulett_gym.evaluation import peers
-    from amulett_gym.evaluation.speed import PROFILES, race, single
+    from amulett_gym.studies.speed import peers
+    from amulett_gym.studies.speed.rates import PROFILES, race, single
 
     ours = [single(profile, arguments.seed) for profile in PROFILES]
     theirs, absent = peers.enter(seed=arguments.seed)

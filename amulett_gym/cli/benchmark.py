@@ -41,13 +41,13 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym import ENV_IDS
     from amulett_gym.cli.bench import machine
     from amulett_gym.cli.own_policies import with_zips
-    from amulett_gym.evaluation.benchmark.claims import check_claims
-    from amulett_gym.evaluation.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
-    from amulett_gym.evaluation.benchmark.document import check_document, write_document
-    from amulett_gym.evaluation.benchmark.page import PAGE, in_words, write_benchmark
-    from amulett_gym.evaluation.benchmark.results import content
-    from amulett_gym.evaluation.benchmark.stages import run_benchmark
     from amulett_gym.laws.contenders import Contender, parse_contender
+    from amulett_gym.studies.benchmark.claims import check_claims
+    from amulett_gym.studies.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
+    from amulett_gym.studies.benchmark.document import check_document, write_document
+    from amulett_gym.studies.benchmark.page import PAGE, in_words, write_benchmark
+    from amulett_gym.studies.benchmark.results import content
+    from amulett_gym.studies.benchmark.stages import run_benchmark
 
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:

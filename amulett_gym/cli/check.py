@@ -24,9 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run all checks; return 1 if one failed."""
     from amulett_gym import ENV_IDS
-    from amulett_gym.config import load_profile, profile_names
     from amulett_gym.errors import unknown
     from amulett_gym.evaluation.conformance import Subject, run_checks
+    from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.tasks.suites import suite_names
 
     env_id = arguments.env_id and arguments.env_id.split(":")[-1]

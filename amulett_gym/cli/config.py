@@ -71,8 +71,9 @@ def validate(path: str | Path) -> Found:
         raise AmulettError(f"'{path}' is neither .yaml (device, recipe, benchmark), .json (scenario) nor a bundle")
 
     from amulett_agents.config import TrainConfig, load_train_config
-    from amulett_gym.config import Profile, load_profile, read_yaml
-    from amulett_gym.evaluation.benchmark.description import Benchmark, load_benchmark
+    from amulett_gym.profile import Profile, load_profile
+    from amulett_gym.storage.safe_yaml import read_yaml
+    from amulett_gym.studies.benchmark.description import Benchmark, load_benchmark
 
     kinds: Mapping[str, tuple[type[BaseModel], Any]] = {
         "a device profile": (Profile, load_profile),

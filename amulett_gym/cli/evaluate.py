@@ -14,7 +14,8 @@ from typing import Any
 
 from amulett_gym.cli.own_policies import add_trust, with_zips
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import locked_folder, output_folder
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.writing import output_folder
 
 HELP = "compare laws and policies with eq. 6 on the same scenarios"
 EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:10 position-only --out comparison
@@ -46,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the comparison, print its table, and write its files."""
-    from amulett_gym.evaluation.results import in_words
+    from amulett_gym.evaluation.comparison import in_words
 
     summary, earlier = compare(
         resolve(arguments), arguments.out, _command(arguments), sys.stderr.isatty() and not arguments.json
@@ -63,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return all that a comparison hangs on, as plain data: the profile whole, and the SHA-256 of learned policies."""
-    from amulett_gym.config import load_profile
+    from amulett_gym.profile import load_profile
 
     return {
         "policies": list(arguments.policies),
@@ -102,9 +103,9 @@ def compare(
     """
     from dataclasses import replace
 
-    from amulett_gym.config import load_profile
-    from amulett_gym.evaluation.results import COMPARISON_MARKS, summarise
+    from amulett_gym.evaluation.comparison import COMPARISON_MARKS, summarise
     from amulett_gym.evaluation.runner import evaluate
+    from amulett_gym.profile import load_profile
 
     profile = load_profile(config["profile"])
     keywords = {key: config[key] for key in ("suite", "split", "env_id", "episodes", "seed")}
@@ -119,8 +120,8 @@ def compare(
         if out is None:
             return summarise(results), earlier
 
-        from amulett_gym.evaluation.report import write_report
-        from amulett_gym.provenance import write_provenance
+        from amulett_gym.evaluation.page import write_report
+        from amulett_gym.storage.provenance import write_provenance
 
         seeds = range(config["seed"], config["seed"] + config["episodes"])
         write_provenance(out, "evaluate", config, seeds, words)

@@ -10,7 +10,8 @@ from itertools import count
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import locked_folder, output_folder
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.writing import output_folder
 
 HELP = "search for the parameters that the paper does not print (about 20 minutes on two cores)"
 EXAMPLES = """  amulett identify --out runs/identify
@@ -41,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, print what was found, and write the files."""
-    from amulett_gym.paper.reproduction import Readings
-    from amulett_gym.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
+    from amulett_gym.studies.paper.reproduction import Readings
+    from amulett_gym.studies.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
 
     chosen: dict[str, Any] = {name: getattr(arguments, name) for name in ("seeds", *_COUNTS)}
     for name, value in {**chosen, "processes": arguments.processes}.items():

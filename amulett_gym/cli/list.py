@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
     from amulett_gym import ENV_IDS
-    from amulett_gym.config import load_profile, profile_names
     from amulett_gym.laws.contenders import contender_names
+    from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.tasks.suites import SPLITS, describe_suite, suite_names
 
     names = {

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from amulett_gym.config import Profile
     from amulett_gym.laws.contenders import Contender
+    from amulett_gym.profile import Profile
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:

@@ -57,9 +57,9 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     import gymnasium as gym
 
-    from amulett_gym.config import load_profile
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.laws.contenders import parse_contender
+    from amulett_gym.profile import load_profile
 
     contender = parse_contender(arguments.policy)
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _open(arguments: argparse.Namespace, rate: int, label: str, task: str) -> tuple[Any, Path | None]:
     """Return a renderer and the video's file: None with a window; one in the current folder without a display."""
-    from amulett_gym.envs.rendering import Renderer, display_answers
+    from amulett_gym.envs.rendering.window import Renderer, display_answers
 
     title = f"{label}, {task}"
     if arguments.video is not None:
@@ -150,7 +150,7 @@ def _play(
 
     What came of an episode that was played to its end is appended to `played`.
     """
-    from amulett_gym.envs.rendering import frame_of
+    from amulett_gym.envs.rendering.frame import frame_of
 
     episodes = env.unwrapped.episodes
     options = None if arguments.scenario is None else {"scenario": arguments.scenario}
@@ -175,7 +175,7 @@ def _write(path: Path, pictures: Iterable[Any], most: int, rate: int, stride: in
 
     from tqdm import tqdm
 
-    from amulett_gym.files import atomic_path
+    from amulett_gym.storage.writing import atomic_path
 
     chosen = tqdm(
         islice(pictures, 0, None, stride),
@@ -207,7 +207,7 @@ def _write_images(path: Path, pictures: Iterable[Any], rate: float) -> int:
 def _write_mp4(path: Path, pictures: Iterable[Any], rate: float) -> int:
     import imageio_ffmpeg
 
-    from amulett_gym.envs.picture import SIZE
+    from amulett_gym.envs.rendering.picture import SIZE
 
     count = 0
     writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=rate, quality=8, ffmpeg_log_level="error")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from amulett_gym.cli.train import check_installed
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import output_folder
+from amulett_gym.storage.writing import output_folder
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.runner import Results
@@ -59,8 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(f"--seed is {arguments.seed}; it has to be at least 0")
 
     from amulett_agents import load_train_config
-    from amulett_gym.config import load_profile
     from amulett_gym.evaluation.runner import Protocol
+    from amulett_gym.profile import load_profile
 
     short = [f"total_steps={STEPS}", f"max_seconds={arguments.seconds}", f"seed={arguments.seed}"]
     config = load_train_config(overrides=short)
@@ -77,8 +77,8 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     from dataclasses import replace
 
     from amulett_agents import train
-    from amulett_gym.evaluation.report import remove_comparison, write_report
-    from amulett_gym.evaluation.results import in_words
+    from amulett_gym.evaluation.comparison import in_words
+    from amulett_gym.evaluation.page import remove_comparison, write_report
     from amulett_gym.evaluation.runner import evaluate
 
     policy = out / "ppo"
@@ -122,7 +122,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
 
 def beside_best_constant(results: Results, policy: str) -> str:
     """Return in words how a policy stands against the constant that costs least on the same scenarios."""
-    from amulett_gym.evaluation.results import span_of
+    from amulett_gym.evaluation.comparison import span_of
     from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
     from amulett_gym.laws.contenders import CONSTANT
 

@@ -6,7 +6,7 @@ import argparse
 import json
 from contextlib import nullcontext
 
-from amulett_gym.files import output_folder
+from amulett_gym.storage.writing import output_folder
 
 HELP = "run what the paper measured, and compare Tables 2-5 with ours"
 EXAMPLES = """  amulett reproduce --out runs/reproduction
@@ -30,11 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
-    from amulett_gym.paper.document import check
-    from amulett_gym.paper.evidence import gather
-    from amulett_gym.paper.own_study import read_study
-    from amulett_gym.paper.report import REPRODUCTION_MARKS, draw, write_document, write_report
-    from amulett_gym.paper.results import content, in_words
+    from amulett_gym.studies.paper.document import check
+    from amulett_gym.studies.paper.evidence import gather
+    from amulett_gym.studies.paper.own_study import read_study
+    from amulett_gym.studies.paper.report import REPRODUCTION_MARKS, draw, write_document, write_report
+    from amulett_gym.studies.paper.results import content, in_words
 
     out = arguments.out
     study = None if arguments.study is None else read_study(arguments.study)

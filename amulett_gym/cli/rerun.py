@@ -18,7 +18,7 @@ from amulett_gym.cli.own_policies import add_trust
 from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
-    from amulett_gym.provenance import Provenance
+    from amulett_gym.storage.provenance import Provenance
 
 HELP = "do again what filled a folder, in a new one, and say whether the numbers are the same"
 EXAMPLES = """  amulett rerun comparison --out comparison-again
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do it again; exit code 1 if a number is another one."""
-    from amulett_gym.provenance import read_provenance, software_changes
+    from amulett_gym.storage.provenance import read_provenance, software_changes
 
     old, new = Path(arguments.folder).resolve(), Path(arguments.out).resolve()
     if old == new or old in new.parents or new in old.parents:
@@ -132,7 +132,7 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
 
 def _trained(folder: Path) -> Numbers:
     """Return a finished run's validations, their times aside, and digests of its weights."""
-    from amulett_gym.files import read_bytes, read_text
+    from amulett_gym.storage.reading import read_bytes, read_text
 
     if not (folder / "finished.json").is_file():
         raise AmulettError(f"the run in '{folder}' is not finished: amulett train --resume {folder}")
@@ -156,7 +156,7 @@ def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
 
 def _compared(folder: Path) -> Numbers:
     """Return a comparison's numbers, in each scenario too."""
-    from amulett_gym.files import read_json, read_text
+    from amulett_gym.storage.reading import read_json, read_text
 
     rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
     policies = read_json(folder / "results.json", "a comparison's results", 40_000_000)["policies"]
@@ -188,7 +188,7 @@ def _reader(pattern: str) -> Callable[[Path], Numbers]:
     """Return a reader of the JSON files of a finished folder that match a pattern."""
 
     def read(folder: Path) -> Numbers:
-        from amulett_gym.files import read_json
+        from amulett_gym.storage.reading import read_json
 
         found = sorted(folder.glob(pattern))
         if not found:
@@ -208,7 +208,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
 
 
 def _different(old: Any, new: Any) -> list[str]:
-    from amulett_gym.provenance import differences
+    from amulett_gym.storage.provenance import differences
 
     return differences(_numbers(old), _numbers(new))
 

@@ -41,10 +41,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.plot is not None and Path(arguments.plot).suffix.lower() not in (".png", ".svg"):
         raise AmulettError(f"--plot '{arguments.plot}' has to end in .png or .svg")
 
-    from amulett_gym.config import load_profile
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.metrics import UNITS
     from amulett_gym.evaluation.runner import Protocol, labels
+    from amulett_gym.profile import load_profile
     from amulett_gym.simulation.trajectory import write_csv
 
     profile = load_profile(arguments.profile)

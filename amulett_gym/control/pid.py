@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from amulett_gym.compiled import compiled
+from amulett_gym.jit.compiled import compiled
 
 
 @compiled

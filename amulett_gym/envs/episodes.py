@@ -15,13 +15,13 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import MOST_TENSION, STABLE_STEP, Profile, load_profile
 from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, tell_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, Control
 from amulett_gym.simulation.random import keys_from_seeds

@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 
-from amulett_gym.compiled import compiled
+from amulett_gym.jit.compiled import compiled
 from amulett_gym.simulation.layout import LANES, Family
 
 _SOON = 2.0

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import Profile
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import CONTACT_SUITES
 

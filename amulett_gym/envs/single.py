@@ -12,7 +12,6 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from amulett_gym.config import Profile, load_profile
 from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.transition import (
@@ -24,6 +23,7 @@ from amulett_gym.envs.transition import (
     READINGS,
 )
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.layout import FAILURES, Control
 from amulett_gym.tasks.scenario import Scenario, unpack
 
@@ -206,7 +206,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array' or 'human'")
             return None
-        from amulett_gym.envs.rendering import Renderer, frame_of
+        from amulett_gym.envs.rendering.frame import frame_of
+        from amulett_gym.envs.rendering.window import Renderer
 
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled, compiled_in_place
 from amulett_gym.envs.reward import COST_TERMS, TERMS
+from amulett_gym.jit.compiled import compiled, compiled_in_place
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise

@@ -13,12 +13,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from amulett_gym.config import Profile
 from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAILURES, RUNNING, Control
 from amulett_gym.tasks.scenario import Scenario, unpack
 
@@ -249,7 +249,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array'")
             return None
-        from amulett_gym.envs.rendering import Renderer, frame_of
+        from amulett_gym.envs.rendering.frame import frame_of
+        from amulett_gym.envs.rendering.window import Renderer
 
         if not self._renderers:
             self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(self.num_envs)]

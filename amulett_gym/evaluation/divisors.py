@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.config import load_profile, profile_names
-from amulett_gym.files import write_json
+from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import FAMILIES
+from amulett_gym.storage.writing import write_json
 from amulett_gym.tasks.suites import episode_keys, families_of, sample, suite_names
 
 EPISODES = 400

@@ -24,15 +24,15 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
-from amulett_gym.config import VariableStiffness
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.comparison import number, pretty, span
 from amulett_gym.evaluation.metrics import COSTS
-from amulett_gym.evaluation.results import number, pretty, span
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
-from amulett_gym.files import atomic_path
+from amulett_gym.profile import VariableStiffness
 from amulett_gym.simulation.trajectory import Trajectory
+from amulett_gym.storage.writing import atomic_path
 
 BLACK, GREY = "#000000", "#7a7a7a"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -337,7 +337,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
     Parameters
     ----------
     summary : mapping
-        From :func:`amulett_gym.evaluation.results.summarise`.
+        From :func:`amulett_gym.evaluation.comparison.summarise`.
     """
     policies = summary["policies"]
     names = list(policies)
@@ -383,7 +383,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     Parameters
     ----------
     summary : mapping
-        From :func:`amulett_gym.evaluation.results.summarise`. A contender without ratios is left out.
+        From :func:`amulett_gym.evaluation.comparison.summarise`. A contender without ratios is left out.
     """
     policies = summary["policies"]
     label, colour = labels(list(policies)), colours(list(policies))

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import Profile, load_profile, profile_names
 from amulett_gym.envs.reward import prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
@@ -22,6 +21,7 @@ from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import CONSTANT, Contender, constant_tension, contender_names, parse_contender
 from amulett_gym.laws.policies import load_policy
+from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
 YARDSTICK = "eq6"

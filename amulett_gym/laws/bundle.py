@@ -33,12 +33,14 @@ from pydantic import Field, ValidationError, model_validator
 from safetensors import SafetensorError
 
 from amulett_gym import ENV_IDS
-from amulett_gym.config import Group, describe, profile_names
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
-from amulett_gym.files import parse_json, read_bytes, to_json, write_json
 from amulett_gym.laws.features import FEATURES
+from amulett_gym.profile import profile_names
+from amulett_gym.settings import Group, describe
+from amulett_gym.storage.reading import parse_json, read_bytes
+from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")

@@ -37,12 +37,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.compiled import compiled
-from amulett_gym.config import Profile
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
+from amulett_gym.profile import Profile
 
 RANGE = (4.0, 15.0)
 """Tension setpoints that the laws choose from [N]: those of the environments' default actions."""

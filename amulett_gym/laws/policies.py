@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.compiled import compiled
-from amulett_gym.config import Profile
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import (
@@ -23,6 +22,7 @@ from amulett_gym.laws.contenders import (
     constant_tension,
 )
 from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
+from amulett_gym.profile import Profile
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""

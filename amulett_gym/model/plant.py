@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.compiled import compiled
+from amulett_gym.jit.compiled import compiled
 
 GRAVITY = 9.81  # g [m/s2]
 

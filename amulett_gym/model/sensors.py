@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from amulett_gym.compiled import compiled
+from amulett_gym.jit.compiled import compiled
 
 
 @compiled

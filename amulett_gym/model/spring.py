@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from amulett_gym.compiled import compiled
-from amulett_gym.config import Spring
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_text
+from amulett_gym.jit.compiled import compiled
+from amulett_gym.profile import Spring
+from amulett_gym.storage.reading import read_text
 
 CELLS = 256
 CURVE_COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")

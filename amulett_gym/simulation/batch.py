@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.config import MOST_TENSION, Profile
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up
+from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import (
     LANES,

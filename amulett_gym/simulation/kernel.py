@@ -18,10 +18,10 @@ import math
 
 import numpy as np
 
-from amulett_gym.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.drive import drive_rate
 from amulett_gym.model.plant import contact_torque, deflection_biceps, deflection_triceps, joint_acceleration

@@ -18,10 +18,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.config import Pid, Profile
 from amulett_gym.errors import unknown
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, build_tables
+from amulett_gym.profile import Pid, Profile
 
 Control = Literal["decentralized", "position-only"]
 CONTROLS = ("decentralized", "position-only")

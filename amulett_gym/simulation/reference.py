@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
-from amulett_gym.config import Pid, Profile
 from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import Pid, Profile
 from amulett_gym.simulation.layout import Control, slider_end
 from amulett_gym.simulation.trajectory import Trajectory
 

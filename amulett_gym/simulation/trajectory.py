@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.files import atomic_path
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, STATE_NAMES
+from amulett_gym.storage.writing import atomic_path
 
 _TO_DEGREES = float(np.degrees(1.0))
 

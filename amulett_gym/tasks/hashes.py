@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.config import Profile, load_profile
-from amulett_gym.files import write_json
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.storage.writing import write_json
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
 VERSION = 3

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from amulett_gym.config import MOST_TENSION, Group, Profile, describe
 from amulett_gym.errors import AmulettError
-from amulett_gym.files import read_json
+from amulett_gym.profile import MOST_TENSION, Profile
+from amulett_gym.settings import Group, describe
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
     FAMILIES,
@@ -28,6 +28,7 @@ from amulett_gym.simulation.layout import (
     Orientation,
     load_arm,
 )
+from amulett_gym.storage.reading import read_json
 
 MAX_BYTES = 100_000
 """Largest scenario file accepted; the largest that can be described has 10 kB."""

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.compiled import compiled
-from amulett_gym.config import Profile
 from amulett_gym.errors import unknown
+from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.plant import GRAVITY, static_torque
 from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAMILIES, MAX_MOVES, MAX_PUSHES, ORIENTATIONS, load_arm
 from amulett_gym.simulation.random import derive_keys, uniform
 from amulett_gym.tasks.scenario import empty_rows, most_damping, most_stiffness

@@ -1,0 +1,1 @@
+"""The tick in plain C, and its compilation."""

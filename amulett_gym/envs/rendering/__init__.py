@@ -1,0 +1,1 @@
+"""From the state of an episode to a picture."""

@@ -1,0 +1,178 @@
+"""Where pictures go: into an array, or a window that keeps real time."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.rendering.frame import STRIP_SECONDS, Frame
+from amulett_gym.errors import AmulettError, unknown
+
+MODES = ("rgb_array", "human")
+
+
+_MOST_FPS = 60
+
+
+_DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
+
+
+class Renderer:
+    """Draws frames, into an array or a window, and remembers the last seconds for the strip below the arm.
+
+    Parameters
+    ----------
+    mode : {"rgb_array", "human"}
+        An array needs no display. A window keeps real time; without a display it is drawn where nobody sees it, as
+        Gymnasium's own environments do, so that their checks run anywhere.
+    fps : float
+        Frames a second, for the window.
+    title : str
+        Written above the arm.
+
+    Raises
+    ------
+    AmulettError
+        If the mode is unknown, pygame is not installed, or the window cannot be opened.
+    """
+
+    def __init__(self, mode: str, fps: float, title: str = "AMULETT elbow") -> None:
+        if mode not in MODES:
+            raise unknown("render_mode", mode, MODES)
+        self._pygame = _import_pygame()
+        # Real time first: where more frames are due than a display shows, only some of them are drawn.
+        self._stride = max(math.ceil(fps / _MOST_FPS), 1)
+        self._fps, self._title = fps, title
+        self._history: deque[Frame] = deque()
+        self._in_window = mode == "human"
+        self._window: Any = self._open() if self._in_window else None
+        self._clock = self._pygame.time.Clock()
+        self._due = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a window, and nobody has closed it."""
+        return self._window is not None
+
+    def draw(self, frame: Frame) -> NDArray[np.uint8] | None:
+        """Draw a frame.
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width, 3), or None for "human"
+            A window that was closed stays closed: the simulation goes on, and nothing is drawn.
+        """
+        from amulett_gym.envs.rendering.picture import paint
+
+        self._remember(frame)
+        if self._in_window:
+            self._handle_events()
+            self._due -= 1
+            if self._window is not None and self._due <= 0:
+                self._due = self._stride
+                self._window.blit(paint(frame, self._history, self._title), (0, 0))
+                self._pygame.display.flip()
+                self._clock.tick(self._fps / self._stride)
+            return None
+        surface = paint(frame, self._history, self._title)
+        width, height = surface.get_size()
+        pixels = bytearray(self._pygame.image.tobytes(surface, "RGB"))
+        return np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
+
+    def clear(self) -> None:
+        """Forget the strip's past: a new episode begins."""
+        self._history.clear()
+
+    def close(self) -> None:
+        """Close the window, if there is one; may be called again."""
+        if self._window is not None:
+            self._window = None
+            self._pygame.display.quit()
+
+    def _remember(self, frame: Frame) -> None:
+        # An episode that restarted or went back to a snapshot takes the strip back with it.
+        while self._history and self._history[-1].time >= frame.time:
+            self._history.pop()
+        self._history.append(frame)
+        # One frame before the strip's edge stays, so that the curves reach it.
+        while len(self._history) > 2 and self._history[1].time < frame.time - STRIP_SECONDS:
+            self._history.popleft()
+
+    def _open(self) -> Any:
+        from amulett_gym.envs.rendering.picture import SIZE
+
+        display = self._pygame.display
+        try:
+            with nullcontext() if has_display() else _unseen():
+                display.init()
+            window = display.set_mode(SIZE)
+        except self._pygame.error as error:
+            raise AmulettError(
+                f"cannot open a window: {error}; "
+                "render_mode='rgb_array' needs none, nor does 'amulett play' with '--video FILE'"
+            ) from error
+        display.set_caption(self._title)
+        return window
+
+    def _handle_events(self) -> None:
+        pygame = self._pygame
+        if self._window is None:
+            return
+        if not pygame.display.get_init():  # another environment's close() took the display with it
+            self._window = None
+            return
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
+                self.close()
+                return
+
+
+def has_display() -> bool:
+    """Tell whether a window would be seen, or a driver for an unseen one was asked for."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in _DISPLAY_VARIABLES)
+
+
+def display_answers() -> bool:
+    """Tell whether a window can really be opened where it is seen: a display may be named and gone."""
+    if not has_display():
+        return False
+    pygame = _import_pygame()
+    was_open = pygame.display.get_init()
+    try:
+        pygame.display.init()
+        return bool(os.environ.get("SDL_VIDEODRIVER")) or pygame.display.get_driver() not in ("offscreen", "dummy")
+    except pygame.error:
+        return False
+    finally:
+        if not was_open:
+            pygame.display.quit()
+
+
+@contextmanager
+def _unseen() -> Iterator[None]:
+    """Choose SDL's driver for windows that nobody sees; left to itself, SDL first complains on stderr."""
+    before = os.environ.get("SDL_VIDEODRIVER")
+    os.environ["SDL_VIDEODRIVER"] = "dummy"
+    try:
+        yield
+    finally:
+        del os.environ["SDL_VIDEODRIVER"]
+        if before is not None:
+            os.environ["SDL_VIDEODRIVER"] = before
+
+
+def _import_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ImportError as error:
+        raise AmulettError("rendering needs pygame; install it with 'pip install pygame-ce'") from error
+    return pygame

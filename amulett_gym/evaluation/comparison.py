@@ -1,0 +1,247 @@
+"""Results as numbers with intervals, as words, and as files."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from amulett_gym import __version__
+from amulett_gym.envs.reward import COST_CAP, default_weights, divisors
+from amulett_gym.envs.transition import MAY_BE_MISSING
+from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.runner import YARDSTICK, Results, divisors_owner, labels
+from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
+from amulett_gym.storage.writing import write_text
+from amulett_gym.tasks.suites import families_of
+
+Summary = dict[str, Any]
+
+COMPARISON_MARKS = ("results.json", "scenarios.csv")
+"""Files by which a comparison's folder is recognised."""
+
+EQUAL = "practically 1"
+_MOST_DIGITS = 6
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def summarise(results: Results) -> Summary:
+    """Turn results into the content of ``results.json``.
+
+    Returns
+    -------
+    dict
+        ``{"suite", "profile", "env_id", "seed", "episodes", "policies": {name: {metric: {"mean", "low", "high",
+        "ratio_to_eq6": {"mean", "low", "high"}}}}}``, and what else it takes to understand and repeat them. A number
+        that does not exist is None; metrics that some scenarios do not have count those as ``"not_reached"``.
+    """
+    protocol = results.protocol
+    families = families_of(protocol.suite)
+    weights = draw_weights(protocol.episodes)
+    yardstick = results.values[YARDSTICK]
+    policies: dict[str, dict[str, Any]] = {}
+    for name, metrics in results.values.items():
+        policies[name] = {}
+        for metric, values in metrics.items():
+            entry: dict[str, Any] = {
+                **_numbers(mean(values, weights)),
+                "ratio_to_eq6": _numbers(ratio_of_sums(values, yardstick[metric], weights)),
+            }
+            if metric in MAY_BE_MISSING:
+                entry["not_reached"] = sum(map(math.isnan, values.tolist()))
+            policies[name][metric] = entry
+    return {
+        "suite": protocol.suite,
+        "profile": protocol.profile.name,
+        "env_id": protocol.env_id,
+        "split": protocol.split,
+        "seed": protocol.seed,
+        "episodes": protocol.episodes,
+        "duration": protocol.duration,
+        "agent_period": protocol.agent_period,
+        "push_suite": results.push_suite,
+        "push_failures": dict(results.push_failures),
+        "labels": labels(list(results.values)),
+        "remarks": list(results.remarks),
+        "yardstick": {"name": YARDSTICK, "listed": results.listed},
+        "cost": {
+            "weights": {family: default_weights(family) for family in families},
+            "divisors": {family: divisors(protocol.profile, protocol.suite, family) for family in families},
+            "divisors_of": divisors_owner(protocol.profile),
+            "failure": f"{COST_CAP:g} for each agent step left",
+        },
+        "bootstrap": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED},
+        "units": dict(UNITS),
+        "versions": {"amulett-gym": __version__, "numba": version("numba"), "numpy": version("numpy")},
+        "command": results.command,
+        "verdict": verdict(results),
+        "policies": policies,
+    }
+
+
+def verdict(results: Results) -> str:
+    """Say in a sentence or two which contender costs least, how sure that is, and who failed."""
+    protocol = results.protocol
+    label = labels(list(results.values))
+    costs = {label[name]: values["cost"] for name, values in results.values.items()}
+    scenarios = f"{protocol.episodes} {protocol.split} scenarios of {protocol.suite} on the {protocol.profile.name}"
+    scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
+    failed = [
+        f"{label[name]} failed in {count} of {protocol.episodes}"
+        for name, reasons in results.failures.items()
+        if (count := sum(reason != "" for reason in reasons))
+    ]
+    failed += [
+        f"{label[name]} failed in {count} of {protocol.episodes} on {results.push_suite}"
+        for name, count in results.push_failures.items()
+        if count
+    ]
+    ending = f" Failures: {', '.join(failed)}." if failed else ""
+    ranking = sorted(costs, key=lambda name: float(costs[name].mean()))
+    best = ranking[0]
+    if len(ranking) == 1:
+        return f"{YARDSTICK} ran alone, at a cost of {costs[best].mean():.3g}, in {scenarios}.{ending}"
+    weights = draw_weights(protocol.episodes)
+    against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
+    text = f"{best} costs least in {scenarios}"
+    if best != YARDSTICK:
+        share = span_of(against)
+        text += f": {'practically' if share == EQUAL else f'{share} of'} what {YARDSTICK} costs"
+        text += _doubt(against, best, YARDSTICK)
+    if best == YARDSTICK or ranking[1] != YARDSTICK:
+        lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
+        times = span_of(lead)
+        times = "practically" if times == EQUAL else f"{times} times"
+        text += f". {ranking[1]} comes next, at {times} the cost of {best}"
+        text += _doubt(lead, ranking[1], best)
+    return f"{text}.{ending}"
+
+
+def in_words(summary: Summary) -> str:
+    """Return the comparison for the terminal: table, verdict, and what a reader has to know."""
+    remarks = list(summary["remarks"])
+    if not summary["yardstick"]["listed"]:
+        remarks.append(f"{YARDSTICK} was not asked for; it always runs, as the yardstick")
+    notes = "".join(f"Note: {remark}.\n" for remark in remarks)
+    return f"{table(summary)}\n\n{summary['verdict']}\n{notes}".rstrip()
+
+
+def table(summary: Summary) -> str:
+    """Return the comparison as aligned text: cost, its ratio to eq. 6 with interval, and the main metrics."""
+    header = [
+        "policy",
+        "cost",
+        "ratio to eq6 [95 %]",
+        "pos. ISE [deg2 s]",
+        "effort [deg2/s]",
+        "tens. ISE [N2 s]",
+        "rise [s] (risen)",
+        "rest [N m/rad]",
+        "push [deg]",
+        "failed",
+    ]
+    rows = [header]
+    for name, metrics in summary["policies"].items():
+        means = {metric: number(entry["mean"]) for metric, entry in metrics.items()}
+        rows.append(
+            [
+                summary["labels"][name],
+                means["cost"],
+                span(metrics["cost"]["ratio_to_eq6"]),
+                number(metrics["position_ise"]["mean"], 4),
+                means["effort"],
+                means["tension_ise"],
+                f"{means['rise_time']} ({risen(metrics)})",
+                means["resting_stiffness"],
+                means["push_deflection"],
+                f"{metrics['failed']['mean']:.0%}",
+            ]
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
+        lines.append("  ".join([row[0].ljust(widths[0]), *cells[1:]]))
+    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
+
+
+def span(ratio: Mapping[str, float | None]) -> str:
+    """Return a ratio with its interval, with as many digits as it takes to tell it from 1.
+
+    Parameters
+    ----------
+    ratio : mapping
+        ``"mean"``, ``"low"``, ``"high"``; None or NaN where there is none.
+
+    Returns
+    -------
+    str
+        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not tell it from 1.
+    """
+    values = [ratio[key] for key in ("mean", "low", "high")]
+    for digits in range(3, _MOST_DIGITS + 1):
+        mean, low, high = (number(value, digits) for value in values)
+        if values == [1.0] * 3 or any(float(text) != 1.0 for text in (mean, low, high) if text != "-"):
+            return mean if low == high == "-" else f"{mean} [{low}, {high}]"
+    return EQUAL if values[0] is not None and math.isfinite(values[0]) else "-"
+
+
+def risen(metrics: Mapping[str, Any]) -> str:
+    """Return the share of setpoint steps that reached their target: a time is a mean over those only."""
+    steps = metrics["setpoint_steps"]["mean"]
+    return f"{metrics['steps_risen']['mean'] / steps:.0%}" if steps else "no steps"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with so many significant digits, a dash if there is none; no exponent below a million."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    exponent = math.floor(math.log10(abs(value)))
+    if not -4 <= exponent < 6:
+        return f"{value:.{digits - 1}e}"
+    return f"{round(value, digits - 1 - exponent):.{max(digits - 1 - exponent, 0)}f}"
+
+
+def pretty(text: str) -> str:
+    """Return a text with numbers as people write them: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
+    text = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda match: f"×10{str(int(match[1])).translate(_SUPERSCRIPTS)}", text)
+    text = re.sub(r"\b(deg|N|m)2\b", r"\1²", text)
+    return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+
+
+def write_scenarios(results: Results, path: str | Path) -> None:
+    """Write one CSV row for each policy and scenario: seed, failure, and every metric (empty: not reached)."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(["policy", "scenario", "seed", "failure", *UNITS])
+    for name, metrics in results.values.items():
+        for i, failure in enumerate(results.failures[name]):
+            cells = ["" if math.isnan(metrics[metric][i]) else repr(float(metrics[metric][i])) for metric in UNITS]
+            writer.writerow([name, i, results.protocol.seed + i, failure, *cells])
+    write_text(path, buffer.getvalue())
+
+
+def _numbers(estimate: Estimate) -> dict[str, float | None]:
+    numbers = {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
+    return {key: value if math.isfinite(value) else None for key, value in numbers.items()}
+
+
+def span_of(ratio: Estimate) -> str:
+    """Return an estimated ratio in words, as `span` does."""
+    return span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
+
+
+def _doubt(ratio: Estimate, one: str, other: str) -> str:
+    if math.isnan(ratio.low):
+        return " (one scenario says nothing about the next)"
+    if ratio.low <= 1.0 <= ratio.high:
+        return f" (the interval includes 1: this comparison does not tell {one} and {other} apart)"
+    return ""

@@ -1,0 +1,1 @@
+"""Searches: laws in many scenarios at once, tuned laws, the clairvoyant reference."""

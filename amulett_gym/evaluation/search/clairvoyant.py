@@ -1,0 +1,479 @@
+"""The clairvoyant reference: per scenario, the best tension schedule that a search finds when it knows the future.
+
+It knows all: the setpoints and pushes to come, and the sensors' noise, since every trial replays the scenario with its
+own noise key. A schedule has one tension setpoint for each agent step, within the range of the default actions, and
+reaches it on a ramp, as actions do. So it bounds from below what any policy of the same environment can cost, as far as
+the search goes; what acts at control rate or with other gains (`eq6`, `position-only`) plays by other rules, and may
+cost less.
+
+With `Trials.redrawn` it knows all but chance (the *foresight* reference): a schedule is judged by its mean cost over
+several draws of the noise, none of them the scenario's own. What it then costs in the scenario itself tells how much of
+the clairvoyant's lead is foresight, and how much an answer to noise that nobody can foresee.
+
+The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
+them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
+random place, width and height, or as wide a window on another start's schedule. What a change does is over within a
+second or so; therefore each candidate has one change in every *segment* of time, and each change is judged by what its
+own segment then costs. The best changes of all segments together are the next schedules to try. Only what costs less as
+a whole is kept.
+
+``python -m amulett_gym.evaluation.search.clairvoyant --suite steps --episodes 50 --out DIR`` searches and tells
+how it stands beside the contenders.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import Protocol, load_contender
+from amulett_gym.evaluation.search.trials import Actions, Trials, held, scheduled
+from amulett_gym.laws.actor import TENSION_SETPOINT
+from amulett_gym.laws.contenders import CONSTANT, parse_contender
+from amulett_gym.laws.policies import action_to_tension, tension_to_action
+from amulett_gym.profile import load_profile
+from amulett_gym.storage.reading import read_arrays
+from amulett_gym.storage.writing import atomic_path
+
+VERSION = 2
+"""Of the search: one more whenever the same settings would find other schedules."""
+
+CONSTANTS = tuple(float(tension) for tension in range(4, 16))
+"""Constant tensions to start from [N]."""
+
+LAWS = ("eq6-held", "eq6-held-printed")
+"""Laws whose schedules are starts, beside those that the caller names."""
+
+
+SUCCESS = 0.15
+"""Share of changes that help at which their height stays as it is: fewer, and it falls."""
+
+Values = NDArray[np.float64]
+Devices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the search.
+
+    Attributes
+    ----------
+    rounds : int
+    shortest, longest : float
+        Between which the rise, the plateau and the fall of a change last [s].
+    segment : float
+        Length of a segment of time with one change [s].
+    """
+
+    rounds: int
+    shortest: float
+    longest: float
+    segment: float
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard to search.
+
+    Attributes
+    ----------
+    stages : tuple of Stage
+        From coarse to fine.
+    restarts : int
+        Schedules of a scenario that are improved, from as many of its best starts.
+    candidates : int
+        Candidates of a round, for each of them.
+    height : float
+        Standard deviation of the first changes' heights [N].
+    seed : int
+    """
+
+    stages: tuple[Stage, ...] = (
+        Stage(40, 0.06, 0.6, 2.0),
+        Stage(40, 0.02, 0.3, 1.2),
+        Stage(40, 0.02, 0.12, 0.8),
+    )
+    restarts: int = 2
+    candidates: int = 24
+    height: float = 1.5
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What was found.
+
+    Attributes
+    ----------
+    costs : ndarray, shape (S,)
+        Of the best schedule of each scenario; minus its return.
+    actions : ndarray of float32, shape (S, steps)
+        That schedule, as actions of the default range.
+    restarts : ndarray, shape (restarts, S)
+        Cost that the search from each start came to.
+    starts : dict of str to ndarray, shape (S,)
+        Cost of each schedule to start from.
+    curve : ndarray, shape (rounds + 1, 2)
+        Episodes simulated for a scenario so far, and the mean cost then.
+    """
+
+    costs: Values
+    actions: Actions
+    restarts: Values
+    starts: dict[str, Values]
+    curve: Values
+
+    @property
+    def tensions(self) -> Values:
+        """The schedules as tension setpoints [N], shape (S, steps)."""
+        return action_to_tension(self.actions, TENSION_RANGE)
+
+
+def clairvoyant(
+    trials: Trials,
+    effort: Effort = Effort(),
+    laws: Sequence[str] = (),
+    folder: str | Path | None = None,
+    block: int = 25,
+    report: Callable[[int, int], None] = lambda done, count: None,
+) -> Reference:
+    """Search for each scenario's best schedule.
+
+    Parameters
+    ----------
+    trials : Trials
+        Of several draws of each scenario, costs are their means.
+    effort : Effort
+    laws : sequence of str
+        Contenders (names or folders) that act from outside the loop, beside `LAWS` and `CONSTANTS`: their schedules are
+        starts, too.
+    folder : str or Path, optional
+        Where what was found is kept, and found again if nothing has changed: scenarios, device, costs, starts, effort.
+    block : int
+        Scenarios that are searched at once, and kept in one file.
+    report : callable
+        Called with the number of scenarios that are done, and that of all.
+
+    Raises
+    ------
+    AmulettError
+        If a contender is unknown or acts in the loop, or a file cannot be read or written.
+    """
+    found = []
+    count = len(trials.rows) // trials.draws
+    schedules = start_schedules(trials, laws)
+    for first in range(0, count, block):
+        scenarios = np.arange(first, min(first + block, count))
+        own = {name: actions[scenarios] for name, actions in schedules.items()}
+        found.append(_kept(trials, scenarios, own, effort, folder))
+        report(int(scenarios[-1]) + 1, count)
+    shares = np.array([part.costs.size for part in found]) / count
+    return Reference(
+        costs=np.concatenate([part.costs for part in found]),
+        actions=np.concatenate([part.actions for part in found]),
+        restarts=np.concatenate([part.restarts for part in found], axis=1),
+        starts={name: np.concatenate([part.starts[name] for part in found]) for name in found[0].starts},
+        curve=np.tensordot(shares, np.array([part.curve for part in found]), axes=1),
+    )
+
+
+def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actions]:
+    """Return the schedules that the constants and laws come to in each scenario's first draw, shape (S, steps)."""
+    count = len(trials.rows) // trials.draws
+    schedules = {}
+    for tension in CONSTANTS:
+        action = tension_to_action(np.array(tension), TENSION_RANGE).astype(np.float32)
+        schedules[f"{CONSTANT}{tension:g}"] = np.full((count, trials.steps), action)
+    for name in dict.fromkeys([*LAWS, *laws]):
+        if name not in schedules:
+            schedules[name] = _followed(trials, name)[:: trials.draws]
+    return schedules
+
+
+def replay(trials: Trials, actions: Actions) -> Values:
+    """Return what a schedule for each scenario costs there, the mean over its draws, shape (S,)."""
+    return _play(trials, np.arange(len(actions)), actions[:, None])[:, 0].sum(axis=1)
+
+
+def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort) -> Reference:
+    """Search for the best schedules of some scenarios, whose starts have the shape (len(scenarios), steps)."""
+    rng = np.random.default_rng(effort.seed)
+    names, donors = list(starts), np.array(list(starts.values()))
+    own = np.tile(scenarios, len(names))
+    traces = _play(trials, own, donors.reshape(own.size, 1, -1))[:, 0]
+    start_costs = traces.sum(axis=1).reshape(len(names), scenarios.size)
+    order = np.argsort(start_costs, axis=0, kind="stable")[: effort.restarts]
+    chosen = (order * scenarios.size + np.arange(scenarios.size)).reshape(-1)
+    state = _State(
+        scenarios=np.tile(scenarios, len(order)),
+        actions=donors.reshape(own.size, -1)[chosen].astype(np.float64),
+        traces=traces[chosen],
+        donors=np.tile(donors, (1, len(order), 1)).astype(np.float64),
+        heights=np.full(chosen.size, 2.0 * effort.height / (TENSION_RANGE[1] - TENSION_RANGE[0])),
+    )
+    episodes = len(names)
+    shape = len(order), scenarios.size
+    curve = [[episodes, state.costs().reshape(shape).min(axis=0).mean()]]
+    for stage in effort.stages:
+        for _ in range(stage.rounds):
+            episodes += len(order) * _round(trials, state, stage, effort.candidates, rng)
+            curve.append([episodes, state.costs().reshape(shape).min(axis=0).mean()])
+    costs = state.costs().reshape(shape)
+    best = costs.argmin(axis=0)
+    actions = state.actions.reshape(*shape, -1)[best, np.arange(scenarios.size)].astype(np.float32)
+    return Reference(
+        costs=costs.min(axis=0),
+        actions=actions,
+        restarts=costs,
+        starts=dict(zip(names, start_costs, strict=True)),
+        curve=np.array(curve),
+    )
+
+
+@dataclass
+class _State:
+    """The schedules as they are now, one a row: N of them.
+
+    `actions` and `traces` (what each agent step costs) have the shape (N, steps), `donors` (K, N, steps).
+    """
+
+    scenarios: Devices
+    actions: Values
+    traces: Values
+    donors: Values
+    heights: Values
+
+    def costs(self) -> Values:
+        """Return what each schedule costs, shape (N,)."""
+        return self.traces.sum(axis=1)
+
+
+def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np.random.Generator) -> int:
+    """Try changes of all schedules, keep what costs less as a whole, and return the episodes tried for each."""
+    period = trials.protocol.agent_period
+    count, steps = state.actions.shape
+    length = max(round(stage.segment / period), 2)
+    offset = int(rng.integers(length))
+    segment = (np.arange(steps) + offset) // length
+    bounds = np.flatnonzero(np.diff(segment, prepend=-1))
+    window = _windows(steps, segment, offset, length, (count, candidates), stage, period, rng)
+    # Every third candidate goes towards another start's schedule, the others up or down.
+    height = state.heights[:, None, None] * rng.normal(size=(count, candidates, bounds.size))
+    changes = window * height[:, :, segment]
+    crossed = np.arange(0, candidates, 3)
+    donor = rng.integers(len(state.donors), size=(count, crossed.size, bounds.size))
+    given = state.donors[donor[:, :, segment], np.arange(count)[:, None, None], np.arange(steps)]
+    share = rng.uniform(size=(count, crossed.size, bounds.size))
+    changes[:, crossed] = window[:, crossed] * share[:, :, segment] * (given - state.actions[:, None])
+    tried = np.clip(state.actions[:, None] + changes, -1.0, 1.0)
+    traces = _play(trials, state.scenarios, tried)
+    gains = np.add.reduceat(state.traces[:, None] - traces, bounds, axis=2)  # (count, candidates, segments)
+    blind = np.delete(gains, crossed, axis=1) if candidates > crossed.size else gains
+    state.heights *= np.exp((np.mean(blind > 0.0, axis=(1, 2)) - SUCCESS) / 2.0)
+    np.clip(state.heights, 0.002, 0.5, out=state.heights)
+    together = np.clip(state.actions[:, None] + _combined(changes, gains, segment), -1.0, 1.0)
+    tried, traces = (
+        np.concatenate([tried, together], axis=1),
+        np.concatenate([traces, _play(trials, state.scenarios, together)], axis=1),
+    )
+    best, rows = traces.sum(axis=2).argmin(axis=1), np.arange(count)
+    better = traces[rows, best].sum(axis=1) < state.costs()
+    state.actions[better] = tried[rows, best][better]
+    state.traces[better] = traces[rows, best][better]
+    return tried.shape[1]
+
+
+def _windows(
+    steps: int,
+    segment: Devices,
+    offset: int,
+    length: int,
+    shape: tuple[int, int],
+    stage: Stage,
+    period: float,
+    rng: np.random.Generator,
+) -> Values:
+    """Return trapezoids of height 1, one in each segment, shape (*shape, steps)."""
+    segments = int(segment[-1]) + 1
+
+    def duration() -> Values:
+        shortest, longest = np.log(stage.shortest / period), np.log(stage.longest / period)
+        return np.exp(rng.uniform(shortest, longest, size=(*shape, segments)))[:, :, segment]
+
+    rise, hold, fall = duration(), duration(), duration()
+    begin = (rng.uniform(-0.25, 0.75, size=(*shape, segments)) * length)[:, :, segment]
+    since = np.arange(steps) + offset - length * segment - begin
+    return np.clip(np.minimum((since + 1.0) / rise, (rise + hold + fall - since) / fall), 0.0, 1.0)
+
+
+def _combined(changes: Values, gains: Values, segment: Devices) -> Values:
+    """Return schedules' changes put together from what was tried, segment by segment, shape (count, 6, steps).
+
+    The best of each segment; those of every other segment, in two halves, if neighbours spoil one another's gain; and
+    the mean of all, weighted by how much more than the average they gained, in which what is chance cancels: a step
+    along the estimated gradient, in three lengths.
+    """
+    count, candidates, _ = gains.shape
+    rows, steps = np.arange(count)[:, None], np.arange(segment.size)
+    best = gains.argmax(axis=1)
+    helps = np.take_along_axis(gains, best[:, None], axis=1)[:, 0] > 0.0
+    chosen = changes[rows, best[:, segment], steps] * helps[:, segment]
+    even = segment % 2 == 0
+    weights = gains - gains.mean(axis=1, keepdims=True)
+    weights /= np.maximum(np.abs(weights).sum(axis=1, keepdims=True), 1e-300)
+    slope = np.zeros_like(chosen)
+    for k in range(candidates):
+        slope += weights[:, k][:, segment] * changes[:, k]
+    return np.stack([chosen, np.where(even, chosen, 0.0), np.where(even, 0.0, chosen), slope, 3 * slope, 9 * slope], 1)
+
+
+def _play(trials: Trials, scenarios: Devices, actions: NDArray[np.floating[Any]]) -> Values:
+    """Return what each step of each schedule costs, shape as `actions`: (scenarios, tried, steps)."""
+    count, tried, steps = actions.shape
+    rows = _rows(trials, np.repeat(scenarios, tried))
+    flat = np.repeat(actions.reshape(-1, steps).astype(np.float32), trials.draws, axis=0)
+    costs = trials.play(rows, scheduled(flat)).T.reshape(count, tried, trials.draws, steps)
+    return np.ascontiguousarray(costs.mean(axis=2))
+
+
+def _rows(trials: Trials, scenarios: Devices) -> Devices:
+    """Return all rows of some scenarios, those of one after the other's."""
+    return (scenarios[:, None] * trials.draws + np.arange(trials.draws)).reshape(-1)
+
+
+def _followed(trials: Trials, name: str) -> Actions:
+    """Return the actions that a law or policy chooses in each scenario, shape (S, steps)."""
+    contender = parse_contender(name)
+    if contender.policy_name is None:
+        raise AmulettError(f"'{name}' acts inside the loop and has no schedule at agent rate; it cannot be a start")
+    keywords = {**trials.protocol.keywords(contender), "action_range": TENSION_RANGE}  # what the trials' actions mean
+    env = gym.make(ENV_IDS[1], disable_env_checker=True, **keywords)
+    policy = load_contender(contender, env)
+    hold = keywords["agent_period"] / trials.protocol.agent_period
+    if not math.isclose(hold, round(hold), rel_tol=1e-9):
+        raise AmulettError(
+            f"'{name}' acts every {keywords['agent_period']} s, which is no multiple of the schedules' "
+            f"{trials.protocol.agent_period} s; it cannot be a start"
+        )
+    steps: list[Actions] = []
+    last, wanted = np.zeros((2, len(trials.rows)), dtype=np.float32)
+
+    def choose(step: int, observations: NDArray[np.float32]) -> Actions:
+        nonlocal last, wanted
+        turn = step % round(hold)
+        if turn == 0:
+            last, wanted = observations[:, TENSION_SETPOINT], np.clip(policy(observations)[:, 0], -1.0, 1.0)
+        # A ramp over the law's own period is one over each of the steps in it.
+        left = 1.0 - (turn + 1) / round(hold)
+        steps.append((wanted + (last - wanted) * left).astype(np.float32))
+        return steps[-1]
+
+    trials.play(np.arange(len(trials.rows)), choose)
+    env.close()
+    return np.array(steps).T
+
+
+def _kept(
+    trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort, folder: str | Path | None
+) -> Reference:
+    """Read what was found for these scenarios, or search for it and keep it."""
+    if folder is None:
+        return improve(trials, scenarios, starts, effort)
+    content = hashlib.sha256(json.dumps([VERSION, asdict(effort), list(starts)]).encode())
+    content.update(trials.digest(_rows(trials, scenarios)).encode())
+    for actions in starts.values():
+        content.update(np.ascontiguousarray(actions).tobytes())
+    digest = content.hexdigest()
+    protocol = trials.protocol
+    place = f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
+    path = Path(folder) / protocol.profile.name / place
+    found = _read(path, digest)
+    if found is None:
+        found = improve(trials, scenarios, starts, effort)
+        _write(path, digest, found)
+    return found
+
+
+def _write(path: Path, digest: str, found: Reference) -> None:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            sha256=np.array(digest),
+            names=np.array(list(found.starts)),
+            starts=np.array(list(found.starts.values())),
+            **{key: getattr(found, key) for key in ("costs", "actions", "restarts", "curve")},
+        )
+
+
+def _read(path: Path, digest: str) -> Reference | None:
+    """Return what a file holds, None if it is not there or was found for something else."""
+    if not path.exists():
+        return None
+    try:
+        arrays = read_arrays(path, "schedules")
+        if str(arrays["sha256"]) != digest:
+            return None
+        return Reference(
+            starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
+            **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise AmulettError(f"cannot read clairvoyant schedules '{path}': {error}; delete it to search again") from error
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Search by the command line's words, and tell the mean costs of contenders and reference."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--suite", nargs="+", default=["steps"])
+    parser.add_argument("--split", default="held-out")
+    parser.add_argument("--profile", default="testbed")
+    parser.add_argument("--episodes", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i")
+    parser.add_argument("--policies", nargs="*", default=[], metavar="NAME", help="whose schedules are starts, too")
+    parser.add_argument("--out", metavar="DIR", help="what is found is kept there, and not searched for again")
+    arguments = parser.parse_args(argv)
+    for suite in arguments.suite:
+        protocol = Protocol(
+            load_profile(arguments.profile), suite, arguments.split, episodes=arguments.episodes, seed=arguments.seed
+        )
+        found = clairvoyant(Trials(protocol), laws=arguments.policies, folder=arguments.out)
+        print(f"\n{suite}, {arguments.split}, {arguments.episodes} scenarios from seed {arguments.seed}: mean cost")
+        for name, cost in _mean_costs(protocol, found).items():
+            print(f"  {name:44} {cost:.4f}", flush=True)
+        print("  found after so many episodes a scenario:")
+        for episodes, cost in found.curve[:: max(len(found.curve) // 12, 1)]:
+            print(f"    {episodes:6.0f} {cost:.4f}")
+
+
+def _mean_costs(protocol: Protocol, found: Reference) -> dict[str, float]:
+    """Return the mean costs of what acts in the loop, of the starts, and of what was found, by name."""
+    every, action = np.arange(protocol.episodes), held(np.full(protocol.episodes, 10.0))
+    constants = {name: costs.mean() for name, costs in found.starts.items() if name.startswith(CONSTANT)}
+    best = min(constants, key=lambda name: constants[name])
+    named = {
+        "position-only (in the loop)": Trials(protocol, control="position-only").play(every, action).sum(axis=0).mean(),
+        "eq6 (in the loop)": Trials(protocol, tension_law="eq6").play(every, action).sum(axis=0).mean(),
+        f"best constant here ({best})": constants[best],
+    }
+    named |= {name: costs.mean() for name, costs in found.starts.items() if name not in constants}
+    named["best start of each scenario"] = np.min(list(found.starts.values()), axis=0).mean()
+    named |= {f"clairvoyant, search {k + 1} alone": costs.mean() for k, costs in enumerate(found.restarts)}
+    named["clairvoyant"] = found.costs.mean()
+    return {name: float(cost) for name, cost in named.items()}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""How the equations are compiled: strict IEEE float64, cached on disk, the same bits on every call.
+
+No fast math and no contraction, so that a result depends neither on the batch size nor on the position in the batch.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+# Intel's vector library, if numba finds it, rounds an exp in a SIMD lane otherwise than one alone.
+os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
+
+import numba
+
+try:
+    from amulett_gym.jit.code_cache import keep_code
+except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
+
+    def keep_code(function: Any) -> None:
+        """Keep the code where numba does."""
+        function.enable_caching()
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _no_alias() -> dict[str, bool]:
+    """Return the option that says that a function's arguments do not overlap, or none if this numba cannot say it.
+
+    numba has the flag, for its own parallel loops, but no option that sets it: this adds one.
+    """
+    try:
+        from numba.core.compiler import Flags
+        from numba.core.cpu import CPUTargetOptions
+
+        if "noalias" not in Flags.options:
+            return {}
+        CPUTargetOptions.noalias = CPUTargetOptions.Mapping("noalias")
+    except (ImportError, AttributeError):
+        return {}
+    return {"noalias": True}
+
+
+_NO_ALIAS = _no_alias()
+
+
+if numba.config.USING_SVML:
+    warnings.warn(
+        "numba was imported before amulett_gym and uses Intel's SVML: the last digits of results may depend on the "
+        "batch size; set NUMBA_DISABLE_INTEL_SVML=1 or import amulett_gym first",
+        stacklevel=2,
+    )
+
+
+def compiled(function: F) -> F:
+    """Compile `function` with numba on first use (strict floating point, division by zero gives inf or NaN).
+
+    Small functions called from a tick are inlined: as calls they cost a tenth of the kernel's time.
+    """
+    return _compiled(function, forceinline=True)
+
+
+def compiled_in_place(function: F) -> F:
+    """Compile a long function within each of its callers, as if it were written there, and never by itself.
+
+    Whatever is compiled by itself is optimised once more within its caller: on the way from an environment's step to a
+    tick, that would be three times.
+    """
+    return _compiled(function, inline="always")
+
+
+def compiled_lanes(function: F) -> F:
+    """Compile a loop over the lanes of a block, whose arguments never overlap in memory.
+
+    Told so, the compiler need not fear that what it writes for one lane changes what it reads for the next, and works
+    on several at once. Where numba cannot be told, all results are the same and take longer.
+    """
+    return _compiled(function, **_NO_ALIAS)
+
+
+def _compiled(function: F, **options: bool | str) -> F:
+    # Nobody calls the functions from C: without the wrappers for it, all of them compile a little sooner.
+    dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function)
+    if not numba.config.DISABLE_JIT:
+        keep_code(dispatcher)
+    return dispatcher

@@ -1,0 +1,299 @@
+"""One validated description of the device and its loop: the *profile*.
+
+A profile is a YAML file (or a dict) of groups; every key is typed, range-checked and carries its unit. Lengths, masses
+and forces are in SI; angles are in degrees where the key says ``_deg``, and become radians in
+:mod:`amulett_gym.simulation.layout`. A profile may name a `base` profile and give only what differs from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.settings import Group, Sourced, describe, merge
+from amulett_gym.storage.safe_yaml import read_yaml
+
+Positive = Annotated[float, Field(gt=0)]
+Gain = Annotated[float, Field(ge=0, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0)]
+Seconds = Annotated[float, Field(ge=0, le=100)]
+Degrees = Annotated[float, Field(ge=0, le=180)]
+LEAST_INERTIA = 1e-9
+"""Of an arm [kg m2]: a gram at 1 mm."""
+
+MOST_TENSION = 1e6
+"""Largest string tension that can be asked for [N]; the square of one without bound, a metric, would be no number."""
+
+STABLE_STEP = 2.5
+"""Time constants, or radians of a swing, that an integration step may cover; Runge-Kutta is stable up to 2.78."""
+
+
+class PointMass(Group):
+    """One of the N masses of eqs. 2-3."""
+
+    mass: float = Field(ge=0, le=20, description="m_i [kg]")
+    arm: float = Field(ge=0, le=1, description="l_i, lever arm about the joint [m]")
+
+
+class Plant(Sourced):
+    """The arm and its pulleys (eqs. 1-5)."""
+
+    masses: list[PointMass] = Field(min_length=1, max_length=100, description="m_i and l_i of eqs. 2-3")
+    orientation: Literal["horizontal", "vertical"] = Field(
+        description="plane in which the forearm swings; in the horizontal one gravity does no work"
+    )
+    drive_pulley_radius: float = Field(ge=1e-4, le=0.2, description="R_1 [m]")
+    joint_pulley_radius: float = Field(ge=1e-4, le=0.2, description="R_2 [m]")
+    angle_limit_deg: float = Field(gt=0, le=180, description="the device fails beyond +- this joint angle [deg]")
+    velocity_limit_deg: float = Field(gt=0, le=100_000, description="the device fails beyond +- this rate [deg/s]")
+
+    @model_validator(mode="after")
+    def _check_inertia(self) -> Plant:
+        if not any(item.mass * item.arm**2 >= LEAST_INERTIA for item in self.masses):
+            raise ValueError(
+                f"masses give no inertia; at least one needs {LEAST_INERTIA} kg m2 (mass times arm squared) or more"
+            )
+        return self
+
+
+class Spring(Sourced):
+    """The non-linear spring assembly in each string (Figure 5a), or a measured curve in its place."""
+
+    stiffness: float = Field(ge=1e-3, le=1e7, description="stiffness of each of the two linear springs [N/m]")
+    half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
+    free_length: float = Field(ge=0, le=10, description="length of an unloaded linear spring [m], at most half_width")
+    max_deflection: float = Field(
+        ge=1e-6, le=10, description="string deflection at which the table ends [m]; force is held beyond"
+    )
+    measured_curve: str | None = Field(
+        default=None, description="CSV file that replaces the geometric model (see model.spring.read_curve)"
+    )
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> Spring:
+        if self.free_length > self.half_width:
+            raise ValueError(
+                f"free_length is {self.free_length} m; it has to be at most half_width, {self.half_width} m, "
+                "or the springs would push the string out of its axis"
+            )
+        if self.half_width > 100 * self.max_deflection:
+            raise ValueError(
+                f"half_width is {self.half_width} m; it has to be at most 100 times max_deflection, "
+                f"{self.max_deflection} m, or the sliders would hardly move"
+            )
+        return self
+
+
+class Damping(Sourced):
+    """The preload-dependent decay rate of Figure 3, ``a exp(b (x + c)) + d``, clipped at zero."""
+
+    fit: Literal["shifted", "printed"] = Field(
+        description="shifted: a exp(b (x + c)) + d, as Figure 3 shows; printed: a exp(b x + c) + d, as its caption says"
+    )
+    a: float = Field(ge=-1e6, le=0, description="[1/s]; not positive: friction grows with preload")
+    b: float = Field(ge=-10, lt=0, description="[1/N]")
+    c: float = Field(ge=-50, le=50, description="[N] if shifted, dimensionless [1] if printed")
+    d: float = Field(ge=0, le=1e6, description="decay rate at large preload [1/s]")
+    preload: Literal["mean", "smaller"] = Field(description="which of the two true string forces is the preload x")
+    keeps: Literal["torque", "rate"] = Field(
+        description="what stays the same when a payload changes the inertia: the damping torque, or the decay rate"
+    )
+
+
+class Drives(Sourced):
+    """Both motors."""
+
+    lag: Seconds = Field(
+        description="time constant of the motor position [s], 0.4 integration steps or more; 0: it follows at once"
+    )
+    rate_limit_deg: float | None = Field(
+        default=None, gt=0, le=1e6, description="largest motor speed [deg/s]; null: none"
+    )
+    command_limit_deg: float | None = Field(
+        default=None, gt=0, le=1e6, description="largest |command| [deg]; null: none"
+    )
+
+
+class Sensors(Sourced):
+    """Joint encoder and the potentiometers on the linear springs."""
+
+    encoder_bits: int = Field(ge=0, le=32, description="resolution of a revolution [bit]; 0: exact")
+    encoder_noise_deg: Degrees = Field(description="standard deviation [deg]")
+    potentiometer_bits: int = Field(ge=0, le=32, description="resolution of the travel [bit]; 0: exact")
+    potentiometer_travel: float = Field(ge=1e-6, le=1, description="travel of the slider [m]")
+    potentiometer_noise: float = Field(ge=0, le=1, description="standard deviation [m]")
+    force_filter: Seconds = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
+    force_floor: float = Field(ge=0, le=1e6, description="forces estimated below this are not trusted [N]; 0: all are")
+    below_floor: Literal["clamp", "hold", "ignore"] = Field(
+        description="clamp: report the floor; hold: repeat the last trusted value; ignore: report the raw estimate, "
+        "but let the tension controller see no error"
+    )
+
+
+class Pid(Group):
+    """Gains of one PID controller. Position: deg/deg. Tension: deg/N."""
+
+    kp: Gain = Field(description="proportional gain [1], or [deg/N] of tension")
+    ki: Gain = Field(description="integral gain [1/s], or [deg/(N s)]")
+    kd: Gain = Field(description="derivative gain [s], or [deg s/N]")
+    derivative_filter: Seconds = Field(description="time constant of the derivative's filter [s]; 0: none")
+    derivative_on: Literal["error", "measurement"] = Field(
+        default="error", description="what is differentiated; by the measurement, setpoint steps do not kick"
+    )
+
+
+class Loop(Sourced):
+    """The decentralised loop of section 2.2."""
+
+    control_period: float = Field(ge=1e-6, le=0.1, description="time between two control ticks [s]")
+    substeps: int = Field(ge=1, le=1000, description="integration steps in a control period [1]")
+    position: Pid = Field(description="joint position controller")
+    tension: Pid = Field(description="string tension controller")
+    position_only: Pid = Field(description="joint position controller used without the tension controller")
+    offset_deg: float = Field(ge=0, le=180, description="co-contraction of each drive in position-only control [deg]")
+    wiring: Literal["sum", "tension_only"] = Field(
+        description="the antagonist follows position plus tension controller, or the tension controller alone"
+    )
+    agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or one drive throughout")
+    switch_filter: Seconds = Field(
+        description="time constant of the low-pass over the difference of both springs' deflections [s]; 0: none"
+    )
+    switch_hysteresis: float = Field(
+        ge=0,
+        le=1,
+        description="the other spring has to be deflected this much more than the agonist's before they switch [m]",
+    )
+    tie_width: float = Field(ge=0, le=1, description="spring deflections closer than this are equal [m]")
+    tie_error_deg: Degrees = Field(
+        description="at equal deflections the desired motion decides, if the error is at least this [deg]"
+    )
+    velocity_filter: float = Field(ge=1e-6, le=100, description="time constant of the measured joint velocity [s]")
+
+    @model_validator(mode="after")
+    def _check_hysteresis(self) -> Loop:
+        if self.tie_width > self.switch_hysteresis:
+            raise ValueError(
+                f"tie_width is {self.tie_width} m; it has to be at most switch_hysteresis, {self.switch_hysteresis} m"
+            )
+        return self
+
+
+class VariableStiffness(Sourced):
+    """Parameters of eq. 6 (Figure 6)."""
+
+    nominal_tension: float = Field(ge=1e-3, le=MOST_TENSION, description="sigma, desired string tension [N]")
+    minimum_tension: float = Field(
+        ge=1e-3, le=MOST_TENSION, description="sigma_min, minimum desired string tension [N]"
+    )
+    error_offset_deg: float = Field(
+        ge=1e-3, le=360, description="d_offset, error at which the factor is smallest [deg]"
+    )
+
+    @model_validator(mode="after")
+    def _check_order(self) -> VariableStiffness:
+        if self.minimum_tension > self.nominal_tension:
+            raise ValueError(
+                f"minimum_tension is {self.minimum_tension} N; it has to be at most nominal_tension, "
+                f"{self.nominal_tension} N"
+            )
+        return self
+
+
+class Profile(Group):
+    """A device with its loop: everything the simulation has to know that is not part of a scenario."""
+
+    name: str = Field(min_length=1, max_length=200, description="of the device, in reports")
+    base: str | None = Field(default=None, description="the shipped profile this one started from")
+    description: str = Field(default="", description="a line for `amulett list`")
+    plant: Plant = Field(description="arm and pulleys")
+    spring: Spring = Field(description="spring assembly in each string")
+    damping: Damping = Field(description="decay rate by preload")
+    drives: Drives = Field(description="both motors")
+    sensors: Sensors = Field(description="encoder and potentiometers")
+    loop: Loop = Field(description="controllers and their switching")
+    variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
+
+    @model_validator(mode="after")
+    def _check_lag(self) -> Profile:
+        step = self.loop.control_period / self.loop.substeps
+        if 0 < self.drives.lag < step / STABLE_STEP:
+            raise ValueError(
+                f"drives.lag is {self.drives.lag} s; with integration steps of {step:g} s (loop.control_period over "
+                f"loop.substeps) it has to be 0, or at least {step / STABLE_STEP:g} s"
+            )
+        return self
+
+    @property
+    def root(self) -> str:
+        """Name of the shipped profile behind this one; its reward divisors apply."""
+        return self.name if self.base is None or self.name in profile_names() else self.base
+
+
+def profile_names() -> list[str]:
+    """Return the names of the shipped profiles."""
+    folder = resources.files("amulett_gym") / "profiles"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
+    """Read and validate a profile.
+
+    Parameters
+    ----------
+    profile : str, Path, mapping or Profile
+        A shipped profile's name (``"simulation"``, ``"testbed"``), a YAML file, or the content of one. A mapping may
+        name a ``base`` profile and hold only the keys that differ.
+
+    Returns
+    -------
+    Profile
+
+    Raises
+    ------
+    AmulettError
+        If the name or file is unknown, a key is unknown, or a value is out of its range.
+    """
+    if isinstance(profile, Profile):
+        return profile
+    if isinstance(profile, Mapping):
+        return _validate(profile, "profile")
+    if str(profile) in profile_names():
+        return _validate(_shipped(str(profile)), f"profile '{profile}'")
+    if not isinstance(profile, str | Path):
+        raise AmulettError(f"profile is {profile!r}; it has to be a name, a YAML file or a mapping")
+    path = Path(profile)
+    if path.suffix not in (".yaml", ".yml"):
+        raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
+    content = read_yaml(path, "profile")
+    measured = content.get("spring", {}).get("measured_curve") if isinstance(content.get("spring"), dict) else None
+    if isinstance(measured, str):  # relative to the file that names it, not to where the user happens to be
+        content["spring"]["measured_curve"] = str(path.parent / measured)
+    return _validate(content, f"profile '{path}'")
+
+
+@cache  # reading YAML takes longer than simulating a step response; nobody changes what is returned
+def _shipped(name: str) -> dict[str, Any]:
+    with resources.as_file(resources.files("amulett_gym") / "profiles" / f"{name}.yaml") as path:
+        return read_yaml(path, "profile")
+
+
+def _resolve_base(content: Mapping[str, Any]) -> dict[str, Any]:
+    base = content.get("base")
+    if base is None:
+        return dict(content)
+    if base not in profile_names():
+        raise unknown("base profile", str(base), profile_names())
+    return merge(_resolve_base(_shipped(base)), content)
+
+
+def _validate(content: Mapping[str, Any], what: str) -> Profile:
+    try:
+        return Profile.model_validate(_resolve_base(content))
+    except ValidationError as error:
+        raise describe(error, Profile, what) from error

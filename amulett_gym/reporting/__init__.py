@@ -1,0 +1,1 @@
+"""Tables, words, pages, documents and the style of figures."""

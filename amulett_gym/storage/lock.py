@@ -1,0 +1,132 @@
+"""A lock on a folder, which the system takes from a process that dies."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    pass
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+
+LOCK = ".lock"
+"""Name of the file by which a command keeps a folder to itself."""
+
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
+
+
+@contextmanager
+def locked_folder(path: str | Path) -> Iterator[None]:
+    """Keep a folder to this process during the block, by a lock on the file ``.lock`` in it.
+
+    The system takes the lock from a process that dies, however it dies, so a file that is left behind locks nobody out.
+    Where the file system knows no locks, the owner that the file names is looked for: on this computer, whether the
+    process lives; on another one it is taken to.
+
+    Parameters
+    ----------
+    path : str or Path
+        An existing folder.
+
+    Raises
+    ------
+    AmulettError
+        If another process, or this one, has the folder already: with the owner's process id, host and start; or if the
+        file cannot be written.
+    """
+    lock = Path(path) / LOCK
+    try:
+        handle = _open_lock(lock)
+    except OSError as error:
+        raise AmulettError(f"cannot lock the folder '{path}': {error.strerror or error}") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            lock.unlink()
+        os.close(handle)
+
+
+def _open_lock(lock: Path) -> int:
+    """Return the handle of the lock file, locked and with this process as the owner in it."""
+    while True:
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            if _is_owned(handle):
+                raise AmulettError(f"'{lock.parent}' is in use by {_owner(handle)}; choose another folder, or wait")
+            # Whoever had it may have deleted the file just now: then the next one would lock another file.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), lock.stat()):
+                    _write_owner(handle)
+                    return handle
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)
+
+
+def _is_owned(handle: int) -> bool:
+    """Lock a lock file, and tell whether somebody else has it."""
+    try:
+        if fcntl is None:
+            raise OSError(errno.ENOSYS, "no locks")
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise
+        owner = _read_owner(handle)
+        return bool(owner) and (owner.get("host") != socket.gethostname() or _is_alive(owner.get("pid")))
+    return False
+
+
+def _write_owner(handle: int) -> None:
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    os.ftruncate(handle, 0)
+    os.lseek(handle, 0, os.SEEK_SET)
+    os.write(handle, json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "started": now}).encode())
+
+
+def _read_owner(handle: int) -> dict[str, Any]:
+    os.lseek(handle, 0, os.SEEK_SET)
+    try:
+        owner = json.loads(os.read(handle, 1000))
+    except ValueError:
+        return {}
+    return owner if isinstance(owner, dict) else {}
+
+
+def _owner(handle: int) -> str:
+    owner = _read_owner(handle)
+    if not owner:  # it has locked the file, and not written to it yet
+        return "another process"
+    return f"process {owner.get('pid')} on {owner.get('host')}, since {owner.get('started')}"
+
+
+def _is_alive(pid: Any) -> bool:
+    if not isinstance(pid, int) or pid <= 0:
+        return False
+    if os.name == "nt":  # there, signal 0 is Ctrl-C
+        return True
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True

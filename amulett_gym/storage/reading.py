@@ -1,0 +1,166 @@
+"""Files that are read may come from strangers: size and depth are limited, and only ordinary files are opened."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import stat
+import zipfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+MAX_DEPTH = 32
+"""Levels of lists and mappings in a file that is read; no file of ours has more than ten."""
+
+MAX_DIGITS = 100
+"""Digits of an integer in such a file."""
+
+
+def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool = True) -> bytes:
+    """Read an ordinary file; a pipe or a device might never end.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    what : str
+        What the file holds, for the error message.
+    limit : int
+        Largest size accepted, in bytes.
+    follow : bool
+        Whether `path` may be a symbolic link.
+
+    Raises
+    ------
+    AmulettError
+        If the file is missing, unreadable, no ordinary one or larger than `limit`.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0) | (0 if follow else getattr(os, "O_NOFOLLOW", 0)))
+
+    try:
+        if not follow and Path(path).is_symlink():
+            raise AmulettError(f"{what} '{path}' is a symbolic link; it has to be an ordinary file")
+        with open(path, "rb", opener=opener) as file:  # a Path opens without an opener
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise AmulettError(f"{what} '{path}' is no ordinary file")
+            content = file.read(limit + 1) if status.st_size <= limit else b""
+            size = max(status.st_size, len(content))  # it may be growing
+    except OSError as error:
+        raise AmulettError(f"cannot read {what} '{path}': {error.strerror or error}") from error
+    except ValueError as error:
+        if isinstance(error, AmulettError):
+            raise
+        raise AmulettError(f"cannot read {what} {str(path)!r}: {error}") from error  # a zero byte in the name
+    if size > limit:
+        raise AmulettError(f"{what} '{path}' has {size} bytes; at most {limit} are allowed")
+    return content
+
+
+def read_text(path: str | Path, what: str, limit: int = 4_000_000) -> str:
+    """Read a UTF-8 text file; see :func:`read_bytes` for the parameters.
+
+    Raises
+    ------
+    AmulettError
+        If the file is missing, unreadable, no ordinary one, larger than `limit` or not UTF-8.
+    """
+    try:
+        text = read_bytes(path, what, limit).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise AmulettError(f"{what} '{path}' is not UTF-8 text") from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_json(path: str | Path, what: str, limit: int = 4_000_000) -> Any:
+    """Read a JSON file; see :func:`read_bytes` for the parameters.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read or :func:`parse_json` refuses its text.
+    """
+    return parse_json(read_text(path, what, limit), f"{what} '{path}'")
+
+
+def parse_json(text: str, what: str) -> Any:
+    """Return what a JSON text stands for.
+
+    Raises
+    ------
+    AmulettError
+        If it is no valid JSON, nested more than `MAX_DEPTH` deep, holds a key twice or a number that is not finite or
+        has more than `MAX_DIGITS` digits.
+    """
+    try:
+        value = json.loads(text, object_pairs_hook=_object, parse_constant=_no_constant)
+        check_tree(value)
+    except (ValueError, RecursionError) as error:
+        message = "it is nested too deeply" if isinstance(error, RecursionError) else error
+        raise AmulettError(f"{what} is not valid JSON: {message}") from error
+    return value
+
+
+def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an ``.npz`` file, none of them of Python objects; see :func:`read_bytes` for the parameters.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, is larger than `limit`, packed or unpacked, or is damaged.
+    """
+    import numpy as np
+
+    content = read_bytes(path, what, limit)
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > limit:
+            raise ValueError(f"it has {size} bytes unpacked; at most {limit} are allowed")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+        if not all(isinstance(array, np.ndarray) for array in found.values()):
+            raise ValueError("a part of it is no array")
+        return found
+    except Exception as error:  # zipfile, zlib and numpy do not say what they raise for damaged files
+        raise AmulettError(f"{what} '{path}' is damaged: {str(error)[:200]}") from error
+
+
+def check_tree(value: Any, finite: bool = True) -> None:
+    """Raise ValueError if plain data is nested too deeply, or a number is too long or not finite, or a text is none."""
+    waiting = [(value, 1)]
+    while waiting:
+        item, depth = waiting.pop()
+        if isinstance(item, dict | list):
+            if depth > MAX_DEPTH:
+                raise ValueError(f"it is nested more than {MAX_DEPTH} levels deep")
+            below = [*item.keys(), *item.values()] if isinstance(item, dict) else item
+            waiting += [(part, depth + 1) for part in below]
+        elif isinstance(item, str):
+            item.encode("utf-8")  # half of a surrogate pair is no text
+        elif isinstance(item, float):
+            if finite and not math.isfinite(item):
+                raise ValueError("it holds a number that is not finite")
+        elif isinstance(item, int) and abs(item) >= 10**MAX_DIGITS:
+            raise ValueError(f"it holds an integer of more than {MAX_DIGITS} digits")
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)[:100]!r} is there twice")
+    return content
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number in JSON")

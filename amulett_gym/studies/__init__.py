@@ -1,0 +1,1 @@
+"""What is built with the environments: each study is a folder that nothing else imports."""

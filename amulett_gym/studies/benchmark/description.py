@@ -1,0 +1,238 @@
+"""What a benchmark consists of, as data; the defaults are those of ``configs/benchmark.yaml``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from amulett_gym.envs.reward import COST_TERMS
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.evaluation.runner import MOST_EPISODES
+from amulett_gym.laws.contenders import CONSTANT, contender_names
+from amulett_gym.profile import Positive, Profile, load_profile, profile_names
+from amulett_gym.settings import Group, configs_folder, describe
+from amulett_gym.storage.safe_yaml import read_yaml
+from amulett_gym.tasks.suites import suite_names
+
+PAPER_STEP = "paper-step"
+"""A suite of one scenario and its noise; it has no shifted split of its own."""
+
+Split = Literal["held-out", "shifted"]
+
+
+class Learned(Group):
+    """Training runs of one recipe, which differ by their seeds."""
+
+    recipe: str | None = Field(default=None, description="YAML file, beside the description; null: the default recipe")
+    set: list[str] = Field(default=[], description="changes of the recipe, like 'env.suite=mixed'")
+    seeds: list[int] = Field(min_length=1, max_length=1000, description="one run each")
+    reference: bool = Field(default=False, description="sees what no device can: a yardstick, and no contender")
+
+    @field_validator("seeds")
+    @classmethod
+    def _check_seeds(cls, seeds: list[int]) -> list[int]:
+        if min(seeds) < 0 or len({*seeds}) < len(seeds):
+            raise ValueError("seeds have to differ and to be at least 0")
+        return seeds
+
+
+class Clairvoyant(Group):
+    """The search for each scenario's best schedule with the future known."""
+
+    scenarios: dict[str, int] = Field(
+        default={"mixed": 50, "steps": 10, "reach": 10, "track": 10, "contact": 10, "hold-push": 10},
+        description="suite -> number of its held-out scenarios, from the first on",
+    )
+    check: int = Field(
+        default=10, ge=0, le=MOST_EPISODES, description="of the headline suite's, searched again at length [scenarios]"
+    )
+    draws: int = Field(
+        default=8, ge=0, le=64, description="of the noise, for the headline suite's foresight reference; 0: none [1]"
+    )
+    effort: Positive = Field(default=1.0, le=10, description="factor of the search's rounds [1]")
+    starts: list[str] = Field(default=["eq6-tuned", "parametric"], description="laws that it starts from, too")
+
+    @field_validator("scenarios")
+    @classmethod
+    def _check_scenarios(cls, scenarios: dict[str, int]) -> dict[str, int]:
+        for suite, count in scenarios.items():
+            if suite not in suite_names():
+                raise unknown("suite", suite, suite_names())
+            if count < 2:
+                raise ValueError(f"{suite} is given {count} scenarios; an interval needs at least 2")
+        return scenarios
+
+
+class Bootstrap(Group):
+    """How intervals are made."""
+
+    resamples: int = Field(default=4000, ge=100, le=100_000, description="draws [1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="of the draws [1]")
+
+
+class Benchmark(Group):
+    """A benchmark."""
+
+    profile: str = Field(default="testbed", description="a shipped profile, or a YAML file beside the description")
+    suites: list[str] = Field(
+        default=["mixed", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload", PAPER_STEP],
+        min_length=1,
+        description="on which all are judged",
+    )
+    headline: str = Field(default="mixed", description="suite by which constants are chosen and claims are judged")
+    splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1, description="of each suite")
+    episodes: int = Field(default=500, ge=2, le=MOST_EPISODES, description="of a suite and split [scenarios]")
+    seed: int = Field(default=20_000, ge=0, lt=2**63, description="of the first scenario [1]")
+    duration: Positive = Field(default=10.0, le=1000, description="of an episode [s]")
+    contenders: list[str] = Field(
+        default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"], description="laws, or bundles"
+    )
+    constants: list[float] = Field(
+        default=[4.0, 4.5, 5.0, 5.25, 5.5, 6.0, 6.5, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0],
+        min_length=1,
+        description="tensions; the best of them are chosen on the split train [N]",
+    )
+    learned: dict[str, Learned] = Field(
+        default={
+            "ppo": Learned(recipe="ppo.yaml", seeds=list(range(10))),
+            "sac": Learned(recipe="sac.yaml", seeds=[0, 1, 2]),
+            "ppo-history": Learned(recipe="ppo-history.yaml", seeds=[0, 1, 2]),
+            "causal": Learned(recipe="causal.yaml", seeds=[0, 1, 2], reference=True),
+        },
+        description="training runs by the name of their entry",
+    )
+    best_learned: str = Field(default="ppo", description="the entry that the claims are about")
+    ablations: list[str] = Field(
+        default=list(COST_TERMS), description="reward terms without which that entry is trained once more, one a time"
+    )
+    clairvoyant: Clairvoyant = Field(default=Clairvoyant(), description="the reference that knows the future")
+    bootstrap: Bootstrap = Field(default=Bootstrap(), description="of intervals")
+
+    @model_validator(mode="after")
+    def _check(self) -> Benchmark:
+        for suite in (*self.suites, self.headline):
+            if suite not in suite_names():
+                raise unknown("suite", suite, suite_names())
+        for key in ("suites", "splits", "contenders", "constants", "ablations"):
+            values = getattr(self, key)
+            if len(set(values)) < len(values):
+                raise ValueError(f"'{key}' names something twice")
+        if "held-out" not in self.splits:
+            raise ValueError("'splits' has to hold held-out, by which all is judged")
+        if self.headline not in self.suites:
+            raise ValueError(f"headline is '{self.headline}', which is none of the suites")
+        for tension in self.constants:
+            if not 4.0 <= tension <= 15.0:
+                raise ValueError(f"'constants' holds {tension} N; the default actions reach from 4 to 15 N")
+        for name in self.learned:
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", name) or name in contender_names():
+                raise ValueError(f"'{name}' cannot be a learned entry's name: use up to 40 letters, digits and dashes")
+        if self.learned and self.best_learned not in self.learned:
+            raise unknown("learned entry", self.best_learned, self.learned)
+        if self.learned and self.learned[self.best_learned].reference:
+            raise ValueError(f"best_learned is '{self.best_learned}', which is a reference and no contender")
+        for term in self.ablations:
+            if term not in COST_TERMS:
+                raise unknown("reward term", term, COST_TERMS)
+        for suite, count in self.clairvoyant.scenarios.items():
+            if suite not in self.suites or count > self.episodes:
+                raise ValueError(
+                    f"clairvoyant.scenarios names {count} of {suite}; it has to be one of the suites, and at most "
+                    f"episodes, {self.episodes}"
+                )
+        return self
+
+    def places(self) -> list[tuple[str, str]]:
+        """Return the pairs of suite and split that contenders are judged on."""
+        pairs = [(suite, split) for split in self.splits for suite in self.suites]
+        return [pair for pair in pairs if pair != (PAPER_STEP, "shifted")]
+
+    def constant_names(self) -> list[str]:
+        """Return the constants as contenders are named."""
+        return [f"{CONSTANT}{tension:g}" for tension in self.constants]
+
+
+QUICK_EPISODES, QUICK_SEEDS, QUICK_STEPS = 40, 2, 300_000
+
+
+def quick(description: Benchmark) -> Benchmark:
+    """Return a benchmark of the same make that takes a few minutes: its numbers show that all works, and little else.
+
+    The headline suite, `contact`, `hold-push` and `paper-step`, few scenarios, two seeds of short training of the entry
+    that the claims are about, no ablations, a shallow search.
+    """
+    wanted = (description.headline, "contact", "hold-push", PAPER_STEP)
+    learned = {}
+    if description.learned:
+        entry = description.learned[description.best_learned]
+        short = [f"total_steps={QUICK_STEPS}", f"validation.every_steps={QUICK_STEPS // 4}"]
+        learned[description.best_learned] = entry.model_copy(
+            update={"seeds": entry.seeds[:QUICK_SEEDS], "set": [*entry.set, *short]}
+        )
+    return Benchmark.model_validate(
+        {
+            **description.model_dump(),
+            "suites": [suite for suite in description.suites if suite in wanted],
+            "episodes": min(description.episodes, QUICK_EPISODES),
+            "learned": {name: entry.model_dump() for name, entry in learned.items()},
+            "ablations": [],
+            "clairvoyant": {
+                "scenarios": {description.headline: 8},
+                "check": 2,
+                "draws": min(description.clairvoyant.draws, 4),
+                "effort": 0.25,
+            },
+            "bootstrap": {"resamples": min(description.bootstrap.resamples, 1000)},
+        }
+    )
+
+
+def load_benchmark(path: str | Path | None = None) -> Benchmark:
+    """Read a description.
+
+    Parameters
+    ----------
+    path : str or Path, optional
+        A YAML file with the keys of `Benchmark` that differ from its defaults; the defaults alone if None.
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read, a key is unknown, or a value is wrong.
+    """
+    try:
+        return Benchmark.model_validate({} if path is None else read_yaml(path, "benchmark"))
+    except ValidationError as error:
+        raise describe(error, Benchmark, "benchmark" if path is None else f"benchmark '{path}'") from error
+
+
+def recipe_folder(path: str | Path | None) -> Path:
+    """Return where a description's files are: beside it, or with the package for the defaults."""
+    return configs_folder() if path is None else Path(path).parent
+
+
+def load_profile_of(description: Benchmark, folder: Path) -> Profile:
+    """Return the device that a description names; a file's path is relative to the description's `folder`."""
+    name = description.profile
+    return load_profile(name if name in profile_names() else folder / name)
+
+
+def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str] = ()) -> Any:
+    """Return the checked recipe, `amulett_agents.TrainConfig`, of one training run; torch is not imported.
+
+    Raises
+    ------
+    AmulettError
+        If the recipe cannot be read or is wrong.
+    """
+    if find_spec("amulett_agents") is None:
+        raise AmulettError("learned entries need the package amulett_agents, which is installed with amulett-gym")
+    from amulett_agents.config import load_train_config
+
+    path = None if entry.recipe is None else folder / entry.recipe
+    return load_train_config(path, [*entry.set, *more, f"seed={seed}"])

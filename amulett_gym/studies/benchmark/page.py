@@ -1,0 +1,146 @@
+"""The files of a benchmark: numbers, tables, figures, scenarios, and one page that needs nothing else."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+from amulett_gym.evaluation import plots
+from amulett_gym.evaluation.comparison import number, pretty
+from amulett_gym.evaluation.page import fill_page
+from amulett_gym.evaluation.runner import YARDSTICK
+from amulett_gym.storage.writing import write_json, write_text
+from amulett_gym.studies.benchmark.claims import Claim, as_plain
+from amulett_gym.studies.benchmark.figures import draw
+from amulett_gym.studies.benchmark.results import Content, write_worst
+from amulett_gym.studies.benchmark.stages import Evidence
+from amulett_gym.studies.benchmark.tables import FOLDER as TABLES
+from amulett_gym.studies.benchmark.tables import interval, tables, write_csv
+from amulett_gym.studies.speed.document import Table
+
+RESULTS, PAGE, FIGURES = "benchmark.json", "benchmark.html", "figures"
+
+CAPTIONS = {
+    "score": "Score on each suite's first held-out scenarios (their number in brackets), with 95 % intervals. Arrows: "
+    "beyond the axis.",
+    "ratios": "Cost as a share of eq. 6's in the same scenarios, by suite and split, with 95 % intervals.",
+    "pareto": "Both as ratios to eq. 6's, with paired 95 % intervals. Left: position ISE (eq. 7) against ISAV (eq. 8, "
+    "without what the setpoint's jump alone adds). Right: a bump's peak torque against how far pushes deflect a held "
+    "posture. The line joins the constants; lower left is better.",
+    "law": "Tension setpoint against position error, over both readings of eq. 6 (the paper's Figure 6), by what the "
+    "joint does; agent steps of up to 100 held-out scenarios. Of what was learned, the seed that validation chose.",
+    "law_by_velocity": "The same by velocity: median tension over position error and the rate at which the joint "
+    "approaches its setpoint (below zero it moves away). Grey: hardly ever there. Eq. 6 does not look at the rate.",
+    "responses": "The same step with each contender: joint angle, and the antagonist's tension with its setpoint.",
+    "profiles": "Performance profiles: the share of episodes that cost at most so much, of learned entries with 95 % "
+    "intervals.",
+    "families": "The mix family by family: cost as a share of eq. 6's, with the number of scenarios in brackets.",
+    "constants": "Cost of a constant tension on each suite's split train, over the least of them: on which suite one "
+    "chooses decides which constant one chooses.",
+    "learning": "Validation cost of every run, by agent steps and by wall clock. Dotted: what laws cost there.",
+    "resting": "How stiff the arm rests, and how far pushes deflect it: an arm that pays little because it is slack "
+    "would show here. All contenders, all constants.",
+    "search": "How the clairvoyant search's mean cost fell with the number of episodes tried for each scenario.",
+    "worst": "The scenario in which the learned policy loses most to the best law by hand.",
+}
+
+
+def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], folder: str | Path) -> dict[str, Figure]:
+    """Write ``benchmark.json``, ``benchmark.html``, tables, figures and the scenarios that the learned policy loses.
+
+    Returns
+    -------
+    dict of str to Figure
+
+    Raises
+    ------
+    AmulettError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    figures = draw(evidence, found)
+    page = render(found, claims, figures)
+    write_csv(found, claims, folder / TABLES)
+    for name, figure in figures.items():
+        plots.save_figure(figure, folder / FIGURES / f"{name}.png")
+    write_worst(evidence, found, folder)
+    write_json(folder / RESULTS, {**found, "claims": as_plain(claims), "verdict": verdict(found, claims)})
+    write_text(folder / PAGE, page)
+    return figures
+
+
+def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure]) -> str:
+    """Return the page: one HTML file with inline figures, styles and no script."""
+    return fill_page(
+        "studies/benchmark/benchmark.html.j2",
+        found=found,
+        verdict=verdict(found, claims),
+        claims=claims,
+        held={True: "yes", False: "no", None: "open"},
+        tables={name: _as_page(table) for name, table in tables(found, claims).items()},
+        figures={name: plots.figure_svg(figure, name) for name, figure in figures.items()},
+        captions=CAPTIONS,
+        description=found["description"],
+        number=lambda value: pretty(number(value)),
+        interval=lambda low, high: pretty(interval(low, high)),
+        pretty=pretty,
+    )
+
+
+def verdict(found: Content, claims: Sequence[Claim]) -> str:
+    """Say in a few sentences how the learned entry stands, and how many claims hold."""
+    place = f"{found['description']['headline']}/held-out"
+    results, best = found["results"][place], found["best_learned"]
+    hand = found["best_by_hand"]
+    scenarios = f"{found['description']['episodes']} held-out scenarios of {found['description']['headline']}"
+    if best is None:
+        costs = number(results[hand]["ratio"][YARDSTICK]["mean"])
+        return (
+            f"Nothing was learned here. The best law by hand, {hand}, costs {costs} of what eq. 6 costs in {scenarios}."
+        )
+    against = results[best]["ratio"][YARDSTICK]
+    seeds = len(found["entries"][best]["seeds"])
+    text = (
+        f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, costs {number(against['mean'])} "
+        f"{interval(against['low'], against['high'])} of what eq. 6 costs in {scenarios}"
+    )
+    by_hand = results[hand]["ratio"][YARDSTICK]
+    text += f"; the best law by hand, {hand}, costs {number(by_hand['mean'])}."
+    judged = [claim for claim in claims if claim.holds is not None]
+    failed = [claim for claim in judged if not claim.holds]
+    text += f" {len(judged) - len(failed)} of {len(judged)} claims hold."
+    if failed:
+        shown = [f"{claim.about}: {claim.claim}" for claim in failed[:4]]
+        text += f" Not: {'; '.join(shown)}{'; ...' if len(failed) > 4 else ''}."
+    return text
+
+
+def in_words(found: Content, claims: Sequence[Claim]) -> str:
+    """Return the benchmark for the terminal: claims, ranking, verdict."""
+    words = {True: "yes", False: "NO", None: "-"}
+    lines = [
+        f"{words[claim.holds]:4}{number(claim.measured):>7} {interval(claim.low, claim.high):16} {claim.about}: "
+        f"{claim.claim}"
+        for claim in claims
+    ]
+    heading = ["What the learned policy is to show: does it hold, measured, 95 %"] if claims else []
+    return "\n\n".join(["\n".join([*heading, *lines]), tables(found, claims)["ranking"].text(), verdict(found, claims)])
+
+
+def _as_page(table: Table) -> dict[str, Any]:
+    return {
+        "title": table.title,
+        "columns": [pretty(column) for column in table.columns],
+        "rows": [[pretty(cell) for cell in row] for row in table.rows],
+        "note": _words(table.note),
+    }
+
+
+def _words(text: str) -> Markup:
+    """Return a text as HTML: numbers as people write them, and `code` as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(pretty(text)))))

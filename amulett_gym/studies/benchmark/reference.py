@@ -1,0 +1,175 @@
+"""What foresight gives: schedules that are searched once, kept, judged as contenders are, and doubted once more."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import ENV_IDS
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import Own, Protocol, Run, play_alone
+from amulett_gym.evaluation.search.clairvoyant import Effort, Reference, clairvoyant, replay
+from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.studies.benchmark.description import Benchmark
+
+CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"
+MOST_THREADS = 4
+
+BLOCK = 10
+"""Scenarios that are searched at once: what a kill can lose."""
+
+REDRAWS, FIRST_REDRAW = 40, 1000
+"""Draws of the noise by which schedules are judged once more; none that any was found by."""
+
+
+@dataclass(frozen=True)
+class Searched:
+    """What the search found on a suite.
+
+    Attributes
+    ----------
+    run : Run
+        What the best schedules do, by physical metrics as contenders are judged.
+    evidence : dict
+        Plain data: how the mean cost fell with the episodes tried, what each start alone came to, what the schedules
+        cost with other noise, and what a search of twice as many rounds from another seed still found.
+    foresight : Searched or None
+        The same for schedules that were found without the scenarios' own noise.
+    """
+
+    run: Run
+    evidence: dict[str, Any]
+    foresight: Searched | None = None
+
+
+def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]:
+    """Return by suite under which protocol its first held-out scenarios are searched."""
+    counts = description.clairvoyant.scenarios
+    return {
+        suite: replace(protocol, suite=suite, split="held-out", episodes=count, env_id=ENV_IDS[1])
+        for suite, count in counts.items()
+    }
+
+
+def check_starts(description: Benchmark) -> None:
+    """Refuse starts that have no schedule, before anything is done.
+
+    Raises
+    ------
+    AmulettError
+        If one is unknown, or acts inside the loop.
+    """
+    for name in description.clairvoyant.starts:
+        if parse_contender(name).policy_name is None:
+            raise AmulettError(f"clairvoyant.starts names '{name}', which acts inside the loop and has no schedule")
+
+
+def blocks(description: Benchmark) -> int:
+    """Return how many blocks of scenarios are searched, by all searches together."""
+    settings = description.clairvoyant
+    headline = settings.scenarios.get(description.headline, 0)
+    counts = [*settings.scenarios.values(), min(settings.check, headline), headline if settings.draws else 0]
+    return sum(-(-count // BLOCK) for count in counts)
+
+
+def search(
+    description: Benchmark, protocol: Protocol, folder: Path, advance: Callable[[str], Any] = lambda what: None
+) -> Searched:
+    """Search for the best schedules of a suite's first held-out scenarios, or read what was found.
+
+    Parameters
+    ----------
+    description : Benchmark
+    protocol : Protocol
+        From `protocols`.
+    folder : Path
+        Of the benchmark.
+    advance : callable
+        Called with what is searched for after every block of scenarios.
+
+    Raises
+    ------
+    AmulettError
+        If a file is damaged.
+    """
+    settings, effort = description.clairvoyant, _longer(Effort(), description.clairvoyant.effort)
+    threads = min(os.cpu_count() or 1, MOST_THREADS)
+    trials = Trials(protocol, threads=threads)
+    others = trials.redrawn(REDRAWS, FIRST_REDRAW)
+
+    def find(what: str, trials: Trials, effort: Effort) -> Reference:
+        def searched() -> Reference:
+            told = f"{what} on {protocol.suite}"
+            return clairvoyant(trials, effort, settings.starts, folder / what, BLOCK, lambda done, count: advance(told))
+
+        found = searched()
+        if np.allclose(replay(trials, found.actions), found.costs, rtol=1e-9):
+            return found
+        # They no longer cost what they did: another version of the simulation found them.
+        for path in (folder / what / protocol.profile.name).glob(f"{protocol.suite}-{protocol.split}-*.npz"):
+            path.unlink()
+        return searched()
+
+    def judged(actions: NDArray[np.float32]) -> Run:
+        return play_alone(protocol, Own("schedules", act=_Schedules(actions)))
+
+    found = find(CLAIRVOYANT, trials, effort)
+    evidence = _evidence(found, others)
+    if protocol.suite != description.headline:
+        return Searched(judged(found.actions), evidence)
+    count = min(settings.check, protocol.episodes)
+    if count:
+        first = found.costs[:count]
+        few = Trials(replace(protocol, episodes=count), threads=threads)
+        again = find(CHECK, few, replace(_longer(effort, 2.0), seed=effort.seed + 1))
+        evidence["second_search"] = {
+            "scenarios": count,
+            "ratio": float(again.costs.mean() / first.mean()),
+            "either": float(np.minimum(again.costs, first).mean() / first.mean()),
+        }
+    foresight = None
+    if settings.draws:
+        foreseen = find(FORESIGHT, trials.redrawn(settings.draws), effort)
+        foresight = Searched(judged(foreseen.actions), _evidence(foreseen, others))
+    return Searched(judged(found.actions), evidence, foresight)
+
+
+class _Schedules:
+    """Plays a schedule of its own with each scenario."""
+
+    def __init__(self, actions: NDArray[np.float32]) -> None:
+        self._actions, self._step = actions, 0
+
+    def reset(self, count: int) -> None:
+        self._step = 0
+
+    def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        self._step += 1
+        return self._actions[:, self._step - 1, None]
+
+
+def _longer(effort: Effort, factor: float) -> Effort:
+    stages = tuple(replace(stage, rounds=max(round(factor * stage.rounds), 1)) for stage in effort.stages)
+    return replace(effort, stages=stages)
+
+
+def _evidence(found: Reference, others: Trials) -> dict[str, Any]:
+    curve = found.curve
+    rows = curve[np.unique(np.linspace(0, len(curve) - 1, 25).astype(int))]
+    late = float(np.interp(0.75 * curve[-1, 0], curve[:, 0], curve[:, 1]))
+    return {
+        "scenarios": int(found.costs.size),
+        "curve": [[round(float(episodes)), float(cost)] for episodes, cost in rows],
+        "last_quarter": float(1.0 - curve[-1, 1] / late),
+        "best_start": float(np.min(list(found.starts.values()), axis=0).mean()),
+        "searches_alone": [float(costs.mean()) for costs in found.restarts],
+        "mean_cost": float(found.costs.mean()),
+        "with_other_noise": float(replay(others, found.actions).mean()),
+    }

@@ -1,0 +1,349 @@
+"""What a benchmark measured, as numbers with intervals: the content of ``benchmark.json``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import __version__
+from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.runner import YARDSTICK
+from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.evaluation.statistics import (
+    LEVEL,
+    UNDEFINED,
+    Draws,
+    Estimate,
+    count_failures,
+    draw_nested,
+    interquartile_mean,
+    nested_mean,
+    nested_ratio,
+    performance_profile,
+    probability_of_improvement,
+    worst_mean,
+)
+from amulett_gym.laws.parametric import LAWS, tuned_content
+from amulett_gym.simulation.layout import FAMILIES
+from amulett_gym.storage.writing import write_json
+from amulett_gym.studies.benchmark.episodes import Played
+from amulett_gym.studies.benchmark.frozen import PRICES_SHA256
+from amulett_gym.studies.benchmark.reference import Searched
+from amulett_gym.studies.benchmark.runs import outcome
+from amulett_gym.studies.benchmark.stages import Evidence
+from amulett_gym.tasks.hashes import VERSION as SUITES_VERSION
+from amulett_gym.tasks.scenario import unpack
+
+Content = dict[str, Any]
+Values = NDArray[np.float64]
+
+SEARCHED = ("clairvoyant", "foresight")
+"""References that are schedules, which a search finds."""
+
+METRICS = (
+    "position_ise",
+    "effort",
+    "isav_biceps",
+    "isav_triceps",
+    "tension_ise",
+    "rise_time",
+    "settling_time",
+    "overshoot",
+    "contact_peak",
+    "contact_ise",
+    "push_deflection",
+    "resting_stiffness",
+    "agonist_switches",
+)
+"""Physical metrics that are reported of every entry."""
+
+PROFILE_COSTS = tuple(round(0.05 * k, 2) for k in range(61))
+"""Costs at which performance profiles are taken."""
+
+WORST = 10
+"""Scenarios that are told in which the learned policy loses most."""
+
+WORST_FOLDER = "worst"
+
+TUNED_EQ6, TUNED_LAW, POSITION_ONLY = "eq6-tuned", "parametric", "position-only"
+"""Contenders that claims are about."""
+
+
+def content(evidence: Evidence, command: str | None = None, machine: str | None = None) -> Content:
+    """Turn what was measured into the content of ``benchmark.json``; a number that does not exist is None.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    command, machine : str, optional
+        What made it, and on what; to be told.
+    """
+    description = evidence.description
+    best = description.best_learned if description.learned else None
+    results = {f"{suite}/{split}": _place(evidence, suite, split) for suite, split in evidence.played}
+    hand = best_by_hand(evidence)
+    return {
+        "format": "amulett-benchmark-results",
+        "version": 1,
+        "description": description.model_dump(mode="json"),
+        "hashes": {**evidence.hashes, "suites_version": SUITES_VERSION, "frozen_prices": PRICES_SHA256},
+        "seeds": dict(evidence.overlap),
+        "command": command,
+        "machine": machine,
+        "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},
+        "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
+        "units": {metric: UNITS[metric] for metric in METRICS},
+        "best_learned": best,
+        "best_by_hand": hand,
+        "entries": {name: {"kind": entry.kind, "seeds": list(entry.seeds)} for name, entry in evidence.entries.items()},
+        "constants": {
+            "overall": evidence.best_constant(),
+            "tried": evidence.tried,
+            "best": {suite: evidence.best_constant(suite) for suite in evidence.tried},
+        },
+        "validation": evidence.validation,
+        "results": results,
+        "families": _by_family(evidence),
+        "profiles": _profiles(evidence),
+        "references": _references(evidence, hand),
+        "training": _training(evidence),
+        "worst": _worst(evidence, hand) if best is not None else [],
+    }
+
+
+def best_by_hand(evidence: Evidence) -> str:
+    """Return the law or constant that costs least on the headline suite, held-out: the hardest opponent, in hindsight.
+
+    Position control alone is none: it has other gains and no tension to schedule, so no schedule's reference bounds it.
+    """
+    names = [
+        name for name, entry in evidence.entries.items() if entry.kind in ("law", "constant") and name != POSITION_ONLY
+    ]
+    costs = {name: float(evidence.headline()[name].values["cost"].mean()) for name in names}
+    return min(costs, key=lambda name: costs[name])
+
+
+def opponents(evidence: Evidence, suite: str) -> list[str]:
+    """Return the entries with which all others are compared on a suite."""
+    constants = evidence.best_constant(), evidence.best_constant(suite)
+    asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, POSITION_ONLY)
+    return [name for name in dict.fromkeys(asked) if name in evidence.entries]
+
+
+def shown(evidence: Evidence, suite: str | None = None) -> list[str]:
+    """Return the entries worth a line: all but the constants that are not the best, overall or on the suite."""
+    kept = {evidence.best_constant(), *([] if suite is None else [evidence.best_constant(suite)])}
+    return [name for name, entry in evidence.entries.items() if entry.kind != "constant" or name in kept]
+
+
+def write_worst(evidence: Evidence, found: Content, folder: Path) -> None:
+    """Write the scenarios in which the learned policy loses most as JSON that can be replayed."""
+    if not found["worst"]:
+        return
+    rows = Trials(evidence.protocol).rows
+    for item in found["worst"]:
+        write_json(folder / item["file"], unpack(rows[item["scenario"]]).model_dump())
+
+
+def _place(evidence: Evidence, suite: str, split: str) -> Content:
+    """Return the numbers of all entries on a suite's split."""
+    results = evidence.played[suite, split]
+    against = opponents(evidence, suite)
+    told = shown(evidence, suite)
+    return {
+        name: _numbers(evidence, results, name, against if name in told else [YARDSTICK], name in told)
+        for name in results
+    }
+
+
+def _numbers(
+    evidence: Evidence, results: dict[str, Played], name: str, against: Iterable[str], everything: bool
+) -> Content:
+    values = results[name].values
+    cost = values["cost"]
+    draws = _draws(evidence, *cost.shape)
+    others = {other: results[other].values["cost"] for other in against}
+    found: Content = {
+        "cost": plain(nested_mean(cost, draws)),
+        "ratio": {other: plain(nested_ratio(cost, theirs[0], draws)) for other, theirs in others.items()},
+        "failures": _failures(results[name]),
+        "seeds": cost.mean(axis=1).tolist(),
+        "metrics": {metric: plain(nested_mean(values[metric], draws)) for metric in METRICS},
+    }
+    if not everything:
+        return found
+    yardstick = results[YARDSTICK].values
+    for metric, numbers in found["metrics"].items():
+        numbers["ratio_to_eq6"] = plain(nested_ratio(values[metric], yardstick[metric][0], draws))
+    return {
+        **found,
+        "iqm": plain(interquartile_mean(cost, draws)),
+        "worst_decile": plain(worst_mean(cost, draws)),
+        "better_than": {
+            other: plain(probability_of_improvement(cost, theirs, draws)) for other, theirs in others.items()
+        },
+        "seed_ratios": {other: (cost.sum(axis=1) / theirs.sum()).tolist() for other, theirs in others.items()},
+    }
+
+
+def _failures(played: Played) -> Content:
+    found = count_failures(played.values["failed"] > 0)
+    reasons = Counter(reason for member in played.reasons for reason in member if reason)
+    return {"count": found.count, "total": found.total, "low": found.low, "high": found.high, "reasons": dict(reasons)}
+
+
+def _by_family(evidence: Evidence) -> Content:
+    """Return each entry's share of eq. 6's cost in each family of the headline suite, held-out."""
+    results = evidence.headline()
+    families = results[YARDSTICK].families
+    found: Content = {}
+    for code in np.unique(families):
+        chosen = families == code
+        found[FAMILIES[code] or evidence.protocol.suite] = {
+            "scenarios": int(chosen.sum()),
+            "ratio_to_eq6": {
+                name: plain(
+                    nested_ratio(
+                        results[name].values["cost"][:, chosen],
+                        results[YARDSTICK].values["cost"][0, chosen],
+                        _draws(evidence, len(results[name].values["cost"]), int(chosen.sum())),
+                    )
+                )
+                for name in shown(evidence)
+            },
+        }
+    return found
+
+
+def _profiles(evidence: Evidence) -> Content:
+    """Return performance profiles on the headline suite, held-out: the share of episodes that cost at most so much."""
+    found: Content = {"costs": list(PROFILE_COSTS)}
+    for name in shown(evidence):
+        if evidence.entries[name].kind != "ablation":
+            cost = evidence.headline()[name].values["cost"]
+            draws = _draws(evidence, *cost.shape)
+            found[name] = [plain(share) for share in performance_profile(cost, PROFILE_COSTS, draws)]
+    return found
+
+
+def _references(evidence: Evidence, hand: str) -> Content:
+    """Return scores (0: best constant overall, 1: clairvoyant), and the share of the way from the best law by hand."""
+    searched = evidence.searched
+    foreseen = {suite: found.foresight for suite, found in searched.items() if found.foresight is not None}
+    causal: Content = {}
+    results = evidence.headline()
+    for name, entry in evidence.entries.items():
+        if entry.kind == "reference":
+            goal, by_hand = results[name].values["cost"].mean(axis=0), results[hand].values["cost"][0]
+            causal[name] = {
+                "cost": float(goal.mean()),
+                "ratio_to_eq6": plain(_ratio(goal[None], results[YARDSTICK].values["cost"][0], evidence)),
+                "share_from_hand": {
+                    other: plain(_share(by_hand, results[other].values["cost"], goal, evidence))
+                    for other in shown(evidence)
+                    if other != name
+                },
+            }
+    return {
+        "from": hand,
+        "clairvoyant": {suite: _goal(evidence, suite, found, hand) for suite, found in searched.items()},
+        "foresight": {suite: _goal(evidence, suite, found, hand) for suite, found in foreseen.items()},
+        "causal": causal,
+    }
+
+
+def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Content:
+    """Return what was found on a suite, and where all entries stand between it and what is there without it."""
+    goal, results = searched.run.values["cost"], evidence.played[suite, "held-out"]
+    costs = {name: results[name].values["cost"][:, : goal.size] for name in shown(evidence)}
+    start, by_hand, eq6 = (
+        results[name].values["cost"][0, : goal.size] for name in (evidence.best_constant(), hand, YARDSTICK)
+    )
+    return {
+        **searched.evidence,
+        "cost": float(goal.mean()),
+        "ratio_to_eq6": plain(_ratio(goal[None], eq6, evidence)),
+        "entries_to_eq6": {name: plain(_ratio(cost, eq6, evidence)) for name, cost in costs.items()},
+        "score": {name: plain(_share(start, cost, goal, evidence)) for name, cost in costs.items()},
+        "share_from_hand": {name: plain(_share(by_hand, cost, goal, evidence)) for name, cost in costs.items()},
+        "cost_more_than_an_entry": int(
+            (np.min([cost.min(axis=0) for cost in costs.values()], axis=0) < goal * (1 - 1e-9)).sum()
+        ),
+    }
+
+
+def _ratio(costs: Values, others: Values, evidence: Evidence) -> Estimate:
+    """Return the ratio of what an entry's seeds cost in some scenarios to what another entry does."""
+    return nested_ratio(costs, others, _draws(evidence, *costs.shape))
+
+
+def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Estimate:
+    """Return how much of the way from one entry's cost to a lower one's others have gone; seeds are resampled, too.
+
+    Undefined if it is not lower: then there is no way.
+    """
+    if not goal.mean() < start.mean():
+        return UNDEFINED
+    return nested_ratio(start - costs, start - goal, _draws(evidence, *costs.shape))
+
+
+def _training(evidence: Evidence) -> Content:
+    """Return what learning and tuning took, by entry."""
+    found: Content = {}
+    for run in evidence.runs:
+        entry = found.setdefault(run.entry, {"runs": {}, "recipe": run.config.model_dump(mode="json")})
+        result = outcome(run)
+        episodes = result["steps"] // run.config.env.max_episode_steps + run.config.num_envs * run.config.staggered
+        entry["runs"][str(run.seed)] = {**result, "episodes": episodes}
+    for name in LAWS:
+        if name in evidence.entries and not evidence.entries[name].seeds:
+            shipped = tuned_content(name, evidence.profile, "mixed")
+            found[name] = {"tuned_episodes": shipped["training_episodes"], "recipe": shipped["recipe"]}
+    return found
+
+
+def _worst(evidence: Evidence, hand: str) -> list[Content]:
+    """Return the scenarios of the headline suite, held-out, in which the learned entry loses most to the best law."""
+    results, best = evidence.headline(), evidence.description.best_learned
+    learned, law = results[best].values["cost"].mean(axis=0), results[hand].values["cost"][0]
+    order = np.argsort(law - learned, kind="stable")[:WORST]
+    found = []
+    for rank, scenario in enumerate(order.tolist()):
+        family = FAMILIES[int(results[best].families[scenario])] or evidence.protocol.suite
+        found.append(
+            {
+                "scenario": scenario,
+                "seed": evidence.protocol.seed + scenario,
+                "family": family,
+                "learned": float(learned[scenario]),
+                "by_hand": float(law[scenario]),
+                "eq6": float(results[YARDSTICK].values["cost"][0, scenario]),
+                "loses": bool(learned[scenario] > law[scenario]),
+                "file": f"{WORST_FOLDER}/{rank + 1:02d}-{family}-seed-{evidence.protocol.seed + scenario}.json",
+            }
+        )
+    return found
+
+
+def plain(estimate: Estimate) -> Content:
+    """Return an estimate as plain data, with None for what is no finite number."""
+    numbers = {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
+    return {key: float(value) if math.isfinite(value) else None for key, value in numbers.items()}
+
+
+def _draws(evidence: Evidence, seeds: int, scenarios: int) -> Draws:
+    bootstrap = evidence.description.bootstrap
+    return _drawn(seeds, scenarios, bootstrap.resamples, bootstrap.seed)
+
+
+@cache
+def _drawn(seeds: int, scenarios: int, resamples: int, seed: int) -> Draws:
+    return draw_nested(seeds, scenarios, resamples, seed)

@@ -1,0 +1,150 @@
+"""What the paper says about motions without printing a number, read off ours: overshoot, stiffness, switching."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from amulett_gym.evaluation.signals import acting, force_feedback
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.kernel import joint_stiffness
+from amulett_gym.simulation.trajectory import record
+from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Readings, Reproduction, apply_readings
+from amulett_gym.studies.paper.runs import HOLD, MOVES_FROM, STEPS, follow, paper_step, start, there_and_back
+from amulett_gym.studies.paper.switching import switching_run
+from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL
+from amulett_gym.tasks.suites import START
+
+_TO_DEGREES = math.degrees(1.0)
+
+Key = tuple[str, str, str, str | None]
+"""Metric, device, configuration, drive."""
+
+UNITS = {
+    "overshoot": "deg",
+    "swing_back": "deg",
+    "force_range": "%",
+    "stiffness_at_rest": "N m/rad",
+    "stiffness_flexed": "N m/rad",
+    "stiffness_far": "N m/rad",
+    "stiffness_near": "N m/rad",
+    "tension_far": "N",
+    "tension_near": "N",
+    "switches": "1",
+    "switch_deviation": "deg",
+    "force_jump": "N",
+    "force_swings": "1",
+    "switching_ise": "deg^2 s",
+    "fixed_ise": "deg^2 s",
+}
+"""Unit of each observed metric; "1" is dimensionless. Those of the step:
+
+overshoot
+    How far the joint goes beyond the setpoint.
+swing_back
+    How far it is short of the setpoint again after that.
+stiffness_at_rest, stiffness_flexed
+    Joint stiffness before the step, at 0 deg, and at its end, at 45 deg.
+stiffness_far, stiffness_near
+    Mean joint stiffness while the position error is above d_offset of eq. 6, and while it is within the error margin.
+tension_far, tension_near
+    Mean true force of the triceps' string, the antagonist's in flexion, over the same times.
+
+Those of three steps to and fro on the testbed (`runs.there_and_back`):
+
+force_range
+    Largest minus smallest true force of the triceps' string without tension control, over its mean.
+switches
+    Of the agonist.
+switch_deviation
+    Largest difference of the joint angle, within `switching.SWITCH_WINDOW`, from what it would be had that one switch
+    not happened.
+force_jump
+    Largest difference of both strings' estimated forces at a switch: the jump of the tension controller's feedback.
+force_swings
+    How often, per step, that feedback goes from one side of its error margin of 5 % to the other.
+switching_ise, fixed_ise
+    Position ISE with the agonist switching, and with the biceps as agonist throughout.
+"""
+
+
+def observe(reproduction: Reproduction) -> dict[Key, float]:
+    """Return all metrics of `UNITS` that exist, by metric, device and configuration; the drive is None.
+
+    The paper's step is done once on each device, with the sensor noise of the first repetition. A device that fails
+    has no metrics.
+    """
+    observed: dict[Key, float] = {}
+    readings = reproduction.readings
+    for device in DEVICES:
+        profile = apply_readings(reproduction.profiles[device], readings)
+        for configuration in CONFIGURATIONS:
+            for metric, value in _step_metrics(profile, configuration, readings.eq6).items():
+                observed[metric, device, configuration, None] = value
+    for configuration in CONFIGURATIONS:
+        for metric, value in _steps_metrics(reproduction.profiles["testbed"], configuration, readings).items():
+            observed[metric, "testbed", configuration, None] = value
+    return observed
+
+
+def _step_metrics(profile: Profile, configuration: str, eq6: str) -> dict[str, float]:
+    """Return what the paper's step shows, nothing if the device fails."""
+    simulation = start(profile, configuration, [paper_step(profile, configuration, eq6)], eq6)
+    ticks = round((START + MEASUREMENT_TIME) / simulation.control_period)
+    stiffnesses: list[float] = []
+
+    def feel(_: int) -> None:
+        stiffnesses.append(joint_stiffness(simulation.parameters[0], simulation.scenarios[0], simulation.states[0], 0))
+
+    path = record(simulation, ticks, before_tick=feel)
+    if path["failure"][-1]:
+        return {}
+    first = round(START / path.control_period)
+    stiffness = np.array(stiffnesses)  # before each tick, so that the last row has none
+    error = np.degrees(path["setpoint"] - path["angle"])[:-1]
+    after = error[first:]
+    peak = int(np.argmin(after))
+    values = {
+        "overshoot": max(-float(after[peak]), 0.0),
+        "swing_back": max(float(after[peak:].max()), 0.0) if after[peak] < 0.0 else 0.0,
+        "stiffness_at_rest": float(stiffness[:first].mean()),
+        "stiffness_flexed": float(stiffness[-first:].mean()),
+    }
+    stepped = np.arange(ticks) > first
+    far = np.abs(error) > profile.variable_stiffness.error_offset_deg
+    near = np.abs(error) <= PROTOCOL.position_margin_deg
+    for where, when in (("far", far & stepped), ("near", near & stepped)):
+        if when.any():
+            values[f"stiffness_{where}"] = float(stiffness[when].mean())
+            values[f"tension_{where}"] = float(path["force_triceps"][:-1][when].mean())
+    return values
+
+
+def _steps_metrics(device: Profile, configuration: str, readings: Readings) -> dict[str, float]:
+    """Return what the steps to and fro show, nothing if a device fails."""
+    if configuration == "position-only":
+        profile = apply_readings(device, readings)
+        path = follow(
+            start(profile, configuration, [there_and_back(profile, configuration)]), MOVES_FROM + len(STEPS) * HOLD
+        )
+        force = path["force_triceps"]
+        return {} if path["failure"][-1] else {"force_range": float(100.0 * np.ptp(force) / force.mean())}
+    run = switching_run(device, readings, configuration)
+    path = run.trajectory
+    profile = apply_readings(device, replace(readings, agonist="biceps"))
+    scenario = there_and_back(profile, configuration, readings.eq6)
+    fixed = follow(start(profile, configuration, [scenario], readings.eq6), MOVES_FROM + len(STEPS) * HOLD)
+    if path["failure"][-1] or fixed["failure"][-1]:
+        return {}
+    side = np.trunc((force_feedback(path) / acting(path, "tension_setpoint") - 1.0) / PROTOCOL.tension_margin)
+    side = np.sign(side[side != 0.0])
+    return {
+        "switches": float(len(run.switches)),
+        "switch_deviation": max((switch.deviation for switch in run.switches), default=0.0),
+        "force_jump": max((abs(switch.force_jump) for switch in run.switches), default=0.0),
+        "force_swings": float(np.count_nonzero(np.diff(side)) / len(STEPS)),
+        "switching_ise": float(path["position_ise"][-1]) * _TO_DEGREES**2,
+        "fixed_ise": float(fixed["position_ise"][-1]) * _TO_DEGREES**2,
+    }

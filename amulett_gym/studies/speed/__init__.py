@@ -1,0 +1,1 @@
+"""How fast kernel, environments and learning are."""

@@ -1,0 +1,217 @@
+"""How fast the kernel and the environments are, beside Gymnasium's own in the same run.
+
+The machine is noisy, so contestants take turns and the median of their turns counts; a ratio under 1.3 is a tie.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from amulett_gym.profile import load_profile
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.tasks.suites import sample
+
+PROFILES = ("testbed", "simulation")
+TURNS = 7
+TURN_SECONDS = 0.25
+AGENT_PERIOD = 0.02
+"""Simulated time of a kernel's call [s], as an environment makes it."""
+EPISODE = 10.0
+"""Simulated time after which a kernel alone starts its scenarios again [s]."""
+
+Step = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """Something that steps: `devices` agent steps a call, each of `ticks` control ticks."""
+
+    name: str
+    step: Step
+    devices: int = 1
+    ticks: int = 1
+
+
+@dataclass(frozen=True)
+class Speed:
+    """A contestant's speeds, turn by turn.
+
+    Attributes
+    ----------
+    name : str
+    rates : tuple of float
+        Agent steps a second in each turn.
+    ticks : int
+        Control ticks of an agent step.
+    """
+
+    name: str
+    rates: tuple[float, ...]
+    ticks: int = 1
+
+    @property
+    def steps_per_second(self) -> float:
+        """Median of the turns."""
+        return statistics.median(self.rates)
+
+    @property
+    def slowest(self) -> float:
+        """Agent steps a second of the slowest turn."""
+        return min(self.rates)
+
+    @property
+    def fastest(self) -> float:
+        """Agent steps a second of the fastest turn."""
+        return max(self.rates)
+
+    @property
+    def ticks_per_second(self) -> float:
+        """Median of the turns."""
+        return self.steps_per_second * self.ticks
+
+    def numbers(self) -> dict[str, float]:
+        """Return the median, its spread, and ticks a second, by name."""
+        return {
+            "steps_per_s": self.steps_per_second,
+            "slowest": self.slowest,
+            "fastest": self.fastest,
+            "ticks_per_s": self.ticks_per_second,
+        }
+
+
+def contestants(devices: int = 1024, seed: int = 0) -> list[Contestant]:
+    """Return kernel and environments on both profiles, and Gymnasium's Pendulum and CartPole.
+
+    Each environment holds an action that is drawn once, with `seed`; its episodes are drawn with `seed`, too.
+    """
+    return [
+        *(kernel(profile, devices, seed) for profile in PROFILES),
+        *(single(profile, seed) for profile in PROFILES),
+        *(vector(profile, devices, seed) for profile in PROFILES),
+        Contestant("Pendulum-v1, single", step_single(gym.make("Pendulum-v1"), seed)),
+        Contestant("CartPole-v1, single", step_single(gym.make("CartPole-v1"), seed)),
+        Contestant(
+            f"CartPole-v1, vector of {devices}",
+            _step_vector(gym.make_vec("CartPole-v1", num_envs=devices, vectorization_mode="vector_entry_point"), seed),
+            devices,
+        ),
+    ]
+
+
+def single(profile: str, seed: int = 0) -> Contestant:
+    """Return our single environment, as `gym.make` makes it."""
+    env = gym.make("Amulett/Scaling-v0", profile=profile, suite="steps", agent_period=AGENT_PERIOD)
+    return Contestant(f"single, {profile}", step_single(env, seed), 1, _ticks(profile))
+
+
+def vector(profile: str, devices: int, seed: int = 0, threads: int = 1) -> Contestant:
+    """Return our vector environment."""
+    env = gym.make_vec(
+        "Amulett/Scaling-v0",
+        num_envs=devices,
+        profile=profile,
+        suite="steps",
+        agent_period=AGENT_PERIOD,
+        threads=threads,
+    )
+    name = f"vector of {devices}, {profile}" + (f", {threads} threads" if threads > 1 else "")
+    return Contestant(name, _step_vector(env, seed), devices, _ticks(profile))
+
+
+def kernel(profile: str, devices: int, seed: int = 0) -> Contestant:
+    """Return the kernel alone, an agent's period a call, eq. 6 inside the loop."""
+    device = load_profile(profile)
+    simulation = Simulation(device, devices, tension_law="eq6")
+    keys = np.random.default_rng(seed).integers(2**63, size=devices, dtype=np.uint64)
+    simulation.reset(sample("steps", keys, device))
+    start = simulation.get_state()
+    ticks = _ticks(profile)
+    calls = 0
+
+    def step() -> None:
+        nonlocal calls
+        simulation.advance(ticks)
+        calls += 1
+        if calls * AGENT_PERIOD >= EPISODE:
+            simulation.set_state(start)
+            calls = 0
+
+    return Contestant(f"kernel of {devices}, {profile}", step, devices, ticks)
+
+
+def race(
+    entrants: Sequence[Contestant], turns: int = TURNS, seconds: float = TURN_SECONDS, watch: Callable[[], object] = int
+) -> list[Speed]:
+    """Let all step in turns and return their speeds.
+
+    Parameters
+    ----------
+    entrants : sequence of Contestant
+    turns : int
+        Turns each of them takes.
+    seconds : float
+        Length of a turn [s].
+    watch : callable
+        Called after each turn, for a progress bar.
+    """
+    for entrant in entrants:
+        entrant.step()  # compile
+    rates: dict[str, list[float]] = {entrant.name: [] for entrant in entrants}
+    for _ in range(turns):
+        for entrant in entrants:
+            rates[entrant.name].append(_rate(entrant.step, seconds) * entrant.devices)
+            watch()
+    return [Speed(entrant.name, tuple(rates[entrant.name]), entrant.ticks) for entrant in entrants]
+
+
+def spread(numbers: Sequence[float]) -> dict[str, float]:
+    """Return the median, the least and the most of some numbers, by name."""
+    return {"median": statistics.median(numbers), "least": min(numbers), "most": max(numbers)}
+
+
+def ratios(ours: Speed, theirs: Speed) -> list[float]:
+    """Return how many times as fast `ours` was, turn by turn: neighbours in time share the machine's mood."""
+    return [mine / other for mine, other in zip(ours.rates, theirs.rates, strict=True)]
+
+
+def step_single(env: gym.Env[Any, Any], seed: int) -> Step:
+    """Return a function that steps an environment and resets it when its episode ends, as any user's loop does."""
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
+    action = env.action_space.sample()
+
+    def step() -> None:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+
+    return step
+
+
+def _step_vector(env: gym.vector.VectorEnv[Any, Any, Any], seed: int) -> Step:
+    env.reset(seed=seed)
+    env.action_space.seed(seed)
+    actions = env.action_space.sample()
+    return lambda: env.step(actions)
+
+
+def _rate(step: Step, seconds: float) -> float:
+    calls, start = 0, time.perf_counter()
+    while True:
+        for _ in range(10):
+            step()
+        calls += 10
+        passed = time.perf_counter() - start
+        if passed >= seconds:
+            return calls / passed
+
+
+def _ticks(profile: str) -> int:
+    return round(AGENT_PERIOD / load_profile(profile).loop.control_period)

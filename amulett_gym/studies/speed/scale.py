@@ -1,0 +1,217 @@
+"""From one arm to a hundred thousand: cost of a device's step, memory of a device, and an hour of simulated time."""
+
+from __future__ import annotations
+
+import gc
+import os
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.vector import TensionVectorEnv
+from amulett_gym.studies.speed.rates import AGENT_PERIOD, race, ratios, spread, vector
+
+SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
+THREADED_SIZES = (1024, 8192, 65536)
+HOUR = 3600.0  # [s]
+EPISODE_STEPS = 500
+SLICES = 60
+"""Parts of the long run in which speed and memory are looked at."""
+LONE_DEVICES = 8
+"""Arms whose one episode lasts as long as the whole long run: a block of the kernel."""
+
+Watch = Callable[[], object]
+
+
+def cost_by_size(
+    profile: str = "testbed", sizes: Sequence[int] = SIZES, seed: int = 0, turns: int = 3, watch: Watch = int
+) -> dict[int, dict[str, float]]:
+    """Return what a step of one device costs in a vector environment of each size [ns]: median, least, most."""
+    entrants = [vector(profile, size, seed) for size in sizes]
+    speeds = race(entrants, turns, watch=watch)
+    return {size: spread([1e9 / rate for rate in speed.rates]) for size, speed in zip(sizes, speeds, strict=True)}
+
+
+def two_threads(
+    profile: str = "testbed",
+    sizes: Sequence[int] = THREADED_SIZES,
+    seed: int = 0,
+    turns: int = 7,
+    watch: Watch = int,
+) -> dict[int, dict[str, float]]:
+    """Return how many times as fast two threads are as one at each size, turn by turn: median, least, most."""
+    entrants = [vector(profile, size, seed, threads) for size in sizes for threads in (1, 2)]
+    speeds = race(entrants, turns, watch=watch)
+    pairs = zip(speeds[::2], speeds[1::2], strict=True)
+    return {size: spread(ratios(two, one)) for size, (one, two) in zip(sizes, pairs, strict=True)}
+
+
+def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int = 0) -> dict[str, float | None]:
+    """Return how many bytes a device of a vector environment takes.
+
+    Returns
+    -------
+    dict
+        ``"simulation"``: of the simulated devices' arrays. ``"arrays"``: of all arrays that the environment holds,
+        Gymnasium's batched spaces included. ``"resident"``: growth of the process's resident memory while the
+        environment was made, reset and stepped twice, room for what a step returns included; None where the system
+        does not tell.
+    """
+    small = _made(profile, 1)
+    small.reset(seed=seed)
+    small.step(np.zeros((1, 1), dtype=np.float32))  # what is loaded and compiled is no device's
+    before = resident_bytes()
+    env = _made(profile, devices)
+    env.reset(seed=seed)
+    for _ in range(2):
+        env.step(np.zeros((devices, 1), dtype=np.float32))
+    after = resident_bytes()
+    return {
+        "devices": devices,
+        "simulation": held_bytes(env.episodes) / devices,
+        "arrays": held_bytes(env) / devices,
+        "resident": None if before is None or after is None else (after - before) / devices,
+    }
+
+
+def held_bytes(thing: Any) -> int:
+    """Return the bytes of all different arrays that an object holds, directly or in objects of its own."""
+    arrays: dict[int, int] = {}
+    seen: set[int] = set()
+
+    def look(item: Any) -> None:
+        if id(item) in seen:
+            return
+        seen.add(id(item))
+        if isinstance(item, np.ndarray):
+            while isinstance(item.base, np.ndarray):
+                item = item.base
+            arrays[id(item)] = item.nbytes
+        elif isinstance(item, dict):
+            for value in item.values():
+                look(value)
+        elif isinstance(item, list | tuple):
+            for value in item:
+                look(value)
+        elif type(item).__module__.startswith(("amulett_gym", "gymnasium.spaces")):
+            look(vars(item))
+
+    look(thing)
+    return sum(arrays.values())
+
+
+def resident_bytes() -> int | None:
+    """Return the process's resident memory now, or None where there is no ``/proc``."""
+    gc.collect()
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return None
+
+
+def long_run(
+    profile: str = "testbed", devices: int = 1024, seconds: float = HOUR, seed: int = 0, watch: Watch = int
+) -> dict[str, Any]:
+    """Simulate for long, and look for drift and for growth of memory or of the time that a step takes.
+
+    Two environments run side by side. In one each arm plays episode after episode; the last one must be, bit for bit,
+    what a new environment plays in it. In the other eight arms play one single episode.
+
+    Parameters
+    ----------
+    profile : str
+    devices : int
+    seconds : float
+        Simulated time [s]; rounded up to whole episodes in whole slices.
+    seed : int
+    watch : callable
+        Called `SLICES` times, for a progress bar.
+
+    Returns
+    -------
+    dict
+        ``steps_per_s`` and ``resident_bytes`` of each slice, the ``speed_ratio`` of the last third to the first, the
+        growth ``resident_growth_bytes_per_device`` from the end of the first slice, ``failures``,
+        ``last_episode_is_exact``, and for the uninterrupted episode ``lone_clock_error_s``, and the
+        ``lone_angle_change_deg`` and ``lone_tension_change_n`` between its middle and its end.
+    """
+    rng = np.random.default_rng(seed)
+    episodes = max(round(seconds / (EPISODE_STEPS * AGENT_PERIOD) / SLICES), 1)
+    env = _made(profile, devices)
+    env.reset(seed=seed)
+    steps = SLICES * episodes * (EPISODE_STEPS + 1)  # with the step that starts the next episode
+    lone = _made(profile, LONE_DEVICES, max_episode_steps=steps)
+    lone.reset(seed=seed)
+    held = np.zeros((LONE_DEVICES, 1), dtype=np.float32)
+    speeds, memory, lone_means, failures = [], [], [], 0
+    observations: NDArray[np.float32] = np.empty(0, dtype=np.float32)
+    for _ in range(SLICES):
+        actions = rng.uniform(-1, 1, (devices, 1)).astype(np.float32)
+        passed = 0.0
+        readings = []
+        for _ in range(episodes * (EPISODE_STEPS + 1)):
+            start = time.perf_counter()
+            observations, _, terminated, _, _ = env.step(actions)
+            passed += time.perf_counter() - start
+            failures += int(terminated.sum())
+            info = lone.step(held)[4]
+            readings.append((info["joint_angle"].mean(), info["force_biceps"].mean() + info["force_triceps"].mean()))
+        failures += int((info["failure"] != "").sum())
+        speeds.append(devices * episodes * (EPISODE_STEPS + 1) / passed)
+        memory.append(resident_bytes())
+        lone_means.append(np.mean(readings, axis=0))
+        watch()
+    half, third = SLICES // 2, SLICES // 3
+    change = np.abs(lone_means[-1] - lone_means[half])
+    grown = None if memory[0] is None or memory[-1] is None else (memory[-1] - memory[0]) / devices
+    return {
+        "devices": devices,
+        "simulated_s": steps * AGENT_PERIOD,
+        "steps_per_s": speeds,
+        "resident_bytes": memory,
+        "speed_ratio": statistics.median(speeds[-third:]) / statistics.median(speeds[:third]),
+        "resident_growth_bytes_per_device": grown,
+        "failures": failures,
+        "last_episode_is_exact": _replays(env, profile, seed, SLICES * episodes, observations, actions),
+        "lone_clock_error_s": float(np.abs(info["time"] - steps * AGENT_PERIOD).max()),
+        "lone_angle_change_deg": float(change[0]),
+        "lone_tension_change_n": float(change[1]) / 2,
+    }
+
+
+def _replays(
+    env: TensionVectorEnv,
+    profile: str,
+    seed: int,
+    episode: int,
+    observations: NDArray[np.float32],
+    actions: NDArray[np.float32],
+) -> bool:
+    """Tell whether the environment goes on as a new one does that was reset until the same episode."""
+    new = _made(profile, env.num_envs)
+    first, _ = new.reset(seed=seed)
+    for _ in range(episode):
+        first, _ = new.reset()
+    if not np.array_equal(first, observations):
+        return False
+    return all(np.array_equal(env.step(actions)[0], new.step(actions)[0]) for _ in range(EPISODE_STEPS))
+
+
+def _made(profile: str, devices: int, max_episode_steps: int = EPISODE_STEPS) -> TensionVectorEnv:
+    env: Any = gym.make_vec(
+        ENV_IDS[0],
+        num_envs=devices,
+        profile=profile,
+        suite="steps",
+        agent_period=AGENT_PERIOD,
+        max_episode_steps=max_episode_steps,
+    )
+    made: TensionVectorEnv = env.unwrapped
+    return made

@@ -1,0 +1,33 @@
+"""The shipped recipes: valid, short, and all on the suite that the benchmark is about."""
+
+from pathlib import Path
+
+import pytest
+
+from amulett_agents.config import TrainConfig, load_train_config
+from amulett_gym.storage.provenance import differences
+from amulett_gym.storage.safe_yaml import read_yaml
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+RECIPES = ("ppo-history", "causal", "sac")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_recipe_gives_what_differs_from_the_default_and_nothing_else(name):
+    config = load_train_config(CONFIGS / f"{name}.yaml")
+    assert config.env.suite == "mixed"
+
+    def leaves(tree, path=""):
+        for key, value in tree.items():
+            yield from leaves(value, f"{path}{key}.") if isinstance(value, dict) else [f"{path}{key}"]
+
+    changed = {line.split(" was ")[0] for line in differences(TrainConfig().model_dump(), config.model_dump())}
+    given = set(leaves(read_yaml(CONFIGS / f"{name}.yaml", "recipe")))
+    assert {key for key in given if not any(one.startswith(key) for one in changed)} == set()
+
+
+def test_each_recipe_is_of_its_kind():
+    history, causal, sac = (load_train_config(CONFIGS / f"{name}.yaml") for name in RECIPES)
+    assert (history.algorithm, causal.algorithm, sac.algorithm) == ("ppo", "ppo", "sac")
+    assert history.env.history > 1
+    assert causal.env.privileged

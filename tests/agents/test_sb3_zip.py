@@ -1,0 +1,123 @@
+"""Zips of Stable-Baselines3 are pickles: they compete if somebody vouches for them, and stay shut otherwise."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import zipfile
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import yaml
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO, SAC, TD3
+
+from amulett_agents import load_sb3_zip
+from amulett_gym import ENV_IDS
+from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.profile import load_profile
+
+TESTBED = load_profile("testbed")
+OBSERVATIONS = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
+
+
+def saved(folder: Path, algorithm=PPO, env: str | gym.Env = ENV_IDS[0], **keywords) -> Path:
+    keywords = {"policy_kwargs": {"net_arch": [8]}, "seed": 0, "device": "cpu", **keywords}
+    if algorithm is PPO:
+        keywords |= {"n_steps": 8, "batch_size": 8}
+    path = folder / f"{algorithm.__name__}.zip"
+    algorithm("MlpPolicy", env, **keywords).save(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "keywords"), [(PPO, {}), (PPO, {"use_sde": True}), (SAC, {"use_sde": True}), (TD3, {})]
+)
+def test_a_trusted_zip_acts_as_the_model_did(tmp_path, algorithm, keywords):
+    path = saved(tmp_path, algorithm, **keywords)
+    expected, _ = algorithm.load(path, device="cpu").predict(OBSERVATIONS, deterministic=True)
+    act = load_sb3_zip(path, TESTBED, trust_pickle=True).act
+    assert np.ptp(expected) > 0
+    assert np.array_equal(act(OBSERVATIONS), expected)
+
+
+def test_a_trusted_zip_competes(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(saved(tmp_path).parent)
+    assert main(["evaluate", "--policies", "PPO.zip", "--trust-pickle", "--episodes", "2", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert list(result["policies"]) == ["eq6", "PPO.zip"]
+    assert result["command"].endswith("--trust-pickle")
+
+
+class Trap:
+    def __init__(self, trap: Path) -> None:
+        self.trap = trap
+
+    def __reduce__(self):
+        return Path.touch, (self.trap,)
+
+
+def test_without_trust_nothing_in_a_zip_is_run(tmp_path, capsys):
+    import base64
+
+    trap, path = tmp_path / "sprung", tmp_path / "model.zip"
+    serialized = base64.b64encode(pickle.dumps(Trap(trap))).decode()
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps({"policy_class": {":type:": "?", ":serialized:": serialized}}))
+    assert main(["evaluate", "--policies", str(path), "--episodes", "1"]) == 2
+    message = capsys.readouterr().err
+    assert "to open a pickle is to run whatever code its maker put into it" in message
+    assert "--trust-pickle" in message
+    with pytest.raises(AmulettError, match="load_sb3_zip"):
+        evaluate([str(path)], episodes=1)
+    assert not trap.exists()
+    with pytest.raises(AmulettError, match="no model that this Stable-Baselines3 can load"):
+        load_sb3_zip(path, TESTBED, trust_pickle=True)
+    assert trap.exists(), "the trap would not have worked"
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"no zip at all"])
+def test_what_is_no_model_is_refused(tmp_path, content):
+    (tmp_path / "model.zip").write_bytes(content)
+    with pytest.raises(AmulettError, match=r"model\.zip.*no model"):
+        load_sb3_zip(tmp_path / "model.zip", TESTBED, trust_pickle=True)
+    with pytest.raises(AmulettError, match="no such file"):
+        load_sb3_zip(tmp_path / "none.zip", TESTBED, trust_pickle=True)
+
+
+def test_a_model_of_another_environment_is_refused(tmp_path):
+    with pytest.raises(AmulettError, match=r"the observations of .* have shape \(3,\); they have to have \(13,\)"):
+        load_sb3_zip(saved(tmp_path, env="Pendulum-v1"), TESTBED, trust_pickle=True)
+
+
+def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
+    path = saved(tmp_path)
+    assert load_sb3_zip(path, TESTBED, trust_pickle=True).env_keywords == {}
+    (tmp_path / "config.yaml").write_text(
+        "env: {agent_period: 0.1, tension_range: [5.0, 8.0]}\nnetwork: {features: false}"
+    )
+    contender = load_sb3_zip(path, TESTBED, ENV_IDS[1], trust_pickle=True)
+    assert contender.env_keywords == {"agent_period": 0.1, "action_range": [5.0, 8.0]}
+    in_factors = load_sb3_zip(path, TESTBED, ENV_IDS[0], trust_pickle=True).env_keywords["action_range"]
+    assert in_factors == pytest.approx([5.0 / 10.0, 8.0 / 10.0])
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"network": {"features": True}, "env": {"agent_period": 0.1}},
+        {"network": {"features": False}},  # the default low-pass
+        {"network": {"features": False}, "env": {"agent_period": 0.1, "history": 3}},
+    ],
+)
+def test_a_zip_of_a_recipe_that_shows_or_does_something_else_is_refused(tmp_path, settings):
+    path = saved(tmp_path)
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
+    with pytest.raises(AmulettError, match="which its zip does not hold; use the bundle"):
+        load_sb3_zip(path, TESTBED, trust_pickle=True)

@@ -1,0 +1,178 @@
+"""A policy that starts as another one ended: it acts alike, its critic learns first, and nothing else may differ."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from amulett_agents import training  # noqa: E402
+from amulett_agents.bundles import describe_policy, save_policy, start_from  # noqa: E402
+from amulett_agents.config import load_train_config  # noqa: E402
+from amulett_agents.model import callbacks, make_model  # noqa: E402
+from amulett_agents.training import resume, train  # noqa: E402
+from amulett_gym.cli import main  # noqa: E402
+from amulett_gym.envs.transition import OBSERVATIONS  # noqa: E402
+from amulett_gym.errors import AmulettError  # noqa: E402
+from amulett_gym.laws.actor import Actor  # noqa: E402
+from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.laws.contenders import bundle_folder  # noqa: E402
+from amulett_gym.laws.features import FEATURES  # noqa: E402
+
+SMALL = [
+    "num_envs=4",
+    "network.hidden=[16, 8]",
+    "ppo.n_steps=16",
+    "ppo.batch_size=32",
+    "ppo.n_epochs=1",
+    "env.max_episode_steps=30",
+]
+CAUSAL = Path(__file__).parents[2] / "configs" / "causal.yaml"
+
+
+def model_of(*changes):
+    return make_model(load_train_config(None, [*SMALL, *changes]))
+
+
+def bundle_of(folder, *changes):
+    """Return a bundle of such a recipe's network with random weights."""
+    model = model_of(*changes)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for weights in model.policy.parameters():
+            weights.copy_(0.2 * torch.randn(weights.shape, generator=generator))
+    return read_bundle(save_policy(model, folder))
+
+
+def stopping_at(steps):
+    """Return a run's method that stops it, as a signal does, once it has taken so many steps."""
+    original = training._Run._on_rollout_end
+
+    def stop(self):
+        original(self)
+        self.stopping |= self.num_timesteps >= steps
+
+    return stop
+
+
+def actions_of(layers, policy, model, steps=40):
+    """Return what a network does, step by step, in a model's environment."""
+    env = model.get_env().unwrapped.venv
+    actor, actions = Actor(layers, policy, env), []
+    observations, _ = env.reset(seed=3)
+    for _ in range(steps):
+        actions.append(actor(observations))
+        observations, *_ = env.step(actions[-1])
+    return np.array(actions)
+
+
+@pytest.mark.parametrize(
+    ("given", "asked"),
+    [
+        ([], []),
+        ([], ["env.privileged=true"]),
+        (["env.privileged=true"], ["env.privileged=true"]),
+        (["env.history=3"], ["env.history=3", "env.privileged=true"]),
+        (["network.features=false"], ["network.features=false", "env.privileged=true"]),
+        (["network.standard_inputs=false"], ["ppo.privileged_critic=false"]),
+        ([], ["network.standard_inputs=false"]),
+    ],
+)
+def test_it_acts_as_the_bundle_does(given, asked, tmp_path):
+    bundle = bundle_of(tmp_path / "bundle", *given)
+    model = model_of(*asked, f"network.start={tmp_path / 'bundle'}")
+    layers, policy = describe_policy(model)
+    expected = actions_of(bundle.layers, bundle.policy, model)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(actions_of(layers, policy, model), expected, rtol=0, atol=1e-4)
+
+
+def test_the_causal_reference_starts_as_the_shipped_policy():
+    config = load_train_config(CAUSAL, ["num_envs=4", "ppo.batch_size=128", "env.max_episode_steps=30"])
+    layers, policy = describe_policy(make_model(config))
+    assert policy.is_privileged and config.network.start == "pretrained"
+    weight, known = layers[0][0], len(OBSERVATIONS) + len(FEATURES)
+    shipped = read_bundle(bundle_folder("pretrained")).layers[0][0]
+    np.testing.assert_allclose(weight[:, :known], shipped, rtol=1e-5, atol=1e-6)
+    assert weight.shape[1] > known and not weight[:, known:].any()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["network.hidden=[16, 16]"], r"hidden layers \[16, 16\]; this recipe's has \[16, 8\]"),
+        (["network.activation=tanh"], "the activation tanh; this recipe's has relu"),
+        (["network.features=false"], "features False; this recipe's has True"),
+        (["env.history=2"], "history 2; this recipe's has 1"),
+        (["env.privileged=true"], "observations that are told what no device can know True; this recipe's has False"),
+        (["env.tension_range=[5.0, 9.0]", "network.initial_tension=6"], r"tension_range \[5.0, 9.0\]"),
+        (["env.agent_period=0.05"], "agent_period 0.05; this recipe's has 0.02"),
+        (["env.follow_time=0"], "agent_period / follow_time 1.0; this recipe's has 0.4"),
+    ],
+)
+def test_what_means_something_else_is_refused(given, message, tmp_path):
+    bundle_of(tmp_path / "bundle", *given)
+    with pytest.raises(AmulettError, match=rf"network\.start: the policy of '.*bundle' has .*{message}"):
+        model_of(f"network.start={tmp_path / 'bundle'}")
+
+
+def test_what_is_no_bundle_is_refused(tmp_path):
+    for wrong in ("pretraind", "eq6", str(tmp_path)):
+        with pytest.raises(
+            AmulettError, match=rf"network\.start is '{wrong}'; it has to be pretrained, pretrained:tension"
+        ):
+            model_of(f"network.start={wrong}")
+    with pytest.raises(AmulettError, match="only PPO can start from a bundle"):
+        model_of("algorithm=sac", "network.start=pretrained")
+
+
+def test_a_critic_that_learns_alone_to_the_end_is_refused():
+    with pytest.raises(AmulettError, match=r"ppo\.critic_steps is 449; it can be at most 448, where the last rollout"):
+        model_of("ppo.critic_steps=449", "total_steps=500")
+    model_of("ppo.critic_steps=448", "total_steps=500")
+    with pytest.raises(AmulettError, match=r"ppo\.final_std is null"):
+        model_of("ppo.critic_steps=500", "ppo.final_std=null")
+
+
+def test_a_run_is_resumed_without_the_bundle_that_it_began_as(tmp_path):
+    bundle_of(tmp_path / "bundle")
+    recipe = [*SMALL, "total_steps=640", "validation.episodes=2", "checkpoint_seconds=0"]
+    recipe += [f"network.start={tmp_path / 'bundle'}", "ppo.critic_steps=100"]
+    config, weights = load_train_config(None, recipe), {}
+    for name, limit in (("whole", None), ("stopped", 256)):
+        run = tmp_path / name
+        with pytest.MonkeyPatch.context() as patch:
+            if limit is not None:
+                patch.setattr(training._Run, "_on_rollout_end", stopping_at(limit))
+            train(config, run, progress=False)
+        if limit is not None:
+            shutil.rmtree(tmp_path / "bundle")
+            resume(run, progress=False)
+        weights[name] = [array for layer in read_bundle(run / "last").layers for array in layer]
+    assert all(np.array_equal(one, other) for one, other in zip(*weights.values(), strict=True))
+    # And it is done again from the bundle that is kept with it.
+    assert main(["rerun", str(tmp_path / "whole"), "--out", str(tmp_path / "again")]) == 0
+    train(load_train_config(tmp_path / "again" / "config.yaml"), tmp_path / "whole", progress=False, overwrite=True)
+
+
+def test_the_critic_learns_first(tmp_path):
+    bundle_of(tmp_path / "bundle")
+    config = load_train_config(
+        None, [*SMALL, f"network.start={tmp_path / 'bundle'}", "ppo.critic_steps=128", "ppo.anneal=false"]
+    )
+    model = make_model(config)
+
+    def learned(steps):
+        before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+        model.learn(steps, callbacks(config), reset_num_timesteps=False)
+        after = model.policy.state_dict()
+        return {name for name, value in before.items() if not torch.equal(value, after[name])}
+
+    critic = {name for name in model.policy.state_dict() if "value_net" in name}
+    policy = {name for name in model.policy.state_dict() if "policy_net" in name or "action_net" in name}
+    assert learned(128) - {"log_std"} == critic
+    assert learned(64) >= critic | policy
+    start_from(model, read_bundle(tmp_path / "bundle"))  # and may start again
+    assert learned(64) >= critic | policy

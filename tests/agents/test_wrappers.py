@@ -1,0 +1,114 @@
+"""What a learner sees and does in training is what its bundle sees and does; and episodes begin one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+from stable_baselines3.common.vec_env import unwrap_vec_wrapper
+
+from amulett_agents import load_train_config, make_sb3_env, train
+from amulett_agents.adapter import SB3VecEnv
+from amulett_agents.bundles import describe_policy
+from amulett_agents.model import make_model
+from amulett_agents.training import torch_threads
+from amulett_agents.wrappers import ActorView, Staggered
+from amulett_gym import ENV_IDS
+from amulett_gym.laws.actor import Actor
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.studies.benchmark.frozen import seed_overlap
+
+SMALL = ["num_envs=12", "env.max_episode_steps=40", "ppo.n_steps=16", "ppo.batch_size=64", "network.hidden=[16]"]
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    with torch_threads(1):
+        yield
+
+
+def adapter_of(env):
+    while not isinstance(env, SB3VecEnv):
+        env = env.venv
+    return env
+
+
+def spy(monkeypatch, owner, method):
+    """Return a list of what a method is called with from now on."""
+    calls, original = [], getattr(owner, method)
+
+    def record(argument):
+        calls.append(argument)
+        return original(argument)
+
+    monkeypatch.setattr(owner, method, record)
+    return calls
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        [],  # its critic sees more
+        ["env.history=3"],
+        ["env.history=3", "env.privileged=true"],
+        ["ppo.privileged_critic=false", "network.standard_inputs=false"],
+        ["env.follow_time=0", "network.features=false"],
+        ["algorithm=sac", "env.history=2", "env.tension_range=[5.0, 9.0]"],
+    ],
+)
+def test_a_policy_acts_from_its_bundle_as_it_did_in_training(recipe, monkeypatch):
+    model = make_model(load_train_config(None, [*SMALL, *recipe]))
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for weights in model.policy.parameters():
+            weights.copy_(0.2 * torch.randn(weights.shape, generator=generator))
+    env = model.get_env()
+    adapter, view = adapter_of(env), unwrap_vec_wrapper(env, ActorView)
+    actor = Actor(*describe_policy(model), adapter.venv)
+    shown, done = spy(monkeypatch, view, "_show"), spy(monkeypatch, adapter, "step_async")
+    observations, expected = env.reset(), []
+    done.clear()  # of what staggers the episodes
+    for _ in range(60):
+        expected.append(actor(shown[-1]))
+        actions, _ = model.predict(observations, deterministic=True)
+        observations, *_ = env.step(actions)
+    assert np.ptp(done) > 0.1
+    np.testing.assert_allclose(np.array(expected), np.array(done), rtol=0, atol=5e-6)
+
+
+def test_staggered_episodes_end_one_after_the_other_and_none_lasts_longer():
+    env = Staggered(make_sb3_env(num_envs=12, suite="mixed", max_episode_steps=40), 0.0, 40)
+    env.seed(0)
+    first = env.reset()
+    ended, lengths = [], []
+    for step in range(120):
+        _, _, dones, infos = env.step(np.zeros((12, 1), np.float32))
+        ended += [(step, device) for device in np.flatnonzero(dones)]
+        lengths += [infos[device]["episode"]["l"] for device in np.flatnonzero(dones)]
+    assert lengths == [40] * 36
+    assert max(sum(step == at for at, _ in ended) for step in range(120)) == 1
+    again = Staggered(make_sb3_env(num_envs=12, suite="mixed", max_episode_steps=40), 0.0, 40)
+    again.seed(0)
+    assert np.array_equal(again.reset(), first)
+    again.seed(12)
+    assert not np.isclose(again.reset(), first).all(axis=1).any()
+
+
+def test_training_seeds_share_no_scenario():
+    config = load_train_config(None, [*SMALL, "total_steps=480"])
+    alone = seed_overlap([config], seed=0, episodes=1)["train"]
+    both = seed_overlap([config, config.model_copy(update={"seed": 1})], seed=0, episodes=1)["train"]
+    assert both == 2 * alone
+
+
+def test_both_kinds_of_action_are_learned_alike(tmp_path):
+    """So one training gives the weights of both policies that come with the package."""
+    kept = []
+    for env_id in ENV_IDS:
+        short = ["total_steps=768", "ppo.n_epochs=2", "validation.episodes=4", f"env.id={env_id}"]
+        result = train(load_train_config(None, [*SMALL, *short]), tmp_path / env_id, progress=False)
+        kept.append([array for layer in read_bundle(result.last).layers for array in layer])
+    assert all(np.array_equal(a, b) for a, b in zip(*kept, strict=True))

@@ -1,0 +1,110 @@
+"""`amulett config validate`: says what a file is and what it comes to, or which key is wrong and what it may be."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+
+from amulett_agents.config import TrainConfig
+from amulett_gym.cli import main
+from amulett_gym.cli.config import show, validate
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.storage.safe_yaml import parse_yaml
+from amulett_gym.studies.benchmark.description import Benchmark, Learned
+from amulett_gym.tasks.scenario import Scenario
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+ALL = sorted([*CONFIGS.rglob("*.yaml"), *CONFIGS.rglob("*.json")])
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.name)
+def test_what_we_ship_is_valid(path, capsys):
+    assert main(["config", "validate", str(path)]) == 0
+    assert f"{path}: valid, " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind"),
+    [
+        ("mine.yaml", "{name: mine, base: testbed}", "a device profile"),
+        ("mine.yaml", "{ppo: {gamma: 0.98}}", "a training recipe"),
+        ("mine.yaml", "{headline: steps, suites: [steps]}", "a benchmark's description"),
+        ("mine.json", '{"moves": []}', "a scenario"),
+    ],
+)
+def test_a_kind_is_told_by_its_keys(name, text, kind, tmp_path):
+    (tmp_path / name).write_text(text)
+    if kind == "a benchmark's description":
+        text = "{headline: steps, suites: [steps], clairvoyant: {scenarios: {}}}"
+        (tmp_path / name).write_text(text)
+    assert validate(tmp_path / name).kind == kind
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("mine.yaml", "{name: mine, base: testbed, plnt: {}}", "unknown key 'plnt'; did you mean 'plant'"),
+        ("mine.yaml", "{ppo: {gama: 0.9}}", "unknown key 'ppo.gama'; did you mean 'gamma'"),
+        ("mine.json", '{"move": []}', "unknown key 'move'; did you mean 'moves'"),
+        ("mine.yaml", "{colour: red}", "has no key of any kind of file"),
+        ("mine.txt", "", "is neither .yaml"),
+        (
+            "mine.json",
+            '{"moves": [{"time": -1, "angle_deg": 5}]}',
+            "'moves.0.time' is -1: .*greater than or equal to 0",
+        ),
+    ],
+)
+def test_what_is_wrong_is_named(name, text, message, tmp_path, capsys):
+    (tmp_path / name).write_text(text)
+    assert main(["config", "validate", str(tmp_path / name)]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_what_is_shown_is_the_file_in_full_with_units(tmp_path, capsys):
+    (tmp_path / "mine.yaml").write_text("{name: mine, base: testbed, sensors: {potentiometer_noise: 0.00002}}")
+    expected = load_profile(tmp_path / "mine.yaml")
+    assert main(["config", "validate", "--show", str(tmp_path / "mine.yaml")]) == 0
+    text = capsys.readouterr().out
+    assert "standard deviation [m]" in text
+    assert load_profile(parse_yaml(text, "shown")) == expected
+    assert main(["config", "validate", "--json", str(tmp_path / "mine.yaml")]) == 0
+    assert load_profile(json.loads(capsys.readouterr().out)["content"]) == expected
+
+
+def test_a_recipe_is_shown_in_full(tmp_path):
+    config = TrainConfig()
+    assert TrainConfig.model_validate(parse_yaml("\n".join(show(config)), "shown")) == config
+
+
+def fields(model: type[BaseModel], path: str = ""):
+    from amulett_gym.settings import _group_in
+
+    for name, field in model.model_fields.items():
+        group = _group_in(field.annotation)
+        if group is not None:
+            yield from fields(group, f"{path}{name}.")
+        elif name not in ("sources", "version"):
+            yield f"{path}{name}", field
+
+
+ALL_FIELDS = [
+    pytest.param(field, id=f"{model.__name__}.{name}")
+    for model in (Profile, TrainConfig, Scenario, Benchmark, Learned)
+    for name, field in fields(model)
+]
+
+
+@pytest.mark.parametrize("field", ALL_FIELDS)
+def test_every_field_says_what_it_means_and_every_number_its_range_and_unit(field):
+    assert field.description
+    if field.annotation in (float, int, float | None, int | None):
+        kinds = {type(item) for item in field.metadata}
+        assert kinds & {Ge, Gt}, "no lower bound"
+        assert kinds & {Le, Lt}, "no upper bound"
+        assert re.search(r"\[[^\]]+\]", field.description), "no unit"

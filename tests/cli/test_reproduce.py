@@ -1,0 +1,217 @@
+"""`amulett reproduce` refuses what it cannot write before it works, can be killed, and takes a study of one's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
+from amulett_gym.model.plant import inertia
+from amulett_gym.storage.writing import output_folder
+from amulett_gym.studies.paper import evidence as evidence_module
+from amulett_gym.studies.paper import report
+from amulett_gym.studies.paper.document import BEGIN, END
+from amulett_gym.studies.paper.evidence import Evidence, gather
+from amulett_gym.studies.paper.own_study import read_study
+from amulett_gym.studies.paper.report import REPRODUCTION_MARKS, draw, write_report
+from amulett_gym.studies.paper.results import STATUS, hypotheses_table, in_words
+from amulett_gym.studies.paper.study import profile_text, shipped
+from amulett_gym.studies.paper.tables import DEVICES
+
+HEAVIER = 1.1
+
+
+@pytest.fixture(scope="module")
+def content() -> dict[str, Any]:
+    """Return a study that found a heavier arm than the shipped one did."""
+    content = shipped()
+    entry = next(entry for entry in content["spread"] if entry["name"] == "inertia")
+    entry["value"] *= HEAVIER
+    return content
+
+
+def write_study(folder: Path, content: dict[str, Any]) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "identification.json").write_text(json.dumps(content))
+    for name in DEVICES:
+        (folder / f"{name}.yaml").write_text(profile_text(name, content))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(content, tmp_path_factory) -> Path:
+    return write_study(tmp_path_factory.mktemp("study"), content)
+
+
+@pytest.fixture(scope="module")
+def evidence(folder) -> Evidence:
+    return gather(read_study(folder))
+
+
+@pytest.fixture
+def no_work(monkeypatch) -> None:
+    def work(*_: object) -> None:
+        raise AssertionError("the command began to work")
+
+    monkeypatch.setattr(evidence_module, "gather", work)
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["reproduce", *arguments]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["# No marks\n", f"{END}\n{BEGIN}\n", f"{BEGIN}\n{BEGIN}\n{END}\n"])
+def test_a_document_without_its_marks_is_refused_before_any_work(tmp_path, capsys, no_work, text):
+    path = tmp_path / "mine.md"
+    path.write_text(text)
+    assert "has to hold the line" in refusal(capsys, "--doc", str(path), "--out", str(tmp_path / "out"))
+    assert path.read_text() == text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_document_that_cannot_be_renewed_is_refused_before_any_work(tmp_path, capsys, no_work, monkeypatch):
+    path = tmp_path / "mine.md"
+    assert "cannot read document" in refusal(capsys, "--doc", str(path))
+    path.write_text(f"{BEGIN}\n{END}\n")
+    (tmp_path / "images").write_text("a file where the figures go")
+    assert f"cannot write to '{tmp_path / 'images'}'" in refusal(capsys, "--doc", str(path))
+    (tmp_path / "images").unlink()
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write everything
+    assert "is read-only" in refusal(capsys, "--doc", str(path))
+
+
+def test_a_run_that_was_killed_while_it_wrote_can_be_repeated_into_the_same_folder(tmp_path, monkeypatch, evidence):
+    out, figures = tmp_path / "out", draw(evidence)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(report, "save_figure", killed)
+        write_report(evidence, figures, out)
+    assert not (out / "reproduction.html").exists()
+    with output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
+        assert earlier
+        write_report(evidence, figures, out)
+    assert (out / "reproduction.html").exists()
+
+
+def test_an_own_study_comes_back_as_it_was_written(folder, content):
+    study = read_study(folder)
+    assert study.identification == content
+    shipped_inertia = next(entry["value"] for entry in shipped()["spread"] if entry["name"] == "inertia")
+    assert list(study.profiles) == list(DEVICES)
+    for profile in study.profiles.values():
+        [item] = profile.plant.masses
+        assert inertia([item.mass], [item.arm]) == pytest.approx(HEAVIER * shipped_inertia, rel=1e-3)
+
+
+def test_the_command_shows_an_own_study_in_the_place_of_the_shipped_one(tmp_path, capsys, folder, content, evidence):
+    document = tmp_path / "mine.md"
+    document.write_text(f"{BEGIN}\n{END}\n")
+    out = tmp_path / "out"
+    assert main(["reproduce", "--study", str(folder), "--out", str(out), "--doc", str(document)]) == 0
+    status = f"These are the devices of the study in {folder}: seeds"
+    result = json.loads((out / "reproduction.json").read_text())
+    assert result["parameters"]["status"].startswith(STATUS) and status in result["parameters"]["status"]
+    assert result["parameters"]["identified"] == {entry["name"]: entry["value"] for entry in content["spread"]}
+    ours = [row.ours for row in evidence.reproduction.rows]
+    assert [row["ours"] for row in result["rows"]] == ours
+    assert ours != [row.ours for row in evidence_module.reproduce().rows]
+    for text in (capsys.readouterr().out, document.read_text(), (out / "reproduction.html").read_text()):
+        assert status in text
+
+
+def test_the_terminal_names_the_numbers_of_every_hypothesis(evidence):
+    table = hypotheses_table(evidence.hypotheses)
+    assert table in in_words(evidence)
+    for answer in evidence.hypotheses:
+        assert f"{answer.number} {answer.verdict}" in table
+        for item in answer.criteria:
+            lines = [line for line in table.splitlines() if item.case in line]
+            assert any(all(part in line for part in item.words.split("; ")) for line in lines)
+
+
+def without_key(content: dict[str, Any]) -> None:
+    del content["springs"]
+
+
+def without_parameter(content: dict[str, Any]) -> None:
+    del content["without"]["variable"]["inertia"]
+
+
+def with_unknown_parameter(content: dict[str, Any]) -> None:
+    content["spread"].append({**content["spread"][0], "name": "colour"})
+
+
+def with_text_for_a_number(content: dict[str, Any]) -> None:
+    content["spread"][0]["value"] = "heavy"
+
+
+def with_nan(content: dict[str, Any]) -> None:
+    content["cost"] = float("nan")
+
+
+def with_zero(content: dict[str, Any]) -> None:
+    content["without"]["tension-5"]["max_deflection"] = 0.0
+
+
+def with_another_reading(content: dict[str, Any]) -> None:
+    content["readings"]["eq6"] = "printed"
+
+
+def without_a_refit(content: dict[str, Any]) -> None:
+    content["readings_refitted"].pop()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (without_key, "'springs' is missing"),
+        (without_parameter, "'without.variable' lacks inertia"),
+        (with_unknown_parameter, "'spread' has colour, which this version does not know"),
+        (with_text_for_a_number, "'spread.0.value' is 'heavy'"),
+        (with_nan, "NaN is no number in JSON"),
+        (with_zero, "'without.tension-5.max_deflection' is 0"),
+        (with_another_reading, "other readings: eq6 printed \\(not text\\)"),
+        (without_a_refit, "'readings_refitted' lacks isav_columns as-printed"),
+    ],
+)
+def test_a_study_with_something_wrong_is_refused_with_the_key(tmp_path, content, spoil: Callable[..., None], message):
+    folder = write_study(tmp_path / "study", content)
+    spoilt = json.loads(json.dumps(content))
+    spoil(spoilt)
+    (folder / "identification.json").write_text(json.dumps(spoilt))
+    with pytest.raises(AmulettError, match=message):
+        read_study(folder)
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", "[" * 100_000, "3"])
+def test_a_study_that_is_no_json_mapping_is_refused(tmp_path, text):
+    (tmp_path / "identification.json").write_text(text)
+    with pytest.raises(AmulettError, match="identification.json'"):
+        read_study(tmp_path)
+
+
+def test_a_folder_without_a_finished_study_is_refused_before_any_work(tmp_path, capsys, no_work):
+    assert "holds no study" in refusal(capsys, "--study", str(tmp_path / "nowhere"))
+    (tmp_path / "recipe.json").write_text("{}")
+    out = tmp_path / "out"
+    assert "is not finished" in refusal(capsys, "--study", str(tmp_path), "--out", str(out))
+    assert not out.exists()
+
+
+def test_profiles_that_are_not_the_studys_are_refused(tmp_path, content):
+    folder = write_study(tmp_path / "study", content)
+    (folder / "testbed.yaml").write_text(profile_text("testbed", shipped()))
+    with pytest.raises(AmulettError, match="testbed.yaml' does not describe the device of"):
+        read_study(folder)
+    (folder / "testbed.yaml").unlink()
+    with pytest.raises(AmulettError, match="cannot read profile .*testbed.yaml"):
+        read_study(folder)

@@ -1,0 +1,103 @@
+"""`amulett simulate`: a trajectory, a figure and metrics that belong together."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from amulett_gym.cli import Parser
+from amulett_gym.cli.simulate import add_arguments, run
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.profile import load_profile
+
+
+def simulate(*words: str) -> int:
+    parser = Parser()
+    add_arguments(parser)
+    return run(parser.parse_args(words))
+
+
+def read(path):
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_the_papers_step_ends_on_its_setpoint(tmp_path, capsys):
+    out, plot = tmp_path / "step.csv", tmp_path / "step.png"
+    words = ("--law", "eq6", "--suite", "paper-step", "--profile", "simulation", "--out", str(out), "--plot", str(plot))
+    assert simulate(*words) == 0
+    columns = read(out)
+    assert columns["time_s"][-1] == pytest.approx(10.0)
+    assert columns["setpoint_deg"][[0, -1]].tolist() == pytest.approx([0.0, 45.0])
+    assert columns["joint_angle_deg"][-1] == pytest.approx(45.0, abs=1.0)
+    assert plot.stat().st_size > 10_000
+    assert "position_ise" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("law", ["eq6", "eq6-held", "position-only", "constant:8"])
+def test_the_csv_adds_up_to_the_metrics(law, tmp_path, capsys):
+    out = tmp_path / "x.csv"
+    assert simulate("--law", law, "--duration", "3", "--out", str(out), "--json") == 0
+    printed = json.loads(capsys.readouterr().out)
+    metrics = printed["metrics"]
+    columns = read(out)
+    period = columns["time_s"][1]
+    counted = columns["time_s"][:-1] >= printed["scenario"]["measure_from"] - 1e-9
+    for drive in ("biceps", "triceps"):
+        isav = np.sum(np.diff(columns[f"command_{drive}_deg"])[counted] ** 2) / period
+        assert isav == pytest.approx(metrics[f"isav_{drive}"], rel=1e-6)
+    # The setpoint of a row is the one that the next tick acts on.
+    before = columns["setpoint_deg"][:-1] - columns["joint_angle_deg"][:-1]
+    after = columns["setpoint_deg"][:-1] - columns["joint_angle_deg"][1:]
+    assert 0.5 * period * np.sum((before**2 + after**2)[counted]) == pytest.approx(metrics["position_ise"], rel=1e-6)
+
+
+def test_a_held_law_changes_its_mind_at_agent_rate_only(tmp_path):
+    assert simulate("--law", "eq6-held", "--duration", "3", "--out", str(tmp_path / "x.csv")) == 0
+    setpoint = read(tmp_path / "x.csv")["tension_setpoint_N"]
+    ticks = round(0.02 / load_profile("testbed").loop.control_period)
+    bends = np.flatnonzero(np.abs(np.diff(setpoint, n=2)) > 1e-4)  # N; the file has six digits
+    assert bends.size > 20
+    assert set((bends + 1) % ticks) == {0}
+
+
+def test_it_replays_a_scenario_of_a_comparison(capsys):
+    results = evaluate(["constant:10"], episodes=3)
+    assert simulate("--law", "constant:10", "--seed", "2", "--json") == 0
+    metrics = json.loads(capsys.readouterr().out)["metrics"]
+    assert metrics["cost"] == results.values["constant:10"]["cost"][2]
+
+
+def test_an_own_scenario_is_played_and_can_be_played_again(tmp_path, capsys):
+    own = tmp_path / "own.json"
+    own.write_text(json.dumps({"initial_angle_deg": 20, "moves": [{"time": 0.1, "angle_deg": 50}]}))
+    assert simulate("--scenario", str(own), "--duration", "1", "--json") == 0
+    first = json.loads(capsys.readouterr().out)
+    assert first["scenario"]["initial_angle_deg"] == 20
+    own.write_text(json.dumps(first["scenario"]))
+    assert simulate("--scenario", str(own), "--duration", "1", "--seed", "99", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["metrics"] == first["metrics"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--law", "eq66"), "unknown policy 'eq66'"),
+        (("--suite", "step"), "did you mean 'steps'"),
+        (("--duration", "-1"), "--duration"),
+        (("--duration", "nan"), "--duration"),
+        (("--duration", "0.0201"), "whole number"),
+        (("--plot", "figure.jpg"), ".png or .svg"),
+        (("--scenario", "missing.json"), "missing.json"),
+        (("--out", "x.txt"), "has to end in .csv"),
+    ],
+)
+def test_wrong_input_is_named_and_nothing_is_written(words, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AmulettError) as error:
+        simulate("--out", "x.csv", *words)
+    assert message in str(error.value)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,212 @@
+"""The metrics that the kernel adds up, against sums over the recorded trajectory."""
+
+import numpy as np
+import pytest
+from helpers import BUSY, PROFILES, device, run, start
+
+from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import load_profile
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import METRICS
+from amulett_gym.simulation.trajectory import record
+from amulett_gym.tasks.scenario import load_scenario, pack
+from amulett_gym.tasks.suites import START, sample, suite_names
+
+MARGIN = np.radians(2.0)
+
+SUMS = (
+    "position_ise",
+    "tension_ise",
+    "tension_ise_estimated",
+    "isav_biceps",
+    "isav_triceps",
+    "isav_kick",
+    "effort_biceps",
+    "effort_triceps",
+    "iav_biceps",
+    "iav_triceps",
+)
+
+STEPS = {
+    "initial_angle_deg": 20.0,
+    "moves": [
+        {"time": 0.3, "angle_deg": 50.0},
+        {"time": 1.5, "angle_deg": 30.0, "duration": 0.4},
+        {"time": 2.0, "angle_deg": 85.0},  # cut off before it gets there
+        {"time": 2.1, "angle_deg": 10.0},
+    ],
+    "noise_seed": 3,
+}
+
+
+@pytest.fixture(params=[(base, law) for base in PROFILES for law in ("agent", "eq6")], ids="-".join)
+def motion(request):
+    base, law = request.param
+    return run(load_profile(base), STEPS, 4.0, tension_law=law)
+
+
+def antagonist_force(motion):
+    return np.where(motion["agonist"] > 0, motion["force_triceps"], motion["force_biceps"])
+
+
+def test_position_ise_is_the_trapezoid_with_the_setpoint_held_over_each_tick(motion):
+    before = motion["setpoint"][:-1] - motion["angle"][:-1]
+    after = motion["setpoint"][:-1] - motion["angle"][1:]
+    expected = np.cumsum(before**2 + after**2) * motion.control_period / 2
+    np.testing.assert_allclose(motion["position_ise"][1:], expected, rtol=1e-11)
+
+
+def test_tension_ise_is_the_antagonists_at_the_end_of_each_tick(motion):
+    error = motion["tension_setpoint"][1:] - antagonist_force(motion)[1:]
+    assert motion["tension_ise"][-1] == pytest.approx(np.sum(error**2) * motion.control_period, rel=1e-11)
+    estimate = np.where(motion["agonist"] > 0, motion["estimate_triceps"], motion["estimate_biceps"])
+    error = motion["tension_setpoint"][1:] - estimate[1:]
+    assert motion["tension_ise_estimated"][-1] == pytest.approx(np.sum(error**2) * motion.control_period, rel=1e-11)
+
+
+@pytest.mark.parametrize("drive", ["biceps", "triceps"])
+def test_isav_and_iav_are_sums_over_the_commands_increments(motion, drive):
+    increment = np.diff(motion[f"command_{drive}"])
+    assert motion[f"isav_{drive}"][-1] == pytest.approx(np.sum(increment**2) / motion.control_period, rel=1e-11)
+    assert motion[f"iav_{drive}"][-1] == pytest.approx(np.abs(increment).sum(), rel=1e-11)
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_kick_is_what_a_setpoint_step_alone_contributes(base):
+    profile = load_profile(base)
+    step = np.radians(45.0)
+    motion = run(profile, {"moves": [{"time": 0.1, "angle_deg": 45.0}]}, 0.3)
+    gains, period = profile.loop.position, profile.loop.control_period
+    jump = gains.kd / (gains.derivative_filter + period) * step
+    remains = gains.derivative_filter / (gains.derivative_filter + period)
+    first = gains.kp * step + jump
+    decay = (jump * (1.0 - remains)) ** 2 / (1.0 - remains**2)  # of a geometric series
+    assert motion["isav_kick"][-1] == pytest.approx((first**2 + decay) / period, rel=1e-6)
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_effort_is_isav_without_the_kick(base):
+    """Without a feedback from the arm a step costs nothing but its kick; without a step, effort and ISAV are one."""
+    profile = load_profile(base)
+    gains, period = profile.loop.position, profile.loop.control_period
+    moves = {"moves": [{"time": 0.1, "angle_deg": 45.0}]}
+    motion = run(profile, moves, 0.1 + 40 * period)
+    first = round(0.1 / period)
+    derivative, kick = 0.0, []
+    for jump in [np.radians(45.0)] + [0.0] * 39:
+        after = (gains.derivative_filter * derivative + gains.kd * jump) / (gains.derivative_filter + period)
+        kick.append(gains.kp * jump + after - derivative)
+        derivative = after
+    for drive in ("biceps", "triceps"):
+        left = np.diff(motion[f"command_{drive}"])
+        left[first:] -= kick
+        assert motion[f"effort_{drive}"][-1] == pytest.approx(np.sum(left**2) / period, rel=1e-9)
+        assert motion[f"effort_{drive}"][-1] < motion[f"isav_{drive}"][-1]
+    pushed = run(profile, {"pushes": [{"time": 0.1, "duration": 0.1, "torque": 0.05}]}, 0.4)
+    assert pushed["effort_triceps"][-1] == pushed["isav_triceps"][-1] > 0.0
+
+
+def steps_by_hand(motion, moves):
+    """Return start, first entry and last entry of each setpoint step, in s (NaN: never), and the largest overshoot."""
+    time, angle = motion["time"], motion["angle"]
+    starts = [np.flatnonzero(time >= move["time"] - 1e-9)[0] for move in moves]
+    ends = [*starts[1:], len(motion)]
+    overshoot, found = 0.0, []
+    for move, first, end in zip(moves, starts, ends, strict=True):
+        target, before = np.radians(move["angle_deg"]), motion["setpoint"][first - 1]
+        if target == before:
+            continue
+        window = angle[first:end]
+        outside = np.abs(window - target) > MARGIN
+        overshoot = max(overshoot, np.max(np.sign(target - before) * (window - target)))
+        rise = np.nan if outside.all() else np.argmin(outside) * motion.control_period
+        last_outside = np.flatnonzero(outside)[-1] if outside.any() else -1
+        settling = np.nan if outside[-1] else (last_outside + 1) * motion.control_period
+        found.append((rise, settling))
+    return np.array(found), overshoot
+
+
+def test_rise_is_the_first_entry_and_settling_the_last(motion):
+    found, overshoot = steps_by_hand(motion, STEPS["moves"])
+    assert len(found) == motion["step_count"][-1] == 4
+    rise, settling = found.T
+    assert motion["rise_count"][-1] == np.isfinite(rise).sum()
+    assert motion["rise_sum"][-1] == pytest.approx(np.nansum(rise), abs=1e-9)
+    # The step in progress is open: the arm may leave again.
+    closed, open_since = motion["settling_sum"][-1], motion["inside_since"][-1] - motion["step_start"][-1]
+    assert motion["settling_count"][-1] + np.isfinite(open_since) == np.isfinite(settling).sum()
+    assert closed + np.nan_to_num(open_since) == pytest.approx(np.nansum(settling), abs=1e-9)
+    assert motion["overshoot"][-1] == pytest.approx(overshoot, rel=1e-12)
+
+
+def test_a_move_to_where_the_setpoint_is_opens_no_step():
+    moves = [{"time": 0.1, "angle_deg": 50.0}, {"time": 0.2, "angle_deg": 50.0}]
+    motion = run(load_profile("simulation"), {"initial_angle_deg": 20.0, "moves": moves}, 0.3)
+    assert motion["step_count"][-1] == 1
+
+
+def test_a_step_cut_off_on_its_way_counts_as_not_reached():
+    motion = run(load_profile("testbed"), STEPS, 4.0)
+    assert motion["rise_count"][-1] < motion["step_count"][-1]
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_contact_and_push_metrics_are_those_of_the_trajectory(base):
+    motion = run(load_profile(base), {**BUSY, "pushes": [{"time": 0.8, "duration": 0.2, "torque": 0.3}]}, 1.5)
+    torque = motion["contact_torque"][1:]
+    assert np.abs(torque).max() > 0.01
+    assert motion["contact_ise"][-1] == pytest.approx(np.sum(torque**2) * motion.control_period, rel=1e-11)
+    assert motion["contact_peak"][-1] == np.abs(torque).max()
+    pushed = motion["push_torque"][1:] != 0
+    assert pushed.sum() == round(0.2 / motion.control_period)
+    deflected = np.abs(motion["setpoint"][:-1] - motion["angle"][1:])
+    assert motion["push_deflection"][-1] == deflected[pushed].max()
+
+
+def test_resting_stiffness_is_the_strings_slopes_at_rest():
+    profile = device()
+    motion = run(profile, {"initial_tension": 8.0}, 0.2)
+    tables = build_tables(profile.spring)
+    expected = 2 * profile.plant.joint_pulley_radius**2 * tables.stiffness_at(tables.deflection_at(8.0))
+    assert motion["resting_time"][-1] == pytest.approx(0.2)
+    assert motion["resting_stiffness_sum"][-1] / 0.2 == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("suite", suite_names())
+@pytest.mark.parametrize("base", PROFILES)
+def test_metrics_of_every_suites_episode(base, suite):
+    profile = load_profile(base)
+    simulation = Simulation(profile, tension_law="eq6")
+    simulation.reset(sample(suite, np.array([5], dtype=np.uint64), profile))
+    motion = record(simulation, round(3.0 / simulation.control_period))
+    counted = motion["time"][:-1] >= START - 1e-9
+    before, after = (motion["setpoint"][:-1] - motion["angle"][rows] for rows in (slice(None, -1), slice(1, None)))
+    expected = np.sum((before**2 + after**2)[counted]) * motion.control_period / 2
+    assert expected > 0
+    assert motion["position_ise"][-1] == pytest.approx(expected, rel=1e-11)
+    effort = sum(np.sum(np.diff(motion[f"command_{drive}"])[counted] ** 2) for drive in ("biceps", "triceps"))
+    reported = motion["isav_biceps"][-1] + motion["isav_triceps"][-1]
+    assert reported == pytest.approx(effort / motion.control_period, rel=1e-11)
+
+
+def test_nothing_counts_before_the_scenario_says_so():
+    profile = load_profile("testbed")
+    late = run(profile, {**STEPS, "measure_from": 0.8}, 2.3)
+    full = run(profile, STEPS, 2.3)
+    before = late["time"] <= 0.8 + 1e-9
+    for name in SUMS:
+        assert (late[name][before] == 0).all()
+        np.testing.assert_allclose(late[name][-1], full[name][-1] - full[name][before][-1], rtol=1e-9)
+        assert late[name][-1] > 0
+    np.testing.assert_array_equal(late["angle"], full["angle"])
+
+
+def test_a_reset_starts_all_metrics_from_nothing():
+    profile = load_profile("testbed")
+    simulation = start(profile, STEPS)
+    first = record(simulation, 300)
+    simulation.reset(pack(load_scenario(STEPS), profile))
+    again = record(simulation, 300)
+    for name in METRICS:
+        assert again[name][0] == 0
+        np.testing.assert_array_equal(first[name], again[name])

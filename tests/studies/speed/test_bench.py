@@ -1,0 +1,434 @@
+"""`amulett bench`: what it measures, and that nothing measured is lost."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from amulett_gym.c.build import find_compiler
+from amulett_gym.cli import bench, build_parser, main
+from amulett_gym.errors import AmulettError
+from amulett_gym.profile import load_profile
+from amulett_gym.studies.speed import document as performance
+from amulett_gym.studies.speed import peers, scale
+from amulett_gym.studies.speed.document import SECTIONS, Table, marks, tables, update
+from amulett_gym.studies.speed.rates import Speed, kernel, race, ratios
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "performance.md"
+MEMORY = {"devices": 100, "simulation": 800.0, "arrays": 900.0, "resident": 1000.0}
+QUICK = ["bench", "--turns", "1", "--devices", "4"]
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """Let turns take no time."""
+    quick: Any = lambda entrants, turns, **keywords: race(entrants, turns, 0.0, **keywords)  # noqa: E731
+    monkeypatch.setattr("amulett_gym.studies.speed.rates.race", quick)
+
+
+# --- the command
+
+
+def test_kernel_and_environments_are_written_as_json(brief, tmp_path, capsys):
+    path = tmp_path / "bench.json"
+    assert main([*QUICK, "--json", str(path)]) == 0
+    data = json.loads(path.read_text())
+    assert set(data["kernel_ticks_per_s"]) == {"simulation", "testbed"}
+    assert data["vector_steps_per_s"] == data["environments"]["vector of 4, testbed"]["steps_per_s"] > 0
+    assert data["single_step_us"] == pytest.approx(1e6 / data["environments"]["single, testbed"]["steps_per_s"])
+    assert not {"ppo", "peers", "scale", "time_to_beat_s", "ratio_to_c"} & set(data)
+    assert "CartPole-v1, vector of 4" in capsys.readouterr().out
+
+
+def test_a_dash_prints_json_and_nothing_else(brief, capsys):
+    assert main([*QUICK, "--peers", "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["peers"]["Gymnasium Pendulum"]["steps_per_s"] > 0
+
+
+@pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+def test_c_ticks_beside_the_kernels(brief, tmp_path):
+    assert main([*QUICK, "--c", "--json", str(tmp_path / "bench.json")]) == 0
+    data = json.loads((tmp_path / "bench.json").read_text())
+    for profile, ratio in data["ratio_to_c"].items():
+        assert ratio == pytest.approx(data["kernel_ticks_per_s"][profile] / data["c_ticks_per_s"][profile])
+
+
+def test_without_a_compiler_c_is_refused_before_anything_is_measured(monkeypatch):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(AmulettError, match="--c: no C compiler found"):
+        bench.yardstick()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--turns", "0"], "--turns is 0; it has to be at least 1"),
+        (["--time-to-beat", "--seeds", "0"], "--seeds is 0"),
+        (["--time-to-beat", "--limit", "nan"], "--limit is nan; it has to be a positive number of seconds"),
+        (["--scale", "--simulated", "-1"], "--simulated is -1.0"),
+        (["--ppo", "--set", "ppo.n_epoch=1"], "did you mean 'n_epochs'"),
+        (["--doc", "none.md"], "cannot read document 'none.md'"),
+        (["--json", ""], "--json is empty"),
+        (["--set", "num_envs=64"], "--set changes nothing here: it is read by --ppo or --time-to-beat, which was not"),
+        (["--scale", "--config", "configs/ppo.yaml"], "--config changes nothing here"),
+        (["--ppo", "--seeds", "3"], "--seeds changes nothing here: it is read by --time-to-beat"),
+        (["--ppo", "--limit", "3"], "--limit changes nothing here"),
+        (["--ppo", "--simulated", "60"], "--simulated changes nothing here: it is read by --scale"),
+        (["--ppo", "--out", "figures"], "--out changes nothing here"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_is_measured(words, message, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(bench, "_MEASURE", {})
+    assert main(["bench", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_command_that_is_written_down_has_the_options_of_its_section():
+    words = ["bench", "--ppo", "--scale", "--turns", "2", "--simulated", "60", "--set", "num_envs=64"]
+    arguments = build_parser().parse_args(words)
+    assert bench._command(arguments, "ppo") == "amulett bench --ppo --turns 2 --set num_envs=64"
+    assert bench._command(arguments, "scale") == "amulett bench --scale --turns 2 --simulated 60.0"
+    assert bench._command(arguments, "speed") == "amulett bench --turns 2"
+
+
+def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
+    def interrupted(arguments: Any, data: dict[str, Any], config: Any) -> None:
+        data["scale"] = {"memory_per_device": MEMORY | {"resident": None}}
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(bench._MEASURE, "scale", interrupted)
+    document = shutil.copy(DOCUMENT, tmp_path / "performance.md")
+    words = ["--scale", "--peers", "--json", str(tmp_path / "bench.json"), "--doc", str(document)]
+    assert main([*QUICK, *words]) == 130
+    data = json.loads((tmp_path / "bench.json").read_text())
+    assert "environments" in data
+    assert data["scale"]["memory_per_device"]["arrays"] == MEMORY["arrays"]
+    assert "peers" not in data
+    assert "`amulett bench --devices 4 --turns 1` on " in document.read_text()
+    assert "amulett bench --scale --devices 4" not in document.read_text()  # a section that is not done is not renewed
+    assert str(tmp_path) not in document.read_text()
+    assert "interrupted" in capsys.readouterr().err
+
+
+# --- races
+
+
+def test_a_kernel_alone_starts_its_scenarios_again():
+    entrant = kernel("testbed", 4)
+    for _ in range(1200):
+        entrant.step()
+    assert entrant.devices == 4
+    assert entrant.ticks * load_profile("testbed").loop.control_period == pytest.approx(0.02)
+
+
+def test_ratios_are_taken_turn_by_turn():
+    ours, theirs = Speed("ours", (10.0, 30.0, 20.0), 5), Speed("theirs", (5.0, 10.0, 40.0))
+    assert ratios(ours, theirs) == [2.0, 3.0, 0.5]
+    found = peers.compare([ours], [theirs], {"absent": "x is not installed"})
+    assert found["theirs"]["ratio_steps"]["ours"] == {"median": 2.0, "least": 0.5, "most": 3.0}
+    assert found["theirs"]["ratio_ticks"]["ours"]["median"] == 10.0
+    assert found["absent"] == {"skipped": "x is not installed"}
+
+
+def test_a_peer_that_is_absent_or_broken_is_one_line():
+    absent = peers.Peer("absent", "Nothing-v0", ("no_such_module_here",))
+    broken = peers.Peer("broken", "Nothing-v0", ())
+    there = peers.Peer("there", "CartPole-v1", ())
+    entrants, why = peers.enter([absent, broken, there])
+    assert [entrant.name for entrant in entrants] == ["there"]
+    assert why["absent"] == 'no_such_module_here is not installed (pip install "amulett-gym[peers]")'
+    assert why["broken"].startswith("does not run here: NameNotFound") and "\n" not in why["broken"]
+
+
+def test_inner_ticks_are_mujocos_frame_skip():
+    env = gym.make("CartPole-v1")
+    assert peers.inner_ticks(env) == 1
+    env.unwrapped.frame_skip = 10
+    assert peers.inner_ticks(env) == 10
+
+
+# --- scale
+
+
+def test_held_bytes_counts_every_array_once():
+    array = np.zeros(1000)
+    held = scale.held_bytes({"whole": array, "view": array[10:20], "again": [array, (array.reshape(10, 100),)]})
+    assert held == array.nbytes
+    env = gym.make_vec("Amulett/Scaling-v0", num_envs=64).unwrapped
+    assert scale.held_bytes(env) > env.episodes.simulation.states.nbytes + env.episodes.simulation.scenarios.nbytes
+
+
+def test_a_device_has_a_cost_at_each_size():
+    costs = scale.cost_by_size(sizes=(1, 512), turns=2)
+    assert list(costs) == [1, 512]
+    assert all(0.0 < cost["least"] <= cost["median"] <= cost["most"] for cost in costs.values())
+
+
+def test_two_threads_are_compared_with_one_turn_by_turn():
+    found = scale.two_threads(sizes=(16, 64), turns=3)
+    assert list(found) == [16, 64]
+    assert all(0.0 < ratio["least"] <= ratio["median"] <= ratio["most"] for ratio in found.values())
+    rows = [table for table in tables("scale", {"scale": {"two_threads": found}}) if "threads" in table.title]
+    assert [row[0] for row in rows[0].rows] == ["16", "64"]
+
+
+@pytest.fixture(scope="module")
+def long_run():
+    """Run for long, but not for very long."""
+    return scale.long_run(devices=2, seconds=1.0)
+
+
+def test_nothing_drifts_in_a_long_run(long_run):
+    assert long_run["simulated_s"] == pytest.approx(60 * 501 * 0.02)
+    assert long_run["last_episode_is_exact"] is True
+    assert long_run["failures"] == 0
+    assert long_run["lone_clock_error_s"] < 1e-6
+    assert long_run["lone_angle_change_deg"] < 0.1
+    assert len(long_run["steps_per_s"]) == len(long_run["resident_bytes"]) == scale.SLICES
+
+
+def test_another_episode_is_not_taken_for_the_last_one():
+    env = gym.make_vec("Amulett/Scaling-v0", num_envs=2, max_episode_steps=scale.EPISODE_STEPS, suite="steps").unwrapped
+    env.reset(seed=0)
+    actions = np.zeros((2, 1), dtype=np.float32)
+    for _ in range(scale.EPISODE_STEPS + 1):
+        observations = env.step(actions)[0]
+    state = env.get_state()
+    assert scale._replays(env, "testbed", 0, 1, observations, actions)
+    env.set_state(state)
+    assert not scale._replays(env, "testbed", 0, 2, observations, actions)
+
+
+def test_scale_measures_memory_sizes_and_the_long_run(brief, monkeypatch, long_run, tmp_path):
+    monkeypatch.setattr(scale, "memory_per_device", lambda seed: MEMORY)
+    monkeypatch.setattr(scale, "long_run", lambda **keywords: long_run)
+    monkeypatch.setattr(scale, "SIZES", (1, 8))
+    assert main([*QUICK, "--scale", "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0
+    assert set(json.loads((tmp_path / "b.json").read_text())["scale"]["device_step_ns"]) == {"1", "8"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"scale.png", "hour.png"}
+
+
+# --- tables
+
+
+def test_a_table_is_text_and_markdown():
+    table = Table("Title", ("a", "bb"), [["one", "1", "2"], ["twelve", "12", "34"]], "Note.")
+    assert table.text().splitlines() == ["Title", "         a  bb", "one      1   2", "twelve  12  34", "Note."]
+    assert "| twelve | 12 | 34 |" in table.markdown()
+
+
+def test_a_section_that_was_not_measured_has_no_table():
+    assert [tables(section, {}) for section in SECTIONS] == [[]] * len(SECTIONS)
+
+
+def test_a_document_is_renewed_section_by_section(tmp_path):
+    path = tmp_path / "performance.md"
+    path.write_text("before\n" + "\nbetween\n".join("\n".join(marks(section)) for section in SECTIONS) + "\nafter\n")
+    update(path, {"ppo": "first", "peers": "kept"})
+    update(path, {"ppo": "second"})
+    text = path.read_text()
+    assert "first" not in text and "kept" in text and "second" in text
+    assert text.startswith("before\n") and text.endswith("\nafter\n")
+    assert text.count("between") == len(SECTIONS) - 1
+    begin, _ = marks("ppo")
+    path.write_text(text + begin)
+    with pytest.raises(AmulettError, match="has to hold the line '<!-- Written by `amulett bench --ppo --doc`"):
+        update(path, {"ppo": "third"})
+
+
+def test_the_document_has_a_place_for_every_section(tmp_path):
+    document = shutil.copy(DOCUMENT, tmp_path / "performance.md")
+    update(document, dict.fromkeys(SECTIONS, "measured"))
+    assert document.read_text().count("measured\n\n<!-- End") == len(SECTIONS)
+
+
+def test_times_that_were_not_reached_are_the_longest():
+    runs = [{"lower_s": value} for value in (3.0, None, 5.0)]
+    assert performance._median(runs, "lower_s") == "5.0"
+    assert performance._median([*runs, {"lower_s": None}], "lower_s") == "not reached"
+
+
+# --- learning
+
+
+@pytest.fixture
+def recipe():
+    """Return a small recipe; without torch there is nothing to test here."""
+    pytest.importorskip("torch")
+    pytest.importorskip("stable_baselines3")
+    from amulett_agents import load_train_config
+
+    return load_train_config(
+        None,
+        [
+            "num_envs=8",
+            "total_steps=2048",
+            "network.hidden=[8]",
+            "ppo.n_steps=32",
+            "ppo.batch_size=128",
+            "ppo.n_epochs=1",
+            "env.agent_period=0.05",
+            "env.max_episode_steps=25",
+            "validation.episodes=4",
+        ],
+    )
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Let a clock move on by a second whenever somebody looks."""
+    from amulett_agents import benchmark
+
+    ticking = iter(range(1_000_000))
+    monkeypatch.setattr(benchmark, "time", SimpleNamespace(perf_counter=lambda: float(next(ticking))))
+    return lambda: next(ticking)
+
+
+def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
+    from amulett_agents.benchmark import ppo_throughput
+
+    turns = []
+    found = ppo_throughput(recipe, turns=3, watch=lambda: turns.append(1))
+    assert len(turns) == 3
+    assert found["ratio_spread"][0] <= found["ratio"] <= found["ratio_spread"][1]
+    assert min(found["env"], found["null"]) > 0
+
+
+def test_a_steps_rollout_and_its_share_of_the_update_are_told_apart(recipe, clock):
+    from amulett_agents.benchmark import ppo_throughput
+
+    found = ppo_throughput(recipe, turns=2)
+    # The clock is looked at before, at the rollout's beginning and end, and after: a second each time, 32 steps.
+    expected = {"rollout": pytest.approx(1000 / 32), "update": pytest.approx(2000 / 32)}
+    assert found["step_ms"] == {"env": expected, "null": expected}
+    assert found["env"] == pytest.approx(8 * 32 / 3) and found["ratio"] == pytest.approx(1.0)
+
+
+def test_the_null_environment_returns_constants(recipe):
+    from stable_baselines3 import PPO
+
+    from amulett_agents import make_sb3_env
+    from amulett_agents.benchmark import ConstantVecEnv
+
+    ours = make_sb3_env(num_envs=3)
+    env = ConstantVecEnv(3, ours.observation_space, ours.action_space)
+    first = env.reset().copy()
+    for action in (-1.0, 1.0):
+        observations, rewards, dones, infos = env.step(np.full((3, 1), action, dtype=np.float32))
+        assert np.array_equal(observations, first) and not dones.any() and not any(infos)
+        assert rewards.dtype == np.float32 and np.unique(rewards).size == 1
+    assert env.observation_space.contains(first[0])
+    PPO("MlpPolicy", env, n_steps=8, batch_size=24, n_epochs=1, device="cpu").learn(24)
+
+
+def test_the_lines_are_what_eq6_and_the_best_constant_cost(recipe):
+    from amulett_agents.benchmark import CONSTANTS, Referee, from_the_middle
+    from amulett_gym.evaluation.runner import evaluate
+
+    referee = Referee(from_the_middle(recipe))
+    lines = referee.lines["validation"]
+    names = [f"constant:{tension:g}" for tension in CONSTANTS]
+    results = evaluate(["eq6", *names], "mixed", split="validation", episodes=4, duration=1.25, agent_period=0.05)
+    costs = {name: values["cost"].mean() for name, values in results.values.items()}
+    assert lines.eq6 == pytest.approx(costs["eq6"], rel=1e-6) and lines.eq6 > 0.0
+    assert lines.constant == pytest.approx(min(costs[name] for name in names), rel=1e-3)
+    assert lines.lower == min(lines.eq6, lines.constant)
+
+
+def referee_of(costs: list[float], held_out: float) -> Any:
+    """Return a referee who gives these costs one after another, and lines at 1 and 0.5."""
+    from amulett_agents.benchmark import Lines, Referee
+
+    referee = object.__new__(Referee)
+    referee.lines = dict.fromkeys(("validation", "held-out"), Lines(1.0, 0.5, 5.0))
+    given = iter(costs)
+    referee.cost = lambda model, split="validation": held_out if split == "held-out" else next(given)  # type: ignore
+    return referee
+
+
+def test_judging_is_not_counted(recipe, clock, monkeypatch):
+    from amulett_agents import benchmark
+
+    monkeypatch.setattr(benchmark, "warm_up", lambda config: None)
+    referee = referee_of([2.0, 0.9, 0.4], held_out=0.3)
+    slow = referee.cost
+    referee.cost = lambda model, split="validation": ([clock() for _ in range(1000)], slow(model, split))[1]
+    run = benchmark.time_to_beat(recipe, referee, limit=1000.0)
+    assert [cost for *_, cost in run.curve] == [2.0, 0.9, 0.4]
+    assert 0 < run.curve[0][0] < run.eq6 < run.lower < 200
+    assert run.eq6 == run.curve[1][0]
+
+
+def test_a_line_counts_only_if_held_out_scenarios_confirm_it(recipe, clock):
+    from amulett_agents import benchmark
+
+    run = benchmark.time_to_beat(recipe, referee_of([0.4] * 1000, held_out=0.8), limit=1e6)
+    assert run.eq6 == run.curve[0][0]
+    assert run.lower is None
+    assert run.curve[-1][1] == recipe.total_steps
+
+
+def test_a_run_ends_at_its_limit(recipe, clock):
+    from amulett_agents import benchmark
+
+    run = benchmark.time_to_beat(recipe, referee_of([2.0] * 1000, held_out=2.0), limit=100.0)
+    assert run.curve[-1][1] < recipe.total_steps
+    assert run.eq6 is None
+
+
+def test_ppo_has_the_recipe_of_training_and_time_to_beat_its_own():
+    from amulett_agents.config import SPRINT, TrainConfig, load_train_config
+
+    arguments = SimpleNamespace(config=None, overrides=["seed=3"])
+    assert bench._recipe(arguments, "ppo") == TrainConfig(seed=3)
+    assert (
+        bench._recipe(arguments, "time-to-beat") == load_train_config(None, [*SPRINT, "seed=3"]) != TrainConfig(seed=3)
+    )
+    arguments.config = DOCUMENT.parent.parent / "configs" / "ppo.yaml"
+    assert bench._recipe(arguments, "time-to-beat") == TrainConfig(seed=3)
+
+
+def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, recipe, tmp_path, monkeypatch):
+    monkeypatch.setattr(bench, "_recipe", lambda arguments, section: recipe)
+    words = ["--ppo", "--time-to-beat", "--seeds", "2", "--limit", "2"]
+    assert main([*QUICK, *words, "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0
+    data = json.loads((tmp_path / "b.json").read_text())
+    assert len(data["time_to_beat_s"]) == len(data["time_to_beat_lower_s"]) == 2
+    assert data["time_to_beat"]["initial_tension"] == 9.5
+    assert data["time_to_beat"]["recipe"]["env"]["tension_range"] == [4.0, 15.0]
+    assert {"env", "null", "ratio"} < set(data["ppo"])
+    assert (tmp_path / "figures" / "time-to-beat.png").is_file()
+
+
+def test_targets_that_cannot_be_written_are_refused_before_anything_is_measured(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(bench._MEASURE, "speed", lambda *_: pytest.fail("measured"))
+    unmarked = tmp_path / "unmarked.md"
+    unmarked.write_text("# Mine\n")
+    for words, message in (
+        (["--json", str(tmp_path)], "is a folder"),
+        (["--json", str(unmarked / "x.json")], "cannot write"),
+        (["--doc", str(unmarked)], "has to hold the line"),
+    ):
+        assert main(["bench", *words]) == 2
+        assert message in capsys.readouterr().err
+    assert unmarked.read_text() == "# Mine\n"
+
+
+def test_an_error_in_a_late_section_keeps_the_early_ones(tmp_path, monkeypatch):
+    def fails(*_):
+        raise AmulettError("no")
+
+    monkeypatch.setitem(bench._MEASURE, "speed", lambda arguments, data, config: data.update(devices=3))
+    monkeypatch.setitem(bench._MEASURE, "scale", fails)
+    monkeypatch.setattr(performance, "tables", lambda section, data: [])
+    out = tmp_path / "bench.json"
+    assert main(["bench", "--scale", "--json", str(out)]) == 2
+    assert json.loads(out.read_text()) == {"devices": 3}

@@ -1,0 +1,106 @@
+"""Profiles: shipped ones are complete and sourced, wrong ones are refused with a helpful message."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.profile import load_profile, profile_names
+from amulett_gym.settings import SOURCES, Sourced, merge
+
+
+def test_every_value_of_a_shipped_profile_names_its_source(profile):
+    for name in type(profile).model_fields:
+        group = getattr(profile, name)
+        if isinstance(group, Sourced):
+            given = {key for key, value in group if key != "sources" and (value is not None or key in group.sources)}
+            assert given == set(group.sources), f"{profile.name}.{name}"
+            assert all(source.split(":")[0] in SOURCES for source in group.sources.values())
+
+
+def test_profiles_share_one_set_of_mechanical_parameters():
+    simulation, testbed = load_profile("simulation"), load_profile("testbed")
+    for group in ("plant", "spring", "damping", "variable_stiffness"):
+        assert getattr(simulation, group) == getattr(testbed, group)
+
+
+def test_own_profile_gives_only_what_differs(tmp_path: Path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: mine\nbase: testbed\nplant: {orientation: vertical}\n")
+    mine, testbed = load_profile(file), load_profile("testbed")
+    assert mine.plant.orientation == "vertical"
+    assert mine.loop == testbed.loop
+    assert mine.root == "testbed"
+
+
+def test_measured_curve_is_found_beside_the_profile(tmp_path: Path):
+    (tmp_path / "curve.csv").write_text("deflection_m,force_N\n0,0\n0.003,4\n0.006,12\n")
+    file = tmp_path / "mine.yaml"
+    file.write_text("name: mine\nbase: testbed\nspring: {measured_curve: curve.csv}\n")
+    assert load_profile(file).spring.measured_curve == str(tmp_path / "curve.csv")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"plant": {"orientaton": "vertical"}}, r"unknown key 'plant.orientaton'; did you mean 'orientation'"),
+        ({"plant": {"orientation": "diagonal"}}, r"'plant.orientation' is 'diagonal'.*'horizontal' or 'vertical'"),
+        ({"plant": {"masses": [{"mass": -1.0, "arm": 0.1}]}}, r"'plant.masses.0.mass' is -1.0.*greater than or equal"),
+        ({"plant": {"masses": [{"mas": 1.0, "arm": 0.1}]}}, r"unknown key 'plant.masses.0.mas'; did you mean 'mass'"),
+        ({"plant": {"masses": [{"mass": 0.0, "arm": 0.1}]}}, r"masses give no inertia"),
+        ({"loop": {"position": {"kp": 1e200}}}, r"'loop.position.kp' is 1e\+200.*1000000"),
+        ({"plant": {"masses": []}}, r"'plant.masses'.*at least 1 item"),
+        ({"loop": {"control_period": float("nan")}}, r"'loop.control_period' is nan.*finite"),
+        ({"loop": {"control_period": "fast"}}, r"'loop.control_period' is 'fast'.*number"),
+        ({"loop": {"position": {"kpp": 1.0}}}, r"unknown key 'loop.position.kpp'; did you mean 'kp'"),
+        ({"loop": {"tie_width": 1.0}}, r"tie_width is 1.0 m; it has to be at most switch_hysteresis"),
+        ({"spring": {"free_length": 0.5}}, r"free_length is 0.5 m; it has to be at most half_width"),
+        ({"variable_stiffness": {"minimum_tension": 20.0}}, r"at most nominal_tension"),
+        ({"drives": {"sources": {"lagg": "assumed"}}}, r"unknown key 'lagg'; did you mean 'lag'"),
+        ({"drives": {"sources": {"lag": "guessed"}}}, r"has to start with one of paper, datasheet"),
+        ({"base": "testbad"}, r"unknown base profile 'testbad'.*did you mean 'testbed'"),
+    ],
+)
+def test_wrong_profiles_name_key_value_and_nearest(changes: dict[str, Any], message: str):
+    with pytest.raises(AmulettError, match=message):
+        load_profile(merge({"name": "mine", "base": "testbed"}, changes))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "has to hold a mapping"),
+        ("[1, 2]", "has to hold a mapping"),
+        ("a: [", "not valid YAML"),
+        ("name: mine", "'plant' is missing"),
+        ("!!python/object/apply:os.system ['true']", "not valid YAML"),
+    ],
+)
+def test_wrong_files_are_refused(tmp_path: Path, content: str, message: str):
+    file = tmp_path / "mine.yaml"
+    file.write_text(content)
+    with pytest.raises(AmulettError, match=message):
+        load_profile(file)
+
+
+def test_missing_and_binary_files_are_refused(tmp_path: Path):
+    with pytest.raises(AmulettError, match="cannot read profile"):
+        load_profile(tmp_path / "none.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(AmulettError, match="not UTF-8"):
+        load_profile(tmp_path / "binary.yaml")
+
+
+def test_unknown_name_suggests_the_nearest():
+    with pytest.raises(AmulettError, match="unknown profile 'tesbed'.*did you mean 'testbed'"):
+        load_profile("tesbed")
+
+
+def test_profiles_survive_yaml():
+    for name in profile_names():
+        content = yaml.safe_load(yaml.safe_dump(load_profile(name).model_dump()))
+        assert load_profile(content) == load_profile(name)
