@@ -417,7 +417,7 @@ INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
     return select(shakes, push + rms * outer / deviation, push);
 }
 
-INLINE void feel_strings(Parameters p, Scenarios c, States s, int64_t i) {
+INLINE void update_string_forces(Parameters p, Scenarios c, States s, int64_t i) {
     real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
     real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
     s->force_biceps[i] = to_real(c->spring_biceps_factor[i]) * look_up(p->force_table, biceps);
@@ -470,7 +470,7 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) 
     s->angle[i] = x, s->velocity[i] = v, s->drive_biceps[i] = a, s->drive_triceps[i] = b;
     s->push_torque[i] = push;
     s->contact_torque[i] = obstacle_torque(c, i, x, v);
-    feel_strings(p, c, s, i);
+    update_string_forces(p, c, s, i);
     real error_after = s->setpoint[i] - x;
     real counted = counting * p->control_period;
     s->position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after);

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs import transition
-from amulett_gym.envs.privileged import PRIVILEGED, tell_privileged
+from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
@@ -179,7 +179,7 @@ class Episodes:
         observations = np.empty((devices.size, self.observation_size), dtype=np.float32)
         transition.observe_devices(*self._arrays, devices, observations)
         if self.privileged:  # compiled for those only who ask for it
-            self._tell_privileged(self._arrays, devices, observations)
+            self._observe_privileged(self._arrays, devices, observations)
         return observations
 
     def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
@@ -218,12 +218,12 @@ class Episodes:
         """Take one agent step with the devices of some blocks."""
         transition.step(*arrays, actions, observations, report)
         if self.privileged:
-            self._tell_privileged(arrays, np.arange(len(observations)), observations)
+            self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
-    def _tell_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
+    def _observe_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
         parameters, _, scenarios, states = arrays
         first = len(transition.OBSERVATIONS)
-        tell_privileged(parameters, self._bare_inertia, scenarios, states, devices, first, observations)
+        observe_privileged(parameters, self._bare_inertia, scenarios, states, devices, first, observations)
 
     def _step_in_threads(self, actions: NDArray[np.floating[Any]], observations: Observations, report: Report) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
@@ -259,7 +259,7 @@ class Episodes:
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
         parameters, _, scenarios, states = self._arrays
-        transition.tell_devices(parameters, scenarios, states, devices, report)
+        transition.report_devices(parameters, scenarios, states, devices, report)
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:

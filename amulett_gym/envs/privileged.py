@@ -1,7 +1,7 @@
 """What no device can know: the hidden part of its scenario and the truth behind its sensors, as an observation.
 
 For the *causal reference* only: a policy that is trained with ``privileged=True`` shows what could be had if the
-payload, the obstacle, the coming push and all the rest were told. Such a policy can act nowhere else.
+payload, the obstacle, the coming push and all the rest were known. Such a policy can act nowhere else.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ PRIVILEGED_SCALES = {
     "wave_frequency": 1.0,  # now [Hz]
     "wave_sine": 1.0,
     "wave_cosine": 1.0,
-    # until rewards count [s], and by whose prices
+    # until rewards count [s], and the family, whose prices apply
     "counts_in": 0.5,
     **{f"family_{family.replace('-', '_')}": 1.0 for family in get_args(Family)},
 }
@@ -95,10 +95,10 @@ _SLACK = 1e-6  # [s]; a fraction of a control tick
 
 
 @compiled
-def tell_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observations):
-    """Fill what the given devices cannot know into their observations, one row each, from the column `first` on.
+def observe_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observations):
+    """Write what the given devices cannot know into their observations, one row each, from the column `first` on.
 
-    What there is none of (obstacle, push, move, wave) is 0, a time until it 1. `bare_inertia` is that of the profile's
+    Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` is that of the profile's
     arm without a payload [kg m2].
     """
     values = np.empty(_SCALES.size)
@@ -106,12 +106,12 @@ def tell_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observa
         block, i = devices[n] // LANES, np.uint64(devices[n] % LANES)
         c, s = c_blocks[block], s_blocks[block]
         time = s.tick[i] * p[0].control_period
-        _tell_device(bare_inertia, c, i, values)
-        _tell_truth(c, s, i, values)
-        _tell_obstacle(c, s, i, values[_OBSTACLE:])
-        _tell_pushes(c, i, time, values[_PUSHES:])
-        _tell_moves(c, s, i, time, values[_MOVES:])
-        _tell_wave(c, i, time, values[_WAVE:])
+        _write_device(bare_inertia, c, i, values)
+        _write_truth(c, s, i, values)
+        _write_obstacle(c, s, i, values[_OBSTACLE:])
+        _write_pushes(c, i, time, values[_PUSHES:])
+        _write_moves(c, s, i, time, values[_MOVES:])
+        _write_wave(c, i, time, values[_WAVE:])
         values[_TASK] = max(c.measure_from[i] - time, 0.0)
         for k in range(1, _SCALES.size - _TASK):
             values[_TASK + k] = 1.0 if c.family[i] == k else 0.0
@@ -120,8 +120,8 @@ def tell_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observa
 
 
 @compiled
-def _tell_device(bare_inertia, c, i, values):
-    """Tell how the device was built, and what it carries."""
+def _write_device(bare_inertia, c, i, values):
+    """Write how the device was built, and its payload."""
     built, sensors = values[_BUILT:], values[_SENSORS:]
     built[0] = c.spring_biceps_factor[i] - 1.0
     built[1] = c.spring_triceps_factor[i] - 1.0
@@ -137,8 +137,8 @@ def _tell_device(bare_inertia, c, i, values):
 
 
 @compiled
-def _tell_truth(c, s, i, values):
-    """Tell what is behind the sensors, and what acts on the joint."""
+def _write_truth(c, s, i, values):
+    """Write the true state behind the sensors, and the loads on the joint."""
     truth, loads = values[_TRUTH:], values[_LOADS:]
     truth[0] = s.setpoint[i] - s.angle[i]
     truth[1] = s.velocity[i]
@@ -153,7 +153,7 @@ def _tell_truth(c, s, i, values):
 
 
 @compiled
-def _tell_obstacle(c, s, i, values):
+def _write_obstacle(c, s, i, values):
     values[:5] = 0.0
     if c.obstacle_stiffness[i] > 0.0:
         values[0] = 1.0
@@ -164,8 +164,8 @@ def _tell_obstacle(c, s, i, values):
 
 
 @compiled
-def _tell_pushes(c, i, time, values):
-    """Tell how long the present push lasts; of the next one when and what it is; and the shaking."""
+def _write_pushes(c, i, time, values):
+    """Write how long the present push lasts, when the next one comes and what it is, and the shaking."""
     remaining, wait, following = 0.0, math.inf, -1
     for k in range(c.push_count[i]):
         elapsed = time - c.push_time[k, i]
@@ -186,8 +186,8 @@ def _tell_pushes(c, i, time, values):
 
 
 @compiled
-def _tell_moves(c, s, i, time, values):
-    """Tell what is left of the setpoint's present move; of the next one when and what it is."""
+def _write_moves(c, s, i, time, values):
+    """Write what is left of the setpoint's present move, when the next one comes and what it is."""
     present = s.move[i]
     target, left = c.initial_angle[i], 0.0
     if present >= 0:
@@ -204,7 +204,7 @@ def _tell_moves(c, s, i, time, values):
 
 
 @compiled
-def _tell_wave(c, i, time, values):
+def _write_wave(c, i, time, values):
     elapsed = time - c.wave_time[i]
     values[0] = c.wave_amplitude[i]
     values[1] = c.wave_frequency[i]

@@ -1,4 +1,4 @@
-"""One agent step in one compiled call: act, advance, observe, pay, report."""
+"""One agent step in one compiled call: act, advance, observe, reward, report."""
 
 from __future__ import annotations
 
@@ -125,15 +125,15 @@ def step_block(p, e, c, s, m, first, end, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
     for device in range(first, end):
         i = np.uint64(device - first)
-        # On a ramp: a setpoint that jumps would pay, in effort, for how rarely the agent acts.
+        # On a ramp: a setpoint that jumps would add effort for every step of the agent.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
     advance_block(p, c, s, m, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding
         observe(p, e, c, s, i, observations[device])
-        pay(e, c, s, i, report[device])
-        tell(p, c, s, i, report[device])
+        write_reward(e, c, s, i, report[device])
+        write_report(p, c, s, i, report[device])
 
 
 @compiled
@@ -143,12 +143,12 @@ def wanted_tension(e, action):
 
 
 @compiled
-def tell_devices(p, c_blocks, s_blocks, devices, report):
-    """Fill the report of the given devices, one row each, but for the reward: nothing was paid since the last step."""
+def report_devices(p, c_blocks, s_blocks, devices, report):
+    """Fill the report of the given devices, one row each; rewards and terms are 0."""
     for row in range(devices.size):
         report[row, :FIRST_READING] = 0.0
         block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
-        tell(p[0], c_blocks[block], s_blocks[block], i, report[row])
+        write_report(p[0], c_blocks[block], s_blocks[block], i, report[row])
 
 
 @compiled
@@ -185,7 +185,7 @@ def observe(p, e, c, s, i, row):
 
 
 @compiled
-def pay(e, c, s, i, report):
+def write_reward(e, c, s, i, report):
     """Report the reward for what happened since the last call, and its terms, by the prices of the device's family."""
     terms = report[FIRST_TERM:FIRST_READING]
     family = c.family[i]
@@ -210,7 +210,7 @@ def pay(e, c, s, i, report):
 
 
 @compiled
-def tell(p, c, s, i, report):
+def write_report(p, c, s, i, report):
     """Report the truth behind the observation and the cumulative metrics."""
     r = report[FIRST_READING:FIRST_METRIC]
     r[0] = s.failure[i]

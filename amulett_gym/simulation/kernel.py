@@ -7,9 +7,9 @@ within the tick.
 
 A tick is a handful of stages, each a loop over the block's lanes that the compiler can turn into SIMD instructions.
 That asks three things of what is written here: where lanes differ, both values are computed and one is chosen; what
-takes each lane another number of turns stands in a stage of its own; and no stage is too long (control and departure in
-one loop cost a fifth of the speed). A lane's arithmetic is the same wherever it is done, so the bits depend neither on
-the device's neighbours nor on their number.
+takes each lane another number of turns stands in a stage of its own; and no stage is too long (`control` and
+`begin_motion` in one loop cost a fifth of the speed). A lane's arithmetic is the same wherever it is done, so the bits
+depend neither on the device's neighbours nor on their number.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def tick(p, c, s, m, first, end):
         late = next_late(c, s, lane, end)
         act(p, s, m, lane, late)
         lane = late + np.uint64(1)
-    depart(p, c, s, m, first, end)
+    begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
     h = p.control_period / p.substeps  # of the classical Runge-Kutta method
     for _ in range(p.substeps):
@@ -108,7 +108,7 @@ def tick(p, c, s, m, first, end):
 
 @compiled_lanes
 def start_counting(p, c, s, m, first, end):
-    """Stage 0: count this tick in the metrics, unless the arm still has time to settle as its law likes."""
+    """Stage 0: count this tick in the metrics, unless it lies before `measure_from`."""
     for i in range(first, end):
         m.counting[i] = 1.0 if s.tick[i] * p.control_period >= c.measure_from[i] - TIME_SLACK else 0.0
 
@@ -132,7 +132,7 @@ def act(p, s, m, first, end):
 
 
 @compiled_lanes
-def depart(p, c, s, m, first, end):
+def begin_motion(p, c, s, m, first, end):
     """Stage 2: note where drives and arm start from, and what pushes the arm; commands and pushes are held."""
     for i in range(first, end):
         time = s.tick[i] * p.control_period
@@ -205,9 +205,9 @@ def step(m, first, end, h):
 
 @compiled_lanes
 def sense(p, c, s, m, first, end):
-    """Stage 6: arrive where the motion led, and read the sensors there, for the next tick."""
+    """Stage 6: end the motion and read the sensors, for the next tick."""
     for i in range(first, end):
-        arrive(p, c, s, m, i)
+        end_motion(p, c, s, m, i)
         s.tick[i] += 1
         last_angle = s.measured_angle[i]
         read_sensors(p, c, s, i)
@@ -441,8 +441,8 @@ def clear_rates(m, i):
 
 
 @compiled
-def arrive(p, c, s, m, i):
-    """Take over the motion's end, unless the device failed on the way, and add what the way cost."""
+def end_motion(p, c, s, m, i):
+    """Take over the state at the end of the motion, unless it is not finite, and add its costs."""
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
     error_before = s.setpoint[i] - s.angle[i]
     if not (abs(x) <= FARTHEST and abs(v) <= FARTHEST):
@@ -455,7 +455,7 @@ def arrive(p, c, s, m, i):
     s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
-    feel_strings(p, c, s, i)
+    update_string_forces(p, c, s, i)
     error_after = s.setpoint[i] - x
     counted = m.counting[i] * p.control_period
     s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)
@@ -470,7 +470,7 @@ def arrive(p, c, s, m, i):
 
 
 @compiled
-def feel_strings(p, c, s, i):
+def update_string_forces(p, c, s, i):
     """Set the true string forces [N] of the present state."""
     biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
     triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
@@ -524,7 +524,7 @@ def read_sensors(p, c, s, i):
 
 @compiled
 def sensor_noise(deviation, key, counter):
-    """Return noise of a standard deviation; an exact sensor does not pay for drawing it."""
+    """Return noise of a standard deviation; nothing is drawn for an exact sensor."""
     return deviation * noise(key, counter) if deviation > 0.0 else 0.0
 
 
@@ -677,7 +677,7 @@ def settle_strings(p, c, s, i):
     s.angle[i] = angle
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
-    feel_strings(p, c, s, i)
+    update_string_forces(p, c, s, i)
     if p.tension_loop:
         output = turn_biceps if biceps_is_agonist else turn_triceps
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)

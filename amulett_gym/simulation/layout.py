@@ -255,7 +255,7 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("step_direction", "f8"),
     ("risen", "i8"),
     ("inside_since", "f8"),
-    # what the reward has already paid for
+    # the costs in the rewards given so far; checkpoints compare these names
     ("paid_position", "f8"),
     ("paid_effort", "f8"),
     ("paid_tension", "f8"),
