@@ -74,6 +74,51 @@ def test_derivative_on_the_measurement_has_no_setpoint_kick():
     assert jumps["error"] == pytest.approx(proportional_and_integral + KD * np.radians(10) / 0.021, rel=1e-6)
 
 
+def tension_controller(agonist, setpoints, estimates, **gains):
+    """Feed the kernel's tension controller, which commands radians by gains in degrees; return its output after each.
+
+    The other string's estimate is one that would show.
+    """
+    profile = device(loop={"agonist": agonist, "tension": {**GAINS, **gains}})
+    simulation = start(profile)
+    state, follower, other = simulation.states[0], "triceps", "biceps"
+    if agonist == "triceps":
+        follower, other = other, follower
+    simulation.advance(1)  # so that the agonist is chosen
+    for name in ("tension_integral", "tension_derivative", "tension_signal"):
+        state[name][0] = 0.0
+    state["tension_signal"][0] = setpoints[0] - estimates[0] if profile.loop.tension.derivative_on == "error" else 0.0
+    if profile.loop.tension.derivative_on == "measurement":
+        state["tension_signal"][0] = -estimates[0]
+    state[f"estimate_{other}"][0] = 99.0
+    outputs = []
+    for setpoint, estimate in zip(setpoints[1:], estimates[1:], strict=True):
+        state["tension_setpoint"][0], state[f"estimate_{follower}"][0] = setpoint, estimate
+        kernel.control_tension(simulation.parameters[0], state, 0, False)
+        outputs.append(simulation.read("tension_output")[0])
+    return np.degrees(outputs), profile.loop.control_period
+
+
+@pytest.mark.parametrize("derivative_on", ["error", "measurement"])
+@pytest.mark.parametrize("agonist", ["biceps", "triceps"])
+def test_tension_derivative_opposes_a_rising_force(agonist, derivative_on):
+    rise = np.linspace(8.0, 9.0, 101)  # 0.01 N a tick
+    output, period = tension_controller(agonist, np.full(101, 10.0), rise, kp=0.0, ki=0.0, derivative_on=derivative_on)
+    filtered = 1 - (FILTER / (FILTER + period)) ** np.arange(1, 101)
+    np.testing.assert_allclose(output, -KD * 0.01 / period * filtered, rtol=1e-9)
+
+
+@pytest.mark.parametrize("derivative_on", ["error", "measurement"])
+def test_tension_controller_is_the_pid_of_the_setpoint_minus_the_force(derivative_on):
+    setpoint = np.array([8.0, 10.0, 10.0, 10.0])
+    output, period = tension_controller("biceps", setpoint, np.full(4, 7.0), derivative_on=derivative_on)
+    tick = np.arange(1, 4)
+    expected = 3.0 * (KP + KI * period * tick)
+    if derivative_on == "error":
+        expected += KD * 2.0 / (FILTER + period) * (FILTER / (FILTER + period)) ** (tick - 1)
+    np.testing.assert_allclose(output, expected, rtol=1e-9)
+
+
 @given(st.floats(-5, 5), st.floats(-5, 5), st.booleans(), st.booleans())
 def test_integral_moves_only_where_there_is_room(integral, error, up, down):
     after = integrate(integral, error, 2.0, 0.01, up, down)

@@ -21,7 +21,7 @@ from scipy.interpolate import PchipInterpolator
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import load_profile
-from amulett_gym.simulation import reference
+from amulett_gym.simulation import kernel, reference
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import ANGLE_LIMIT, RUNNING
 from amulett_gym.simulation.random import normal, random_bits
@@ -201,8 +201,9 @@ def test_loop_commands_what_section_2_2_says(base, law, wiring):
         {"sensors": {"below_floor": "ignore"}},
         {"drives": {"command_limit_deg": 150.0}},
         {"loop": {"agonist": "triceps"}},
+        {"loop": {"position": {"derivative_on": "measurement"}, "tension": {"derivative_on": "measurement"}}},
     ],
-    ids=["hold", "ignore", "limited drives", "fixed agonist"],
+    ids=["hold", "ignore", "limited drives", "fixed agonist", "derivative on measurement"],
 )
 def test_loop_commands_what_section_2_2_says_at_its_limits(changes):
     profile = device("testbed", **changes)
@@ -290,6 +291,42 @@ def test_sensors_of_the_testbed_are_noisy_and_in_bits():
         assert np.abs(motion[f"measured_{drive}"] - noisy).max() <= slider / 2 * (1 + 1e-3)
 
 
+def test_each_sensor_reads_the_truth_plus_its_own_bias_and_noise():
+    """Without bits, so that what is added shows to the last digit."""
+    biases = {"encoder_bias_deg": 0.5, "slider_bias_biceps": 3e-4, "slider_bias_triceps": -2e-4}
+    profile = device("testbed", sensors={"encoder_bits": 0, "potentiometer_bits": 0})
+    motion = run(profile, {**BUSY, "device": {**biases, "noise": 2.0}}, 0.6)
+    noise = 2.0 * normal(np.array([7], dtype=np.uint64), np.array([0], dtype=np.uint64), 4 * len(motion)).reshape(-1, 4)
+    expected = np.radians(0.5 + 0.02 * noise[:, 0])
+    np.testing.assert_allclose(motion["measured_angle"] - motion["angle"], expected, rtol=0, atol=1e-12)
+    plant, spring = profile.plant, profile.spring
+    joint = motion["angle"] * plant.joint_pulley_radius
+    for stream, drive, sign in ((1, "biceps", 1.0), (2, "triceps", -1.0)):
+        stretch = sign * (motion[f"drive_{drive}"] * plant.drive_pulley_radius - joint)
+        truth = np.hypot(spring.half_width, stretch) - spring.half_width
+        added = biases[f"slider_bias_{drive}"] + profile.sensors.potentiometer_noise * noise[:, stream]
+        read = np.clip(truth + added, 0.0, profile.sensors.potentiometer_travel)
+        assert (read > 0).mean() > 0.9
+        # 7 digits of the bias, and what the spring's table is off by
+        np.testing.assert_allclose(motion[f"measured_{drive}"], read, rtol=0, atol=1e-7)
+
+
+def test_joint_stiffness_is_the_slope_of_the_strings_torque():
+    springs = {"spring_biceps": 0.9, "spring_triceps": 1.2, "pulley_biceps": 1.03, "pulley_triceps": 0.98}
+    profile = device(plant={"orientation": "vertical"})
+    simulation = start(profile, {"initial_angle_deg": 40.0, "device": springs})
+    p, c, s = simulation.parameters[0], simulation.scenarios[0], simulation.states[0]
+    # With neither weight, push nor friction, eq. 1 leaves the strings' torque over J.
+    c["static_torque"][0] = 0.0
+    angle, step = s["angle"][0], 1e-6
+    before, after = (
+        kernel.acceleration(p, c, 0, x, 0.0, s["drive_biceps"][0], s["drive_triceps"][0], 0.0)
+        for x in (angle - step, angle + step)
+    )
+    slope = (before - after) * c["inertia"][0] / (2 * step)
+    assert kernel.joint_stiffness(p, c, s, 0) == pytest.approx(slope, rel=1e-6)
+
+
 @pytest.mark.parametrize("agonist", ["switching", "biceps", "triceps"])
 @pytest.mark.parametrize("angle", [-40.0, 0.0, 40.0])
 @pytest.mark.parametrize("control", ["decentralized", "position-only"])
@@ -312,6 +349,49 @@ def test_arm_starts_in_equilibrium_below_the_floor_too(below_floor):
     profile = device("testbed", sensors={**EXACT_SENSORS, "below_floor": below_floor})
     motion = run(profile, {"initial_tension": 4.0}, 0.5)
     assert motion["force_triceps"] == pytest.approx(4.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("blocks", ["flexion", "extension"])
+@pytest.mark.parametrize("control", ["decentralized", "position-only"])
+@pytest.mark.parametrize("base", PROFILES)
+def test_a_start_in_contact_stays_at_rest(base, control, blocks):
+    side = 1.0 if blocks == "flexion" else -1.0
+    obstacle = {"angle_deg": side * 18.0, "blocks": blocks, "stiffness": 3.0, "damping": 0.02}
+    scenario = {"initial_angle_deg": side * 20.0, "initial_tension": 6.0, "obstacle": obstacle}
+    profile = device(base, sensors=EXACT_SENSORS)
+    motion = run(profile, scenario, 0.5, control=control)
+    contact = -side * 3.0 * np.radians(2.0)
+    assert motion["contact_torque"] == pytest.approx(contact, rel=1e-6)
+    strings = (motion["force_biceps"] - motion["force_triceps"]) * profile.plant.joint_pulley_radius
+    assert strings == pytest.approx(-contact, rel=1e-6)
+    assert np.degrees(motion["angle"]) == pytest.approx(side * 20.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("derivative_on", ["error", "measurement"])
+@pytest.mark.parametrize("agonist", ["biceps", "triceps"])
+def test_a_device_unlike_its_profile_starts_without_a_kick(agonist, derivative_on):
+    """An encoder's bias and other springs show in the first readings; the controllers do not answer at once."""
+    source = {"derivative_on": derivative_on}
+    loop = {"agonist": agonist, "position": source, "tension": source}
+    profile = device("testbed", sensors=EXACT_SENSORS, loop=loop)
+    unlike = {"encoder_bias_deg": 0.5, "spring_biceps": 0.9, "spring_triceps": 1.1}
+    motion = run(profile, {"initial_angle_deg": 20.0, "device": unlike}, 0.02)
+    assert abs(motion["setpoint"][0] - motion["measured_angle"][0]) > np.radians(0.4)
+    antagonist = "triceps" if agonist == "biceps" else "biceps"
+    lack = motion["tension_setpoint"][0] - motion[f"estimate_{antagonist}"][0]
+    assert abs(lack) > 0.3
+    assert motion["position_derivative"][1] == motion["tension_derivative"][1] == 0.0
+    gain = np.radians(profile.loop.tension.ki) * profile.loop.control_period
+    assert motion["tension_output"][1] == pytest.approx(gain * lack, rel=1e-3)
+
+
+@pytest.mark.parametrize("angle", [-40.0, 40.0])
+def test_the_loop_knows_at_the_start_which_spring_is_deflected_more(angle):
+    profile = device(plant={"orientation": "vertical"}, sensors=EXACT_SENSORS, loop=HELD_DRIVES)
+    motion = run(profile, {"initial_angle_deg": angle}, 0.05)
+    difference = motion["measured_biceps"][0] - motion["measured_triceps"][0]
+    assert np.sign(difference) == np.sign(angle)
+    assert motion["measured_difference"] == pytest.approx(difference, rel=1e-6)
 
 
 def test_string_deflections_at_rest_are_those_of_the_spring_assembly():
