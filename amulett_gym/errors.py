@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from importlib.metadata import version
 
 _LONGEST = 100
 """Characters of a name that are shown, and of one for which the nearest is looked for."""
@@ -27,6 +28,12 @@ def other_version(what: str, found: int, known: int, remedy: str) -> AmulettErro
     """
     hint = "update amulett-gym" if found > known else remedy
     return AmulettError(f"{what}: 'version' is {str(found)[:20]}; this amulett-gym reads {known}: {hint}")
+
+
+def install_extra(extra: str) -> str:
+    """Return the commands that install an extra of amulett-gym, which is on no package index."""
+    wheel = f"amulett_gym-{version('amulett-gym')}-py3-none-any.whl"
+    return f"pip install -e '.[{extra}]' in a checkout, or pip install './{wheel}[{extra}]' beside the wheel file"
 
 
 def nearest(name: str, choices: Iterable[str]) -> str:

@@ -14,7 +14,7 @@ from amulett_agents.config import load_train_config
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.runner import Own
+from amulett_gym.laws.contenders import Own
 from amulett_gym.profile import Profile
 
 _SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}

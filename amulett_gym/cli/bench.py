@@ -11,8 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.train import add_overrides, check_installed
+from amulett_gym.cli.train import add_overrides
 from amulett_gym.errors import AmulettError
+from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.storage.writing import check_writable, write_json
 
 HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
@@ -174,10 +175,9 @@ def _given(arguments: argparse.Namespace, option: str) -> bool:
 def _recipe(arguments: argparse.Namespace, section: str) -> Any:
     """Return a section's checked recipe; torch is not imported yet."""
     check_installed()
-    from amulett_agents.config import SPRINT, load_train_config
-
-    own = SPRINT if section == "time-to-beat" and arguments.config is None else ()
-    return load_train_config(arguments.config, [*own, *arguments.overrides])
+    recipes = load_learning("recipes")
+    own = recipes.SPRINT if section == "time-to-beat" and arguments.config is None else ()
+    return recipes.load_train_config(arguments.config, [*own, *arguments.overrides])
 
 
 def _speed(arguments: argparse.Namespace, data: Data, config: Any) -> None:
@@ -231,24 +231,22 @@ def _c(arguments: argparse.Namespace, data: Data, config: Any) -> None:
 
 
 def _ppo(arguments: argparse.Namespace, data: Data, config: Any) -> None:
-    from amulett_agents.benchmark import ppo_throughput
-
+    speed = load_learning("speed")
     with _bar(arguments.turns, "PPO") as bar:
-        data["ppo"] = ppo_throughput(config, arguments.turns, watch=bar.update)
+        data["ppo"] = speed.ppo_throughput(config, arguments.turns, watch=bar.update)
 
 
 def _time_to_beat(arguments: argparse.Namespace, data: Data, config: Any) -> None:
-    from amulett_agents.benchmark import Referee, describe_beats, from_the_middle, time_to_beat
-
-    config = from_the_middle(config)
-    referee = Referee(config)
+    speed = load_learning("speed")
+    config = speed.from_the_middle(config)
+    referee = speed.Referee(config)
     runs: list[Any] = []
     for seed in range(arguments.seed, arguments.seed + arguments.seeds):
         with _bar(None, f"seed {seed}") as bar:
             runs.append(
-                time_to_beat(config.model_copy(update={"seed": seed}), referee, arguments.limit, watch=bar.update)
+                speed.time_to_beat(config.model_copy(update={"seed": seed}), referee, arguments.limit, watch=bar.update)
             )
-        data.update(describe_beats(config, referee, runs, arguments.limit))
+        data.update(speed.describe_beats(config, referee, runs, arguments.limit))
 
 
 def _scale(arguments: argparse.Namespace, data: Data, config: Any) -> None:

@@ -70,14 +70,15 @@ def validate(path: str | Path) -> Found:
     if path.suffix not in (".yaml", ".yml"):
         raise AmulettError(f"'{path}' is neither .yaml (device, recipe, benchmark), .json (scenario) nor a bundle")
 
-    from amulett_agents.config import TrainConfig, load_train_config
+    from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, load_profile
     from amulett_gym.storage.safe_yaml import read_yaml
     from amulett_gym.studies.benchmark.description import Benchmark, load_benchmark
 
+    recipes = load_learning("recipes")
     kinds: Mapping[str, tuple[type[BaseModel], Any]] = {
         "a device profile": (Profile, load_profile),
-        "a training recipe": (TrainConfig, load_train_config),
+        "a training recipe": (recipes.TrainConfig, recipes.load_train_config),
         "a benchmark's description": (Benchmark, load_benchmark),
     }
     keys = set(read_yaml(path, "file"))
@@ -110,13 +111,9 @@ def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[s
 
 
 def _load_space(path: Path) -> Mapping[str, BaseModel]:
-    from amulett_gym.cli.train import check_installed
+    from amulett_gym.learning import load_learning
 
-    check_installed()
-    from amulett_agents.config import TrainConfig
-    from amulett_agents.tuning import load_space
-
-    return load_space(path, TrainConfig())
+    return load_learning("tuning").load_space(path, load_learning("recipes").TrainConfig())
 
 
 def _flow(value: Any) -> str:

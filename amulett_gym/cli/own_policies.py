@@ -32,9 +32,7 @@ def with_zips(names: Sequence[str], profile: Profile, env_id: str, trust_pickle:
     zips = {name for name in names if name.endswith(".zip") and not Path(name).is_dir()}
     if not zips:
         return list(names)
-    from amulett_gym.cli.train import check_installed
+    from amulett_gym.learning import load_learning
 
-    check_installed()
-    from amulett_agents import load_sb3_zip
-
+    load_sb3_zip = load_learning("zips").load_sb3_zip
     return [load_sb3_zip(name, profile, env_id, trust_pickle) if name in zips else name for name in names]

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.train import check_installed
 from amulett_gym.errors import AmulettError
+from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.storage.writing import output_folder
 
 if TYPE_CHECKING:
@@ -58,12 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise AmulettError(f"--seed is {arguments.seed}; it has to be at least 0")
 
-    from amulett_agents import load_train_config
     from amulett_gym.evaluation.runner import Protocol
     from amulett_gym.profile import load_profile
 
     short = [f"total_steps={STEPS}", f"max_seconds={arguments.seconds}", f"seed={arguments.seed}"]
-    config = load_train_config(overrides=short)
+    config = load_learning("recipes").load_train_config(overrides=short)
     protocol = Protocol(load_profile(config.env.profile), config.env.suite, episodes=arguments.episodes)
     out = Path(arguments.out)
     marks = [[f"ppo/{name}" for name in ("config.yaml", "command.json")]]
@@ -76,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
 def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any, out: Path) -> int:
     from dataclasses import replace
 
-    from amulett_agents import train
     from amulett_gym.evaluation.comparison import in_words
     from amulett_gym.evaluation.page import remove_comparison, write_report
     from amulett_gym.evaluation.runner import evaluate
@@ -89,7 +87,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     )
     command = ["amulett", *sys.argv[1:]]
     progress = sys.stderr.isatty() and not arguments.json
-    trained = train(config, policy, progress=progress, command=command, overwrite=True)
+    trained = load_learning("training").train(config, policy, progress=progress, command=command, overwrite=True)
     remove_comparison(out)  # it was of another policy
     try:
         if trained.interrupted:

@@ -110,22 +110,19 @@ def _changed_inputs(note: Provenance) -> list[str]:
 
 
 def _train_again(note: Provenance, old: Path, new: Path) -> None:
-    from amulett_gym.cli.train import check_installed
+    from amulett_gym.learning import load_learning
 
-    check_installed()
-    from amulett_agents import load_train_config, train
-    from amulett_agents.training import START
-
-    config = load_train_config(old / "config.yaml")
+    training = load_learning("training")
+    config = load_learning("recipes").load_train_config(old / "config.yaml")
     if config.max_seconds is not None:
         print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
     if "profile" in note.config:  # as it was, whatever the file that described it says by now
         config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
-    start = old / START
+    start = old / training.START
     if start.is_dir():  # the bundle that it started from, as it was
         network = config.network.model_copy(update={"start": str(start.resolve())})
         config = config.model_copy(update={"network": network})
-    result = train(config, new, progress=sys.stderr.isatty(), command=note.command)
+    result = training.train(config, new, progress=sys.stderr.isatty(), command=note.command)
     if result.interrupted:
         raise KeyboardInterrupt
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from importlib.util import find_spec
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.learning import check_installed, load_learning
 
 HELP = "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed"
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
@@ -17,8 +17,6 @@ EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
   amulett evaluate --policies eq6 constant:10 runs/first --suite steps --out runs/first-evaluation
   tensorboard --logdir runs
 """
-
-_NEEDED = ("torch", "stable_baselines3", "tensorboard")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,22 +53,19 @@ def run(arguments: argparse.Namespace) -> int:
     progress = sys.stderr.isatty()
     if arguments.resume is not None:
         _check_alone(arguments)
-        from amulett_agents import resume
-        from amulett_agents.training import is_finished
-
-        finished = is_finished(arguments.resume)
-        result = resume(arguments.resume, progress=progress)
+        training = load_learning("training")
+        finished = training.is_finished(arguments.resume)
+        result = training.resume(arguments.resume, progress=progress)
     else:
         if arguments.out is None:
             raise AmulettError("train needs --out DIR for a new run, or --resume DIR to go on with one")
-        from amulett_agents import load_train_config
-
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
-        config = load_train_config(arguments.config, overrides)  # a wrong recipe is refused before torch is imported
-        from amulett_agents import train
-
+        # A wrong recipe is refused before torch is imported.
+        config = load_learning("recipes").load_train_config(arguments.config, overrides)
         command = ["amulett", *sys.argv[1:]]
-        result = train(config, arguments.out, progress=progress, command=command, overwrite=arguments.overwrite)
+        result = load_learning("training").train(
+            config, arguments.out, progress=progress, command=command, overwrite=arguments.overwrite
+        )
     if arguments.json:
         print(json.dumps(asdict(result), default=str, indent=2))
     else:
@@ -101,10 +96,3 @@ def _check_alone(arguments: argparse.Namespace) -> None:
         raise AmulettError(
             f"--resume goes on with the run's own recipe, in its own folder; leave out {', '.join(wrong)}"
         )
-
-
-def check_installed() -> None:
-    """Raise an error that says what to install if what learns is not there."""
-    missing = [name for name in _NEEDED if find_spec(name) is None]
-    if missing:
-        raise AmulettError(f'training needs {", ".join(missing)}; install with: pip install "amulett-gym[agents]"')

@@ -6,12 +6,11 @@ import argparse
 import json
 import shlex
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.train import add_overrides, check_installed
-from amulett_gym.errors import AmulettError
+from amulett_gym.cli.train import add_overrides
+from amulett_gym.learning import TUNING, check_installed, load_learning
 
 HELP = "search a recipe's settings; given again, the same command goes on where it was interrupted or killed"
 EXAMPLES = """  amulett tune --config configs/ppo.yaml --space configs/tune.yaml --trials 40 --out runs/study
@@ -36,24 +35,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Tune; exit code 130 if Ctrl-C or SIGTERM ended it."""
-    check_installed()
-    if find_spec("optuna") is None:
-        raise AmulettError('tuning needs optuna; install with: pip install "amulett-gym[agents]"')
+    check_installed(TUNING)
     from dataclasses import asdict
 
-    from amulett_agents import load_train_config
-
-    config = load_train_config(arguments.config, arguments.overrides)
-    from amulett_agents.tuning import BEST, best_of, load_space, tune
-
-    space = load_space(arguments.space, config)
+    config = load_learning("recipes").load_train_config(arguments.config, arguments.overrides)
+    tuning = load_learning("tuning")
+    space = tuning.load_space(arguments.space, config)
 
     def tell(trial: Any, best: Any) -> None:
         if not arguments.json:
             cost = f"cost {trial.cost:.4f}" if trial.costs else f"refused: {trial.error}"
             print(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}", flush=True)
 
-    trials = tune(
+    trials = tuning.tune(
         config,
         space,
         arguments.trials,
@@ -68,13 +62,13 @@ def run(arguments: argparse.Namespace) -> int:
         words = shlex.join(["amulett", *sys.argv[1:]])
         print(f"interrupted; nothing that is finished is lost. Go on with:\n       {words}", file=sys.stderr)
         return 130
-    best = best_of(trials)
+    best = tuning.best_of(trials)
     if arguments.json:
         print(json.dumps([asdict(trial) | {"cost": trial.cost} for trial in trials], indent=2))
     else:
         print(_table(trials, list(space)))
         if best is not None:
-            print(f"\nThe best recipe is in {Path(arguments.out) / BEST}.")
+            print(f"\nThe best recipe is in {Path(arguments.out) / tuning.BEST}.")
     return 0 if best is not None else 1
 
 

@@ -19,7 +19,7 @@ from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.laws.bundle import read_bundle
-from amulett_gym.laws.contenders import CONSTANT, Contender, constant_tension, contender_names, parse_contender
+from amulett_gym.laws.contenders import CONSTANT, Contender, Own, constant_tension, contender_names, parse_contender
 from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.tasks.suites import SPLITS, suite_names
@@ -143,23 +143,6 @@ class Schedule:
     phase: NDArray[np.int64]
     tension_range: tuple[float, float]
     approach: Values
-
-
-@dataclass(frozen=True)
-class Own(Contender):
-    """A contender of one's own: any callable that chooses actions.
-
-    ``Own("mine", {"agent_period": 0.1}, act=function)`` competes with the environment's keywords that it needs. Nothing
-    is known of the callable but what it does: it is never taken from a file.
-
-    Attributes
-    ----------
-    act : callable
-        Maps observations, shape (N, 13), to actions, shape (N, 1) or (N,), in [-1, 1]. It is called once an agent step
-        with all scenarios, from the first step on; if it has a method ``reset``, that is called before with N.
-    """
-
-    act: Callable[[NDArray[np.float32]], Any] | None = None
 
 
 @dataclass(frozen=True)

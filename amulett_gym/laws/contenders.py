@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
@@ -59,6 +63,22 @@ class Contender:
     name: str
     env_keywords: dict[str, Any] = field(default_factory=dict)
     policy_name: str | None = None
+
+
+@dataclass(frozen=True)
+class Own(Contender):
+    """A contender of your own: any callable that chooses actions.
+
+    ``Own("mine", {"agent_period": 0.1}, act=function)`` runs with the environment's keywords that it needs.
+
+    Attributes
+    ----------
+    act : callable
+        Maps observations, shape (N, 13), to actions, shape (N, 1) or (N,), in [-1, 1]. It is called once an agent step
+        with all scenarios, from the first step on; if it has a method ``reset``, that is called before with N.
+    """
+
+    act: Callable[[NDArray[np.float32]], Any] | None = None
 
 
 def contender_names() -> dict[str, str]:

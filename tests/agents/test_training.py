@@ -27,6 +27,7 @@ from amulett_agents.config import TrainConfig  # noqa: E402
 from amulett_agents.model import make_model, make_validation_env  # noqa: E402
 from amulett_agents.time_limit import ValuesAtTimeLimits  # noqa: E402
 from amulett_agents.training import COLUMNS, evaluate, torch_threads  # noqa: E402
+from amulett_gym import learning  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
@@ -516,8 +517,8 @@ def test_wrong_environment_settings_leave_nothing_behind(run, tmp_path):
 
 
 def test_without_torch_the_command_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setattr(command, "find_spec", lambda name: None if name == "torch" else object())
-    with pytest.raises(AmulettError, match=r'torch.*pip install "amulett-gym\[agents\]"'):
+    monkeypatch.setattr(learning, "find_spec", lambda name: None if name == "torch" else object())
+    with pytest.raises(AmulettError, match=r"needs torch, not installed.*\[agents\]"):
         command.run(argparse.Namespace(config=None, overrides=[], out=str(tmp_path / "run"), seed=None))
 
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.envs.reward import COST_TERMS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import unknown
 from amulett_gym.evaluation.runner import MOST_EPISODES
 from amulett_gym.laws.contenders import CONSTANT, contender_names
+from amulett_gym.learning import load_learning
 from amulett_gym.profile import Positive, Profile, load_profile, profile_names
 from amulett_gym.settings import Group, configs_folder, describe
 from amulett_gym.storage.safe_yaml import read_yaml
@@ -230,9 +230,5 @@ def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str]
     AmulettError
         If the recipe cannot be read or is wrong.
     """
-    if find_spec("amulett_agents") is None:
-        raise AmulettError("learned entries need the package amulett_agents, which is installed with amulett-gym")
-    from amulett_agents.config import load_train_config
-
     path = None if entry.recipe is None else folder / entry.recipe
-    return load_train_config(path, [*entry.set, *more, f"seed={seed}"])
+    return load_learning("recipes").load_train_config(path, [*entry.set, *more, f"seed={seed}"])

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from amulett_gym.envs.reward import prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import UNITS
-from amulett_gym.evaluation.runner import Own, Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
+from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
 from amulett_gym.jit.code_cache import fingerprint
 from amulett_gym.laws.bundle import MANIFEST
-from amulett_gym.laws.contenders import Contender
+from amulett_gym.laws.contenders import Contender, Own
 from amulett_gym.laws.parametric import tuned_names, tuned_vector
 from amulett_gym.storage.reading import read_arrays
 from amulett_gym.storage.writing import atomic_path

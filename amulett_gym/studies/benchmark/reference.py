@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.runner import Own, Protocol, Run, play_alone
+from amulett_gym.evaluation.runner import Protocol, Run, play_alone
 from amulett_gym.evaluation.search.clairvoyant import Effort, Reference, clairvoyant, replay
 from amulett_gym.evaluation.search.trials import Trials
-from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.contenders import Own, parse_contender
 from amulett_gym.studies.benchmark.description import Benchmark
 
 CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"

@@ -6,7 +6,6 @@ import csv
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.learning import advice, load_learning, not_installed
 from amulett_gym.storage.provenance import differences
 from amulett_gym.storage.reading import read_json, read_text
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.studies.benchmark.description import Benchmark, training_recipe
 
-_NEEDED = ("torch", "stable_baselines3", "tensorboard")
 _CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.csv"
 
 
@@ -102,14 +101,12 @@ def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
         if (run.folder / _CONFIG).is_file():
             _check_recipe(run)
     missing = [run for run in runs if not run.is_finished()]
-    if missing:
-        absent = [name for name in _NEEDED if find_spec(name) is None]
-        if absent:
-            names = ", ".join(run.name for run in missing[:5]) + (", ..." if len(missing) > 5 else "")
-            raise AmulettError(
-                f"{len(missing)} of {len(runs)} training runs are missing ({names}), and training needs "
-                f'{", ".join(absent)}; install with: pip install "amulett-gym[agents]", or give the folder of runs'
-            )
+    if missing and (absent := not_installed()):
+        names = ", ".join(run.name for run in missing[:5]) + (", ..." if len(missing) > 5 else "")
+        raise AmulettError(
+            f"{len(missing)} of {len(runs)} training runs are missing ({names}); give the folder of runs, or "
+            f"install what trains them. {advice(absent)}"
+        )
     return missing
 
 
@@ -121,12 +118,11 @@ def train_run(run: TrainingRun, progress: bool = False) -> None:
     KeyboardInterrupt
         If Ctrl-C or SIGTERM ended it; what was learned is kept.
     """
-    from amulett_agents import resume, train
-
+    training = load_learning("training")
     if (run.folder / _CONFIG).is_file():
-        result = resume(run.folder, progress=progress)
+        result = training.resume(run.folder, progress=progress)
     else:
-        result = train(run.config, run.folder, progress=progress, command=["amulett", "benchmark"])
+        result = training.train(run.config, run.folder, progress=progress, command=["amulett", "benchmark"])
     if result.interrupted:
         raise KeyboardInterrupt
 

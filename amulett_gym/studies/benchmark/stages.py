@@ -149,7 +149,7 @@ def run_benchmark(
     runs : str or Path, optional
         Folder of the training runs, ``<entry>/seed-<k>``; what is missing is trained there. ``out/runs`` if None.
     own : sequence of Contender
-        Further contenders, such as :class:`amulett_gym.evaluation.runner.Own`.
+        Further contenders, such as :class:`amulett_gym.laws.contenders.Own`.
     command : sequence of str, optional
         The words of the command, for ``command.json``.
     say : callable

@@ -1,6 +1,6 @@
-"""Other packages' environments to compare speeds with, where they are installed (``pip install "amulett-gym[peers]"``).
+"""Other packages' environments to compare speeds with, where they are installed (extra ``peers``).
 
-A step of theirs is an agent's step as ours is; how many inner ticks of simulation it takes differs, so both are told.
+A step of theirs is an agent's step as ours is; the inner ticks of simulation that it takes differ: both are reported.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from typing import Any
 
 import gymnasium as gym
 
+from amulett_gym.errors import install_extra
 from amulett_gym.studies.speed.rates import Contestant, Speed, ratios, spread, step_single
-
-INSTALL = 'pip install "amulett-gym[peers]"'
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def enter(peers: Sequence[Peer] = PEERS, seed: int = 0) -> tuple[list[Contestant
                 step = step_single(env, seed)
                 step()
         except ImportError as error:
-            absent[peer.name] = f"{error.name or peer.modules[0]} is not installed ({INSTALL})"
+            absent[peer.name] = f"{error.name or peer.modules[0]} is not installed ({install_extra('peers')})"
         except Exception as error:  # whatever another package raises is not ours to foresee
             absent[peer.name] = f"does not run here: {type(error).__name__}: {' '.join(str(error).split())[:200]}"
         else:

@@ -20,10 +20,10 @@ from helpers import keep_network
 from amulett_gym.cli import build_parser, main
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.runner import Own, Protocol, evaluate, play_alone
+from amulett_gym.evaluation.runner import Protocol, evaluate, play_alone
 from amulett_gym.evaluation.search.clairvoyant import start_schedules
 from amulett_gym.evaluation.search.trials import Trials
-from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.contenders import Own, parse_contender
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.provenance import read_provenance
 from amulett_gym.studies.benchmark import episodes, frozen, reference, runs, stages
@@ -238,7 +238,7 @@ def test_two_benchmarks_cannot_share_a_folder(tmp_path, monkeypatch):
 
 
 def test_stored_runs_are_judged_without_what_learns(done, tmp_path, monkeypatch):
-    monkeypatch.setattr(runs, "find_spec", lambda name: None)
+    monkeypatch.setattr(runs, "not_installed", lambda: ["torch"])
     evidence = bench(tmp_path, TINY, runs=done / "runs")
     assert [run.is_finished() for run in evidence.runs] == [True] * 3
     with pytest.raises(AmulettError, match=r"3 of 3 training runs are missing \(ppo, seed 3.*needs torch"):

@@ -14,7 +14,7 @@ import pytest
 
 from amulett_gym.c.build import find_compiler
 from amulett_gym.cli import bench, build_parser, main
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
 from amulett_gym.studies.speed import document as performance
 from amulett_gym.studies.speed import peers, scale
@@ -144,7 +144,7 @@ def test_a_peer_that_is_absent_or_broken_is_one_line():
     there = peers.Peer("there", "CartPole-v1", ())
     entrants, why = peers.enter([absent, broken, there])
     assert [entrant.name for entrant in entrants] == ["there"]
-    assert why["absent"] == 'no_such_module_here is not installed (pip install "amulett-gym[peers]")'
+    assert why["absent"] == f"no_such_module_here is not installed ({install_extra('peers')})"
     assert why["broken"].startswith("does not run here: NameNotFound") and "\n" not in why["broken"]
 
 
@@ -285,7 +285,7 @@ def recipe():
 @pytest.fixture
 def clock(monkeypatch):
     """Let a clock move on by a second whenever somebody looks."""
-    from amulett_agents import benchmark
+    from amulett_agents import speed as benchmark
 
     ticking = iter(range(1_000_000))
     monkeypatch.setattr(benchmark, "time", SimpleNamespace(perf_counter=lambda: float(next(ticking))))
@@ -293,7 +293,7 @@ def clock(monkeypatch):
 
 
 def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
-    from amulett_agents.benchmark import ppo_throughput
+    from amulett_agents.speed import ppo_throughput
 
     turns = []
     found = ppo_throughput(recipe, turns=3, watch=lambda: turns.append(1))
@@ -303,7 +303,7 @@ def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
 
 
 def test_a_steps_rollout_and_its_share_of_the_update_are_told_apart(recipe, clock):
-    from amulett_agents.benchmark import ppo_throughput
+    from amulett_agents.speed import ppo_throughput
 
     found = ppo_throughput(recipe, turns=2)
     # The clock is looked at before, at the rollout's beginning and end, and after: a second each time, 32 steps.
@@ -316,7 +316,7 @@ def test_the_null_environment_returns_constants(recipe):
     from stable_baselines3 import PPO
 
     from amulett_agents import make_sb3_env
-    from amulett_agents.benchmark import ConstantVecEnv
+    from amulett_agents.speed import ConstantVecEnv
 
     ours = make_sb3_env(num_envs=3)
     env = ConstantVecEnv(3, ours.observation_space, ours.action_space)
@@ -330,7 +330,7 @@ def test_the_null_environment_returns_constants(recipe):
 
 
 def test_the_lines_are_what_eq6_and_the_best_constant_cost(recipe):
-    from amulett_agents.benchmark import CONSTANTS, Referee, from_the_middle
+    from amulett_agents.speed import CONSTANTS, Referee, from_the_middle
     from amulett_gym.evaluation.runner import evaluate
 
     referee = Referee(from_the_middle(recipe))
@@ -345,7 +345,7 @@ def test_the_lines_are_what_eq6_and_the_best_constant_cost(recipe):
 
 def referee_of(costs: list[float], held_out: float) -> Any:
     """Return a referee who gives these costs one after another, and lines at 1 and 0.5."""
-    from amulett_agents.benchmark import Lines, Referee
+    from amulett_agents.speed import Lines, Referee
 
     referee = object.__new__(Referee)
     referee.lines = dict.fromkeys(("validation", "held-out"), Lines(1.0, 0.5, 5.0))
@@ -355,7 +355,7 @@ def referee_of(costs: list[float], held_out: float) -> Any:
 
 
 def test_judging_is_not_counted(recipe, clock, monkeypatch):
-    from amulett_agents import benchmark
+    from amulett_agents import speed as benchmark
 
     monkeypatch.setattr(benchmark, "warm_up", lambda config: None)
     referee = referee_of([2.0, 0.9, 0.4], held_out=0.3)
@@ -368,7 +368,7 @@ def test_judging_is_not_counted(recipe, clock, monkeypatch):
 
 
 def test_a_line_counts_only_if_held_out_scenarios_confirm_it(recipe, clock):
-    from amulett_agents import benchmark
+    from amulett_agents import speed as benchmark
 
     run = benchmark.time_to_beat(recipe, referee_of([0.4] * 1000, held_out=0.8), limit=1e6)
     assert run.eq6 == run.curve[0][0]
@@ -377,7 +377,7 @@ def test_a_line_counts_only_if_held_out_scenarios_confirm_it(recipe, clock):
 
 
 def test_a_run_ends_at_its_limit(recipe, clock):
-    from amulett_agents import benchmark
+    from amulett_agents import speed as benchmark
 
     run = benchmark.time_to_beat(recipe, referee_of([2.0] * 1000, held_out=2.0), limit=100.0)
     assert run.curve[-1][1] < recipe.total_steps

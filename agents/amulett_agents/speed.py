@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
@@ -21,7 +22,6 @@ from amulett_agents.config import TrainConfig
 from amulett_agents.model import callbacks, make_model
 from amulett_agents.training import evaluate, torch_threads, warm_up
 from amulett_gym.laws.policies import tension_to_action
-from amulett_gym.studies.speed.rates import spread
 
 TURNS = 9
 CONSTANTS = tuple(np.arange(4.0, 15.01, 0.5).tolist())
@@ -149,12 +149,12 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
         rolling = 1e3 * clock.seconds / (turns * rollouts * config.ppo.n_steps)
         whole = 1e3 * config.num_envs * sum(1.0 / rate for rate in rates[name]) / turns
         step_ms[name] = {"rollout": rolling, "update": whole - rolling}
-    ratio = spread([env / null for env, null in zip(rates["env"], rates["null"], strict=True)])
+    ratios = [env / null for env, null in zip(rates["env"], rates["null"], strict=True)]
     return {
-        "env": spread(rates["env"])["median"],
-        "null": spread(rates["null"])["median"],
-        "ratio": ratio["median"],
-        "ratio_spread": [ratio["least"], ratio["most"]],
+        "env": statistics.median(rates["env"]),
+        "null": statistics.median(rates["null"]),
+        "ratio": statistics.median(ratios),
+        "ratio_spread": [min(ratios), max(ratios)],
         "num_envs": config.num_envs,
         "step_ms": step_ms,
     }
