@@ -33,7 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.studies.paper.document import check
     from amulett_gym.studies.paper.evidence import gather
     from amulett_gym.studies.paper.own_study import read_study
-    from amulett_gym.studies.paper.report import REPRODUCTION_MARKS, draw, write_document, write_report
+    from amulett_gym.studies.paper.report import (
+        REPRODUCTION_MARKS,
+        draw,
+        write_document,
+        write_numbers,
+        write_pictures,
+    )
     from amulett_gym.studies.paper.results import content, in_words
 
     out = arguments.out
@@ -42,8 +48,11 @@ def run(arguments: argparse.Namespace) -> int:
         check(arguments.doc)
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
         evidence = gather(study)
-        figures = {} if out is None and arguments.doc is None else draw(evidence)
-        result = content(evidence) if out is None else write_report(evidence, figures, out)
+        result = content(evidence) if out is None else write_numbers(evidence, out)
+        if out is not None:
+            figures = write_pictures(evidence, out)
+        elif arguments.doc is not None:
+            figures = draw(evidence)
     if arguments.doc is not None:
         write_document(evidence, figures, arguments.doc)
     if arguments.json:

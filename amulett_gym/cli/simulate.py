@@ -6,8 +6,12 @@ import argparse
 import json
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from amulett_gym.evaluation.episode import Episode
 
 HELP = "record one episode with a law or policy: CSV, figure, metrics"
 EXAMPLES = """  amulett simulate --law eq6 --suite paper-step --profile simulation --out step.csv --plot step.png
@@ -56,10 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
         write_csv(episode.trajectory, arguments.out)
     scenario = f"suite {arguments.suite}" if arguments.scenario is None else f"scenario {arguments.scenario}"
     title = f"{labels([arguments.law])[arguments.law]}, profile {profile.name}, {scenario}"
-    if arguments.plot is not None:
-        from amulett_gym.evaluation.plots import save_figure, trajectory_figure
-
-        save_figure(trajectory_figure(episode.trajectory, title), arguments.plot)
     if arguments.json:
         metrics = {name: value if math.isfinite(value) else None for name, value in episode.metrics.items()}
         content = {
@@ -75,14 +75,27 @@ def run(arguments: argparse.Namespace) -> int:
             "scenario": episode.scenario.model_dump(),
         }
         print(json.dumps(content, indent=2, allow_nan=False))
-        return 0
+    else:
+        _print(arguments, episode, title)
+    if arguments.plot is not None:  # last: an error in a figure loses no number
+        from amulett_gym.evaluation.plots import trajectory_figure
+        from amulett_gym.reporting.style import save_figure
+
+        save_figure(trajectory_figure(episode.trajectory, title), arguments.plot)
+        if not arguments.json:
+            print(f"Written: {arguments.plot}")
+    return 0
+
+
+def _print(arguments: argparse.Namespace, episode: Episode, title: str) -> None:
+    """Print metrics, failure, and where the trajectory is."""
+    from amulett_gym.evaluation.metrics import UNITS
+
     print(f"{title}, seed {arguments.seed}, {arguments.duration:g} s")
     for name, value in episode.metrics.items():
         shown = f"{value:.4g}" if math.isfinite(value) else "-"
         print(f"  {name:22} {shown:>10}  {UNITS[name] if UNITS[name] != '1' else ''}".rstrip())
     if episode.failure:
         print(f"The device failed after {episode.trajectory['time'][-1]:g} s: {episode.failure}.")
-    for path in (arguments.out, arguments.plot):
-        if path is not None:
-            print(f"Written: {path}")
-    return 0
+    if arguments.out is not None:
+        print(f"Written: {arguments.out}")

@@ -6,13 +6,11 @@ import math
 from collections import Counter
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
-from matplotlib.figure import Figure
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.comparison import (
     COMPARISON_MARKS,
     Summary,
@@ -27,7 +25,10 @@ from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.storage.writing import files_together, write_json, write_text
+from amulett_gym.storage.writing import after_results, files_together, write_json, write_text
+
+if TYPE_CHECKING:
+    from amulett_gym.reporting.style import Figure
 
 FEW = 20
 """Below this number of scenarios a bootstrap interval is likely to be too narrow."""
@@ -60,8 +61,8 @@ _LOWER_IS_BETTER = ("cost", "position_ise", "effort", "tension_ise")
 def write_report(results: Results, folder: str | Path) -> Summary:
     """Write ``results.json``, ``scenarios.csv``, ``report.html`` and the figures into a folder.
 
-    They come all at once, when the last is written, in the place of those of an earlier comparison in the folder; other
-    files stay.
+    The numbers come first, together, and replace all files of an earlier comparison in the folder; other files stay.
+    The figures are drawn after that, so that an error in one of them loses no number.
 
     Returns
     -------
@@ -71,17 +72,20 @@ def write_report(results: Results, folder: str | Path) -> Summary:
     Raises
     ------
     AmulettError
-        If the folder cannot be written; an earlier comparison in it stays as it was.
+        If the folder cannot be written. If that is so from the start, an earlier comparison in it stays as it was.
     """
     summary = summarise(results)
-    figures = draw(results, summary)
-    page = render(results, summary, figures)
     with files_together(folder, _NAMES) as new:
         write_json(new / "results.json", summary)
         write_scenarios(results, new / "scenarios.csv")
-        for name, figure in figures.items():
-            plots.save_figure(figure, new / f"{name}.png")
-        write_text(new / "report.html", page)
+    with after_results(f"results.json and scenarios.csv in {folder}"):
+        from amulett_gym.reporting.style import save_figures
+
+        figures = draw(results, summary)
+        page = render(results, summary, figures)
+        with files_together(folder, ()) as new:
+            save_figures(figures, new)
+            write_text(new / "report.html", page)
     return summary
 
 
@@ -101,6 +105,8 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
     """
     protocol = results.protocol
     first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
+    from amulett_gym.evaluation import plots
+
     names = [name for name in results.values if name in first]
     trajectories = {name: record_episode(results.contender(name), protocol).trajectory for name in names}
     figures = {"cost": plots.cost_figure(summary)}
@@ -122,6 +128,8 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
     figures : dict of str to Figure
         From :func:`draw`.
     """
+    from amulett_gym.reporting.style import figure_svg
+
     label, device = summary["labels"], Simulation(results.protocol.profile, 1)
     return fill_page(
         "evaluation/page.html.j2",
@@ -135,7 +143,7 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
         failures=_failures(results),
         few=summary["episodes"] < FEW,
         command=summary["command"] or _call(results),
-        figures={name: plots.figure_svg(figure, name) for name, figure in figures.items()},
+        figures={name: figure_svg(figure, name) for name, figure in figures.items()},
         pretty=pretty,
         band=round(math.degrees(device.parameters["margin"][0]), 3),
         max_force=device.max_force,

@@ -1,51 +1,51 @@
 """Figures of trajectories, schedules and comparisons.
 
-Drawn with matplotlib; `performance_figures` shares the style. Figures are objects of their own (no pyplot, no global
-state): import this module only where something is drawn. Colours are those of Okabe and Ito, which colour-blind readers
-can tell apart.
+In the style of `reporting.style`. Import this module only where something is drawn.
 """
 
 from __future__ import annotations
 
-import io
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
-from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.comparison import number, pretty, span
 from amulett_gym.evaluation.metrics import COSTS
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
 from amulett_gym.profile import VariableStiffness
+from amulett_gym.reporting.style import (
+    BICEPS,
+    BLACK,
+    BLUE,
+    BROWN,
+    GREEN,
+    GREY,
+    INDIGO,
+    JOINT,
+    OLIVE,
+    ORANGE,
+    PRINT_WIDTH,
+    PURPLE,
+    RED,
+    SETPOINT,
+    SKY,
+    TRICEPS,
+    WIDTH,
+    Figure,
+    FuncFormatter,
+    Line2D,
+    MaxNLocator,
+    Patch,
+    reach,
+    styled,
+)
 from amulett_gym.simulation.trajectory import Trajectory
-from amulett_gym.storage.writing import atomic_path
-
-BLACK, GREY = "#000000", "#7a7a7a"
-ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
-INDIGO, OLIVE, BROWN = "#5B4BA8", "#9AA51E", "#8A5A33"
-
-JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
-"""The renderer's colours (`envs.picture`), so that a string has the same one everywhere."""
-
-WIDTH = 10.0
-"""Of every figure of a comparison [in], so that their texts have one size on the page."""
-
-PRINT_WIDTH = 7.0
-"""Of the paper's figures [in]: the text width of a printed page."""
 
 _STRINGS = {"biceps": (BICEPS, (0, (4, 1))), "triceps": (TRICEPS, "-")}
 """String -> colour, and the line style that tells it apart in grey."""
@@ -61,81 +61,8 @@ _PHASES = {
     0: ("joint stands", "#4FA3A5"),
     -1: ("joint moves away from the setpoint", "#C29A00"),
 }
-_STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e3e3e3",
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.3,
-    "legend.frameon": False,
-    "legend.fontsize": 8.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "figure.dpi": 100,
-    "savefig.dpi": 180,
-    "svg.hashsalt": "amulett-gym",
-}
 _POINTS = 3000
 """Points drawn of a schedule; its curves use all of them."""
-
-P = ParamSpec("P")
-
-
-def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Let a function draw in this module's style, and leave matplotlib's settings as they were."""
-
-    @wraps(draw)
-    def styled(*args: P.args, **keywords: P.kwargs) -> Figure:
-        with mpl.rc_context(_STYLE):
-            figure = draw(*args, **keywords)
-            # Laid out once: the layout engine moves things a little each time that it runs.
-            figure.draw_without_rendering()
-            figure.set_layout_engine("none")
-            return figure
-
-    return styled
-
-
-def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG or SVG, by the file's suffix, whole or not at all.
-
-    Raises
-    ------
-    AmulettError
-        If the suffix is another one or the file cannot be written.
-    """
-    path = Path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("png", "svg"):
-        raise AmulettError(f"a figure is written as .png or .svg; '{path}' is neither")
-    with atomic_path(path) as temporary, mpl.rc_context(_STYLE):
-        figure.savefig(temporary, format=kind, metadata={"Date": None} if kind == "svg" else {"Software": None})
-
-
-def figure_svg(figure: Figure, prefix: str) -> str:
-    """Return a figure as an SVG element to put into a page.
-
-    Parameters
-    ----------
-    figure : Figure
-    prefix : str
-        Goes before every id, so that figures in the same page do not meet.
-    """
-    buffer = io.StringIO()
-    with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
-    return re.sub(r'((?:url\(|href=")#)', rf"\g<1>{prefix}-", svg)
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
@@ -605,14 +532,6 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
 _COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
 _DOTS = (0, (1, 1))
 _ARROW = {"arrowstyle": "->", "color": GREY}
-
-
-def reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
-    """Return how far an interval reaches below and above its mean, as matplotlib wants it; None without an interval."""
-    middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
-    if middle is None or low is None or high is None:
-        return None
-    return [[max(middle - low, 0.0)], [max(high - middle, 0.0)]]
 
 
 def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:

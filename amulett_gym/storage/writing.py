@@ -82,6 +82,19 @@ def files_together(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
 
 
 @contextmanager
+def after_results(files: str) -> Iterator[None]:
+    """Let errors in a block that only draws say that the results are already written, to `files`."""
+    note = f"only the figures are missing: the results are in {files}"
+    try:
+        yield
+    except AmulettError as error:
+        raise AmulettError(f"{error}; {note}") from error
+    except Exception as error:
+        error.add_note(f"amulett: {note}")
+        raise
+
+
+@contextmanager
 def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -> Iterator[bool]:
     """Make a command's output folder before any work, and yield whether it holds an earlier output of that kind.
 

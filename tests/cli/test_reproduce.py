@@ -12,14 +12,15 @@ import pytest
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
+from amulett_gym.reporting import style
 from amulett_gym.storage.writing import output_folder
 from amulett_gym.studies.paper import evidence as evidence_module
-from amulett_gym.studies.paper import report
 from amulett_gym.studies.paper.document import BEGIN, END
 from amulett_gym.studies.paper.evidence import Evidence, gather
 from amulett_gym.studies.paper.own_study import read_study
-from amulett_gym.studies.paper.report import REPRODUCTION_MARKS, draw, write_report
+from amulett_gym.studies.paper.report import REPRODUCTION_MARKS, write_numbers, write_pictures
 from amulett_gym.studies.paper.results import STATUS, hypotheses_table, in_words
+from amulett_gym.studies.paper.results import content as numbers
 from amulett_gym.studies.paper.study import profile_text, shipped
 from amulett_gym.studies.paper.tables import DEVICES
 
@@ -87,18 +88,21 @@ def test_a_document_that_cannot_be_renewed_is_refused_before_any_work(tmp_path, 
 
 
 def test_a_run_that_was_killed_while_it_wrote_can_be_repeated_into_the_same_folder(tmp_path, monkeypatch, evidence):
-    out, figures = tmp_path / "out", draw(evidence)
+    out = tmp_path / "out"
 
     def killed(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(report, "save_figure", killed)
-        write_report(evidence, figures, out)
+        patch.setattr(style, "save_figures", killed)
+        write_numbers(evidence, out)
+        write_pictures(evidence, out)
+    assert json.loads((out / "reproduction.json").read_text()) == json.loads(json.dumps(numbers(evidence)))
     assert not (out / "reproduction.html").exists()
     with output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
         assert earlier
-        write_report(evidence, figures, out)
+        write_numbers(evidence, out)
+        write_pictures(evidence, out)
     assert (out / "reproduction.html").exists()
 
 

@@ -14,6 +14,7 @@ from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.comparison import summarise
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol, evaluate
+from amulett_gym.reporting import style
 
 POLICIES = ["eq6", "constant:10", "eq6-held", "position-only"]
 
@@ -86,8 +87,8 @@ def test_bars_end_at_the_mean_cost(figures, results):
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_a_figure_is_written_whole_and_twice_the_same(figures, tmp_path, suffix):
     first, second = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    plots.save_figure(figures["cost"], first)
-    plots.save_figure(figures["cost"], second)
+    style.save_figure(figures["cost"], first)
+    style.save_figure(figures["cost"], second)
     assert first.read_bytes() == second.read_bytes()
     if suffix == ".png":
         assert Image.open(first).width > 1000
@@ -96,12 +97,12 @@ def test_a_figure_is_written_whole_and_twice_the_same(figures, tmp_path, suffix)
 
 def test_another_suffix_is_refused(figures, tmp_path):
     with pytest.raises(AmulettError, match=r"\.png or \.svg"):
-        plots.save_figure(figures["cost"], tmp_path / "figure.jpg")
+        style.save_figure(figures["cost"], tmp_path / "figure.jpg")
     assert not list(tmp_path.iterdir())
 
 
 def test_an_inline_figure_is_one_element_with_ids_of_its_own(figures):
-    svg = plots.figure_svg(figures["cost"], "mine")
+    svg = style.figure_svg(figures["cost"], "mine")
     assert svg.startswith("<svg") and svg.rstrip().endswith("</svg>")
     assert all(name.startswith("mine-") for name in re.findall(r'\bid="([^"]+)"', svg))
     assert all(name.startswith("mine-") for name in re.findall(r'(?:href="|url\()#([^")]+)', svg))
@@ -146,13 +147,13 @@ def test_learned_policies_have_colours_that_no_law_has():
 
 
 def test_a_string_has_the_renderers_colour():
-    from amulett_gym.envs.rendering.window import picture
+    from amulett_gym.envs.rendering import picture
 
     for ours, theirs in (
-        (plots.BICEPS, picture._BICEPS),
-        (plots.TRICEPS, picture._TRICEPS),
-        (plots.SETPOINT, picture._SETPOINT),
-        (plots.JOINT, picture._INK),
+        (style.BICEPS, picture._BICEPS),
+        (style.TRICEPS, picture._TRICEPS),
+        (style.SETPOINT, picture._SETPOINT),
+        (style.JOINT, picture._INK),
     ):
         assert mpl.colors.to_rgb(ours) == pytest.approx([value / 255 for value in theirs])
 
@@ -166,5 +167,5 @@ def test_a_median_needs_points():
 
 def test_eq6_is_black_and_neighbours_differ():
     colours = plots.colours(POLICIES)
-    assert colours["eq6"] == plots.BLACK
+    assert colours["eq6"] == style.BLACK
     assert len({colours[name] for name in POLICIES}) == len(POLICIES)

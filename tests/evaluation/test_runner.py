@@ -356,10 +356,19 @@ def test_nothing_is_written_when_something_is_wrong(tmp_path, monkeypatch, resul
         command("--policies", "eq6", "--out", str(tmp_path / "file" / "sub"))
     with pytest.raises(AmulettError, match="is not empty and holds no comparison"):
         command("--policies", "eq6", "--out", str(tmp_path))
-    monkeypatch.setattr("amulett_gym.evaluation.page.render", lambda *_: 1 / 0)
+    monkeypatch.setattr("amulett_gym.evaluation.page.summarise", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_report(results, tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_figure_that_fails_loses_no_number(results, tmp_path, monkeypatch):
+    monkeypatch.setattr("amulett_gym.evaluation.plots.cost_figure", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError) as failure:
+        write_report(results, tmp_path)
+    assert f"the results are in results.json and scenarios.csv in {tmp_path}" in failure.value.__notes__[0]
+    assert json.loads((tmp_path / "results.json").read_text()) == summarise(results)
+    assert {path.name for path in tmp_path.iterdir()} == {"results.json", "scenarios.csv"}
 
 
 def test_a_comparison_replaces_an_earlier_one_and_nothing_else(results, tmp_path, capsys):

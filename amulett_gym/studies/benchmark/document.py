@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from amulett_gym.evaluation.comparison import pretty
-from amulett_gym.evaluation.plots import save_figure
 from amulett_gym.reporting.document import between_marks
 from amulett_gym.storage.reading import read_text
 from amulett_gym.storage.writing import check_writable, write_text
@@ -16,6 +14,9 @@ from amulett_gym.studies.benchmark.claims import Claim
 from amulett_gym.studies.benchmark.page import CAPTIONS, verdict
 from amulett_gym.studies.benchmark.results import Content
 from amulett_gym.studies.benchmark.tables import tables
+
+if TYPE_CHECKING:
+    from amulett_gym.reporting.style import Figure
 
 BEGIN = "<!-- Written by `amulett benchmark --doc`; edit around it. -->"
 END = "<!-- End of what `amulett benchmark` wrote. -->"
@@ -65,6 +66,8 @@ def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str
     AmulettError
         As `check_document`.
     """
+    from amulett_gym.reporting.style import save_figure
+
     path = Path(path)
     document = read_text(path, "document")
     files = {name: f"{IMAGES}/benchmark_{name}.png" for name in SHOWN if name in figures}

@@ -7,8 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor
@@ -17,6 +15,8 @@ from amulett_gym.evaluation.comparison import number, pretty
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
 from amulett_gym.laws.contenders import CONSTANT, constant_tension
+from amulett_gym.reporting import style
+from amulett_gym.reporting.style import Figure, FuncFormatter
 from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
@@ -24,17 +24,17 @@ from amulett_gym.studies.benchmark.runs import learning_curve
 from amulett_gym.studies.benchmark.stages import Evidence
 
 _LAWS = {
-    YARDSTICK: (plots.BLACK, "o"),
-    "eq6-printed": (plots.GREY, "o"),
-    TUNED_EQ6: (plots.GREEN, "s"),
-    TUNED_LAW: (plots.PURPLE, "D"),
-    POSITION_ONLY: (plots.BROWN, "v"),
+    YARDSTICK: (style.BLACK, "o"),
+    "eq6-printed": (style.GREY, "o"),
+    TUNED_EQ6: (style.GREEN, "s"),
+    TUNED_LAW: (style.PURPLE, "D"),
+    POSITION_ONLY: (style.BROWN, "v"),
 }
-_OTHER_LAWS = ((plots.SKY, "<"), (plots.OLIVE, ">"), (plots.INDIGO, "h"))
+_OTHER_LAWS = ((style.SKY, "<"), (style.OLIVE, ">"), (style.INDIGO, "h"))
 _LEARNED = (("#D62718", "P"), ("#F0708A", "X"), ("#8C1020", "*"), ("#E8A090", "d"))
-_REFERENCES = ((plots.ORANGE, "^"), ("#B8860B", "^"))
+_REFERENCES = ((style.ORANGE, "^"), ("#B8860B", "^"))
 _ABLATION = ("#c9a0a0", ".")
-_BEST_CONSTANT = (plots.BLUE, "o")
+_BEST_CONSTANT = (style.BLUE, "o")
 
 SPEED_LIMIT = 120.0
 """Largest joint rate that the law is drawn for [deg/s]."""
@@ -88,7 +88,7 @@ def styles(found: Content) -> dict[str, tuple[str, str]]:
     return given
 
 
-@plots.styled
+@style.styled
 def score_figure(found: Content) -> Figure:
     """Draw each entry's score on every suite that was searched: 0 is the best constant overall, 1 the clairvoyant."""
     clairvoyant = found["references"]["clairvoyant"]
@@ -98,10 +98,10 @@ def score_figure(found: Content) -> Figure:
     }
     titles = {suite: f"{suite} ({goal['scenarios']})" for suite, goal in clairvoyant.items()}
     label = "score: 0 is the best constant overall, 1 the clairvoyant reference"
-    return _dots(found, rows, titles, label, (-1.5, 1.2), {0.0: plots.BLUE, 1.0: plots.ORANGE})
+    return _dots(found, rows, titles, label, (-1.5, 1.2), {0.0: style.BLUE, 1.0: style.ORANGE})
 
 
-@plots.styled
+@style.styled
 def ratio_figure(found: Content) -> Figure:
     """Draw each entry's cost as a share of eq. 6's, on every suite and split."""
     rows, titles = {}, {}
@@ -112,7 +112,7 @@ def ratio_figure(found: Content) -> Figure:
             if name != YARDSTICK and _is_shown(found, name)
         }
         titles[place] = place.replace("/", ", ")
-    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.2, 1.6), {1.0: plots.BLACK})
+    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.2, 1.6), {1.0: style.BLACK})
 
 
 def _dots(
@@ -124,11 +124,11 @@ def _dots(
     marks: Mapping[float, str],
 ) -> Figure:
     """Draw a panel for each place with a dot and its interval for each entry; what lies beyond is an arrow."""
-    style = styles(found)
+    looks = styles(found)
     names = [name for name in found["entries"] if any(name in entries for entries in rows.values())]
     columns = min(3, len(rows))
     lines = -(-len(rows) // columns)
-    figure = Figure(figsize=(plots.WIDTH, 1.1 + lines * (0.55 + 0.2 * len(names))), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH, 1.1 + lines * (0.55 + 0.2 * len(names))), layout="constrained")
     grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for k, panel in enumerate(grid.flat):
         if k >= len(rows):
@@ -142,7 +142,7 @@ def _dots(
             estimate = rows[place].get(name)
             if estimate is None or estimate["mean"] is None:
                 continue
-            colour, marker = style[name]
+            colour, marker = looks[name]
             middle = estimate["mean"]
             if not limits[0] <= middle <= limits[1]:
                 side = limits[0] if middle < limits[0] else limits[1]
@@ -159,7 +159,7 @@ def _dots(
             panel.errorbar(
                 middle,
                 row,
-                xerr=plots.reach(estimate),
+                xerr=style.reach(estimate),
                 color=colour,
                 marker=marker,
                 markersize=5.5,
@@ -176,7 +176,7 @@ def _dots(
     return figure
 
 
-@plots.styled
+@style.styled
 def pareto_figure(found: Content) -> Figure:
     """Draw position ISE against both drives' ISAV, and contact torque against push deflection, as ratios to eq. 6's."""
     headline = f"{found['description']['headline']}/held-out"
@@ -186,12 +186,12 @@ def pareto_figure(found: Content) -> Figure:
     if {"contact/held-out", "hold-push/held-out"} <= set(found["results"]):
         torque = "contact_peak", "contact/held-out", "peak contact torque on contact"
         pairs.append((torque, ("push_deflection", "hold-push/held-out", "push deflection on hold-push")))
-    style = styles(found)
-    figure = Figure(figsize=(plots.WIDTH, 4.9), layout="constrained")
+    looks = styles(found)
+    figure = Figure(figsize=(style.WIDTH, 4.9), layout="constrained")
     for panel, axes in zip(figure.subplots(1, len(pairs), squeeze=False)[0], pairs, strict=True):
         constants = []
-        panel.axhline(1.0, color=plots.GREY, linewidth=0.7)
-        panel.axvline(1.0, color=plots.GREY, linewidth=0.7)
+        panel.axhline(1.0, color=style.GREY, linewidth=0.7)
+        panel.axvline(1.0, color=style.GREY, linewidth=0.7)
         for name, entry in found["entries"].items():
             across, up = (_to_eq6(found, place, name, metric) for metric, place, _ in axes)
             if across["mean"] is None or up["mean"] is None:
@@ -200,12 +200,12 @@ def pareto_figure(found: Content) -> Figure:
                 constants.append((constant_tension(name), across["mean"], up["mean"]))
             if not _is_shown(found, name):
                 continue
-            colour, marker = style[name]
+            colour, marker = looks[name]
             panel.errorbar(
                 across["mean"],
                 up["mean"],
-                xerr=plots.reach(across),
-                yerr=plots.reach(up),
+                xerr=style.reach(across),
+                yerr=style.reach(up),
                 color=colour,
                 marker=marker,
                 markersize=7,
@@ -217,9 +217,9 @@ def pareto_figure(found: Content) -> Figure:
             )
             panel.plot([], [], color=colour, marker=marker, linewidth=0, label=_label(found, name))
         line = np.array(sorted(constants))
-        panel.plot(line[:, 1], line[:, 2], color=plots.BLUE, linewidth=0.9, marker=".", markersize=4, alpha=0.8)
+        panel.plot(line[:, 1], line[:, 2], color=style.BLUE, linewidth=0.9, marker=".", markersize=4, alpha=0.8)
         for tension, x, y in line[:: max(len(line) // 4, 1)]:
-            panel.annotate(f"{tension:g} N", (x, y), (4, 4), textcoords="offset points", fontsize=7, color=plots.BLUE)
+            panel.annotate(f"{tension:g} N", (x, y), (4, 4), textcoords="offset points", fontsize=7, color=style.BLUE)
         for put, (metric, place, title) in zip((panel.set_xlabel, panel.set_ylabel), axes, strict=True):
             paid = found["results"][place][YARDSTICK]["metrics"][metric]["mean"]
             put(f"{title},\nin units of eq. 6's {pretty(number(paid))} {_unit(found['units'][metric])}")
@@ -237,12 +237,12 @@ def _to_eq6(found: Content, place: str, name: str, metric: str) -> Mapping[str, 
     return {"mean": numbers["mean"] / paid if paid else None, "low": None, "high": None}
 
 
-@plots.styled
+@style.styled
 def constants_figure(found: Content) -> Figure:
     """Draw what each constant costs on each suite's split `train`, its least marked."""
-    figure = Figure(figsize=(plots.WIDTH, 3.7), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH, 3.7), layout="constrained")
     panel = figure.subplots()
-    palette = (plots.BLACK, plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE, plots.RED, plots.SKY, plots.BROWN)
+    palette = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
     for k, (suite, costs) in enumerate(found["constants"]["tried"].items()):
         tensions, means = [constant_tension(name) for name in costs], np.array(list(costs.values()))
         colour, best = palette[k % len(palette)], int(means.argmin())
@@ -267,26 +267,26 @@ def _curves(evidence: Evidence) -> dict[str, list[NDArray[np.float64]]]:
     return curves
 
 
-@plots.styled
+@style.styled
 def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Content) -> Figure:
     """Draw the validation costs of runs by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
-    style = styles(found)
-    figure = Figure(figsize=(plots.WIDTH, 4.2), layout="constrained")
+    looks = styles(found)
+    figure = Figure(figsize=(style.WIDTH, 4.2), layout="constrained")
     grid = figure.subplots(1, 2, sharey=True)
     for name, runs in curves.items():
         for k, panel in enumerate(grid):
             for seed, run in enumerate(runs):
                 label = _label(found, name) if seed == 0 else None
-                panel.plot(run[:, k], run[:, 2], color=style[name][0], linewidth=0.9, alpha=0.7, label=label)
+                panel.plot(run[:, k], run[:, 2], color=looks[name][0], linewidth=0.9, alpha=0.7, label=label)
     for law, cost in found["validation"].items():
         for panel in grid:
-            panel.axhline(cost, color=style[law][0], linewidth=1.0, linestyle=":")
+            panel.axhline(cost, color=looks[law][0], linewidth=1.0, linestyle=":")
         grid[1].annotate(
             _label(found, law),
             (1.01, cost),
             xycoords=("axes fraction", "data"),
             va="center",
-            color=style[law][0],
+            color=looks[law][0],
             fontsize=8,
         )
     costs = np.concatenate([run[:, 2] for runs in curves.values() for run in runs])
@@ -314,7 +314,7 @@ def _member(evidence: Evidence, name: str) -> int:
     return evidence.chosen_member(name) if evidence.entries[name].seeds else 0
 
 
-@plots.styled
+@style.styled
 def velocity_figure(schedules: Mapping[str, Schedule], law: Any) -> Figure:
     """Draw the median tension over position error and the rate at which the joint approaches its setpoint.
 
@@ -332,7 +332,7 @@ def velocity_figure(schedules: Mapping[str, Schedule], law: Any) -> Figure:
     columns = -(-len(maps) // lines)
     low = min(float(np.nanmin(values)) for values in maps.values())
     high = max(float(np.nanmax(values)) for values in maps.values())
-    figure = Figure(figsize=(plots.WIDTH, 0.7 + 2.6 * lines), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH, 0.7 + 2.6 * lines), layout="constrained")
     grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
     for k, panel in enumerate(grid.flat):
         if k >= len(maps):
@@ -403,7 +403,7 @@ def _colours(found: Content) -> dict[str, str]:
     return {name: colour for name, (colour, _) in styles(found).items()}
 
 
-@plots.styled
+@style.styled
 def resting_figure(found: Content) -> Figure:
     """Draw how stiff every contender rests and how far pushes deflect it: a slack arm must not win."""
     headline = f"{found['description']['headline']}/held-out"
@@ -411,14 +411,14 @@ def resting_figure(found: Content) -> Figure:
     pushed = "hold-push/held-out" if "hold-push/held-out" in found["results"] else headline
     panels.append(("push_deflection", pushed, f"push deflection on {pushed.split('/')[0]}"))
     names = list(found["entries"])
-    style = styles(found)
-    figure = Figure(figsize=(plots.WIDTH, 0.9 + 0.2 * len(names)), layout="constrained")
+    looks = styles(found)
+    figure = Figure(figsize=(style.WIDTH, 0.9 + 0.2 * len(names)), layout="constrained")
     for panel, (metric, place, title) in zip(figure.subplots(1, 2, sharey=True), panels, strict=True):
         for row, name in enumerate(reversed(names)):
             estimate = found["results"][place][name]["metrics"][metric]
             if estimate["mean"] is not None:
                 panel.barh(
-                    row, estimate["mean"], xerr=plots.reach(estimate), height=0.62, color=style[name][0], ecolor="#444"
+                    row, estimate["mean"], xerr=style.reach(estimate), height=0.62, color=looks[name][0], ecolor="#444"
                 )
         panel.set_yticks(range(len(names)), [_label(found, name) for name in reversed(names)])
         panel.set_ylim(-0.6, len(names) - 0.4)
@@ -428,17 +428,17 @@ def resting_figure(found: Content) -> Figure:
     return figure
 
 
-@plots.styled
+@style.styled
 def profiles_figure(found: Content) -> Figure:
     """Draw which share of episodes costs at most so much: the more to the upper left, the better."""
-    style, profiles = styles(found), found["profiles"]
-    figure = Figure(figsize=(plots.WIDTH, 4.0), layout="constrained")
+    looks, profiles = styles(found), found["profiles"]
+    figure = Figure(figsize=(style.WIDTH, 4.0), layout="constrained")
     panel = figure.subplots()
     costs = profiles["costs"]
     for name, shares in profiles.items():
         if name == "costs":
             continue
-        colour = style[name][0]
+        colour = looks[name][0]
         panel.plot(costs, [share["mean"] for share in shares], color=colour, label=_label(found, name))
         if found["entries"][name]["kind"] == "learned":
             low, high = ([share[key] for share in shares] for key in ("low", "high"))
@@ -452,7 +452,7 @@ def profiles_figure(found: Content) -> Figure:
     return figure
 
 
-@plots.styled
+@style.styled
 def families_figure(found: Content) -> Figure:
     """Draw each entry's share of eq. 6's cost in each family of the headline suite, held-out."""
     rows = {
@@ -462,16 +462,16 @@ def families_figure(found: Content) -> Figure:
         for family, entry in found["families"].items()
     }
     titles = {family: f"{family} ({entry['scenarios']})" for family, entry in found["families"].items()}
-    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.0, 1.8), {1.0: plots.BLACK})
+    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.0, 1.8), {1.0: style.BLACK})
 
 
-@plots.styled
+@style.styled
 def search_figure(found: Content) -> Figure:
     """Draw how the clairvoyant search's mean cost fell with the episodes that it tried for each scenario."""
     clairvoyant = found["references"]["clairvoyant"]
-    figure = Figure(figsize=(plots.WIDTH, 3.2), layout="constrained")
+    figure = Figure(figsize=(style.WIDTH, 3.2), layout="constrained")
     panel = figure.subplots()
-    palette = (plots.BLACK, plots.BLUE, plots.GREEN, plots.PURPLE, plots.ORANGE, plots.RED, plots.SKY, plots.BROWN)
+    palette = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
     for k, (suite, goal) in enumerate(clairvoyant.items()):
         curve = np.array(goal["curve"])
         label = f"{suite} ({goal['scenarios']})"

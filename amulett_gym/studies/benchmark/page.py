@@ -5,23 +5,23 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
 
-from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.comparison import number, pretty
 from amulett_gym.evaluation.page import fill_page
 from amulett_gym.evaluation.runner import YARDSTICK
-from amulett_gym.storage.writing import write_json, write_text
+from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
-from amulett_gym.studies.benchmark.figures import draw
 from amulett_gym.studies.benchmark.results import Content, write_worst
 from amulett_gym.studies.benchmark.stages import Evidence
 from amulett_gym.studies.benchmark.tables import FOLDER as TABLES
 from amulett_gym.studies.benchmark.tables import interval, tables, write_csv
 from amulett_gym.studies.speed.document import Table
+
+if TYPE_CHECKING:
+    from amulett_gym.reporting.style import Figure
 
 RESULTS, PAGE, FIGURES = "benchmark.json", "benchmark.html", "figures"
 
@@ -51,7 +51,9 @@ CAPTIONS = {
 
 
 def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], folder: str | Path) -> dict[str, Figure]:
-    """Write ``benchmark.json``, ``benchmark.html``, tables, figures and the scenarios that the learned policy loses.
+    """Write ``benchmark.json``, tables, the scenarios that the learned policy loses, figures and ``benchmark.html``.
+
+    Nothing is drawn before all numbers are written.
 
     Returns
     -------
@@ -63,19 +65,23 @@ def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], fol
         If the folder cannot be written.
     """
     folder = Path(folder)
-    figures = draw(evidence, found)
-    page = render(found, claims, figures)
     write_csv(found, claims, folder / TABLES)
-    for name, figure in figures.items():
-        plots.save_figure(figure, folder / FIGURES / f"{name}.png")
     write_worst(evidence, found, folder)
     write_json(folder / RESULTS, {**found, "claims": as_plain(claims), "verdict": verdict(found, claims)})
-    write_text(folder / PAGE, page)
+    with after_results(f"{RESULTS} and {TABLES} in {folder}"):
+        from amulett_gym.reporting.style import save_figures
+        from amulett_gym.studies.benchmark.figures import draw
+
+        figures = draw(evidence, found)
+        save_figures(figures, folder / FIGURES)
+        write_text(folder / PAGE, render(found, claims, figures))
     return figures
 
 
 def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure]) -> str:
     """Return the page: one HTML file with inline figures, styles and no script."""
+    from amulett_gym.reporting.style import figure_svg
+
     return fill_page(
         "studies/benchmark/benchmark.html.j2",
         found=found,
@@ -83,7 +89,7 @@ def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure
         claims=claims,
         held={True: "yes", False: "no", None: "open"},
         tables={name: _as_page(table) for name, table in tables(found, claims).items()},
-        figures={name: plots.figure_svg(figure, name) for name, figure in figures.items()},
+        figures={name: figure_svg(figure, name) for name, figure in figures.items()},
         captions=CAPTIONS,
         description=found["description"],
         number=lambda value: pretty(number(value)),

@@ -29,7 +29,7 @@ from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL, TENSION_SETPOINT
 from amulett_gym.tasks.suites import START
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from amulett_gym.reporting.style import Figure
 
 Values = NDArray[np.float64]
 

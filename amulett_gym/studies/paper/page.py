@@ -31,7 +31,7 @@ from amulett_gym.studies.paper.statements import METRICS, NAMES
 from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from amulett_gym.reporting.style import Figure
 
 _TABLES = {2: "rise_time", 3: "position_ise", 4: "tension_ise", 5: "isav"}
 
@@ -62,7 +62,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
         By the names of `figures.CAPTIONS`; may be empty.
     """
     from amulett_gym.evaluation.page import fill_page
-    from amulett_gym.evaluation.plots import figure_svg
+    from amulett_gym.reporting.style import figure_svg
 
     reproduction, claims, found = evidence.reproduction, evidence.claims, evidence.identification
     printed = [item for item in claims if item.paper is not None]

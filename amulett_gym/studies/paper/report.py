@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.figure import Figure
-
-from amulett_gym.evaluation.plots import save_figure
-from amulett_gym.storage.writing import write_json, write_text
+from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.paper import document
 from amulett_gym.studies.paper.evidence import Evidence
 from amulett_gym.studies.paper.figures import CAPTIONS, paper_figures
 from amulett_gym.studies.paper.page import render
 from amulett_gym.studies.paper.results import as_csv, content, readings_content, rows_content
+
+if TYPE_CHECKING:
+    from amulett_gym.reporting.style import Figure
 
 REPRODUCTION_MARKS = ("reproduction.json",)
 """The file by which a reproduction's folder is recognised: the first that is written."""
@@ -25,17 +25,15 @@ def draw(evidence: Evidence) -> dict[str, Figure]:
     return paper_figures(evidence.reproduction.profiles, evidence.reproduction.readings)
 
 
-def write_report(evidence: Evidence, figures: Mapping[str, Figure], folder: str | Path) -> dict[str, Any]:
-    """Write ``reproduction.json``, CSV files, the figures and ``reproduction.html`` into a folder.
+def write_numbers(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
+    """Write ``reproduction.json`` and the CSV files into a folder, before anything is drawn.
 
-    Everything but the figures' files is made before the first file is written, and each is written whole or not at all.
-    A folder in which only some have been written, because the process was killed, is recognised and can be used again.
+    Each file is written whole or not at all. A folder in which only some have been written, because the process was
+    killed, is recognised and can be used again.
 
     Parameters
     ----------
     evidence : Evidence
-    figures : mapping of str to Figure
-        From `draw`.
     folder : str or Path
         ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
         ``claims.csv`` the paper's claims.
@@ -52,15 +50,33 @@ def write_report(evidence: Evidence, figures: Mapping[str, Figure], folder: str 
     """
     folder, reproduction = Path(folder), evidence.reproduction
     result = content(evidence)
-    page = render(evidence, figures)
     write_json(folder / "reproduction.json", result)
     write_text(folder / "rows.csv", as_csv(rows_content(evidence, result)))
     write_text(folder / "readings.csv", as_csv(readings_content(reproduction)))
     write_text(folder / "claims.csv", as_csv(result["claims"]))
-    for name, figure in figures.items():
-        save_figure(figure, folder / f"{name}.png")
-    write_text(folder / "reproduction.html", page)
     return result
+
+
+def write_pictures(evidence: Evidence, folder: str | Path) -> dict[str, Figure]:
+    """Draw the figures, and write them and ``reproduction.html`` into the folder of the numbers.
+
+    Returns
+    -------
+    dict of str to Figure
+        From `draw`.
+
+    Raises
+    ------
+    AmulettError
+        If a file cannot be written.
+    """
+    from amulett_gym.reporting.style import save_figures
+
+    with after_results(f"reproduction.json and CSV files in {folder}"):
+        figures = draw(evidence)
+        save_figures(figures, Path(folder))
+        write_text(Path(folder) / "reproduction.html", render(evidence, figures))
+    return figures
 
 
 def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str | Path) -> None:
@@ -78,8 +94,9 @@ def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str 
     AmulettError
         If a file cannot be read or written, or the document has no place for what is generated.
     """
+    from amulett_gym.reporting.style import save_figures
+
     path = Path(path)
     text = document.block(evidence, {f"{document.IMAGES}/{name}.png": caption for name, caption in CAPTIONS.items()})
     document.update(path, text)
-    for name, figure in figures.items():
-        save_figure(figure, path.parent / document.IMAGES / f"{name}.png")
+    save_figures(figures, path.parent / document.IMAGES)

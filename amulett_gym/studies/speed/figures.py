@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
-from amulett_gym.evaluation.plots import BLACK, BLUE, GREY, PRINT_WIDTH, RED, save_figure, styled
+from amulett_gym.reporting.style import BLACK, BLUE, GREY, PRINT_WIDTH, RED, Figure, save_figures, styled
 
 Data = Mapping[str, Any]
 
@@ -29,15 +27,12 @@ def draw(data: Data, folder: str | Path) -> list[Path]:
     """
     figures = {}
     if "device_step_ns" in data.get("scale", {}):
-        figures["scale.png"] = scale_figure(data["scale"]["device_step_ns"])
+        figures["scale"] = scale_figure(data["scale"]["device_step_ns"])
     if "long_run" in data.get("scale", {}):
-        figures["hour.png"] = long_run_figure(data["scale"]["long_run"])
+        figures["hour"] = long_run_figure(data["scale"]["long_run"])
     if data.get("time_to_beat", {}).get("runs"):
-        figures["time-to-beat.png"] = time_to_beat_figure(data["time_to_beat"])
-    paths = [Path(folder) / name for name in figures]
-    for path, figure in zip(paths, figures.values(), strict=True):
-        save_figure(figure, path)
-    return paths
+        figures["time-to-beat"] = time_to_beat_figure(data["time_to_beat"])
+    return save_figures(figures, Path(folder))
 
 
 @styled

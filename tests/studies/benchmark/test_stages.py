@@ -95,6 +95,16 @@ def test_it_writes_numbers_tables_figures_and_a_page_that_needs_nothing_else(don
     )
 
 
+def test_a_figure_that_fails_loses_no_number(done, found, tmp_path, monkeypatch, capsys):
+    (done / "benchmark.json").unlink()
+    monkeypatch.setattr("amulett_gym.studies.benchmark.figures.ratio_figure", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError) as failure:
+        main(["benchmark", "--config", str(described(tmp_path, TINY)), "--out", str(done)])
+    assert "the results are in benchmark.json and tables" in failure.value.__notes__[0]
+    again = json.loads((done / "benchmark.json").read_text())
+    assert again["results"] == found["results"] and again["claims"] == found["claims"]
+
+
 def test_costs_are_those_of_a_paired_comparison(done, found):
     bundle = str(done / "runs" / "ppo" / "seed-4")
     values = evaluate(["eq6", "constant:6", bundle], suite="mixed", episodes=5, duration=2.0).values

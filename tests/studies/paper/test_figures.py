@@ -10,9 +10,9 @@ import pytest
 from helpers import EXACT_SENSORS, device
 from PIL import Image
 
-from amulett_gym.evaluation.plots import save_figure
 from amulett_gym.evaluation.signals import acting, force_feedback, switch_rows
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting.style import save_figure
 from amulett_gym.studies.paper.figures import (
     CAPTIONS,
     damping_curves,

@@ -1,0 +1,179 @@
+"""What our figures look like, and how they are written: all that sets up matplotlib.
+
+Figures depend on nothing of the user's matplotlib: not on ``MPLBACKEND``, a ``matplotlibrc`` or changed ``rcParams``.
+They are drawn without pyplot, and leave its settings as they were. Import matplotlib's classes from here: importing
+matplotlib itself fails where its backend is set to one that is not installed. Colours are those of Okabe and Ito, which
+colour-blind readers can tell apart.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import chdir, contextmanager
+from functools import wraps
+from importlib.util import find_spec
+from pathlib import Path
+from typing import ParamSpec
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.storage.writing import atomic_path
+
+
+def _import_matplotlib() -> None:
+    """Import matplotlib; where the user's settings make that fail, without them."""
+    try:
+        import matplotlib
+
+        return
+    except (ValueError, OSError):  # MPLBACKEND names no backend; matplotlibrc is no text, or cannot be read
+        backend = os.environ.pop("MPLBACKEND", None)
+    for name in [name for name in sys.modules if name.startswith("matplotlib.")]:
+        del sys.modules[name]  # the parts that were imported before it failed
+    found = find_spec("matplotlib")
+    assert found is not None and found.origin is not None
+    try:
+        # A matplotlibrc in the current folder comes before all others, and here is the one that matplotlib brings.
+        with chdir(Path(found.origin).parent / "mpl-data"):
+            import matplotlib  # noqa: F401
+    finally:
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+
+
+_import_matplotlib()
+
+import matplotlib as mpl  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.lines import Line2D  # noqa: E402
+from matplotlib.patches import Patch  # noqa: E402
+from matplotlib.ticker import FuncFormatter, MaxNLocator  # noqa: E402
+
+__all__ = ["Axes", "Figure", "FuncFormatter", "Line2D", "MaxNLocator", "Patch", "figure_svg", "save_figure", "styled"]
+
+BLACK, GREY = "#000000", "#7a7a7a"
+ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+INDIGO, OLIVE, BROWN = "#5B4BA8", "#9AA51E", "#8A5A33"
+
+JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
+"""The renderer's colours (`envs.rendering.picture`), so that a string has the same one everywhere."""
+
+WIDTH = 10.0
+"""Of every figure of a comparison [in], so that their texts have one size on the page."""
+
+PRINT_WIDTH = 7.0
+"""Of the paper's figures [in]: the text width of a printed page."""
+
+_SETTINGS = {key: value for key, value in mpl.rcParamsDefault.items() if key != "backend"} | {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e3e3e3",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "legend.fontsize": 8.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "figure.dpi": 100,
+    "savefig.dpi": 180,
+    "svg.hashsalt": "amulett-gym",
+}
+"""All of matplotlib's settings, its own defaults among them: none is left to the user's."""
+
+P = ParamSpec("P")
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
+    """Use our settings of matplotlib in a block, and the user's again after it."""
+    with mpl.rc_context():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # some defaults are deprecated
+            mpl.rcParams.update(_SETTINGS)
+        yield
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Let a function draw in our style, whatever matplotlib's settings are, and leave those as they were."""
+
+    @wraps(draw)
+    def styled(*args: P.args, **keywords: P.kwargs) -> Figure:
+        with _settings():
+            figure = draw(*args, **keywords)
+            FigureCanvasAgg(figure)  # not the canvas of the user's backend
+            # Laid out once: the layout engine moves things a little each time that it runs.
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+            return figure
+
+    return styled
+
+
+def save_figure(figure: Figure, path: str | Path) -> None:
+    """Write a figure as PNG or SVG, by the file's suffix, whole or not at all.
+
+    Raises
+    ------
+    AmulettError
+        If the suffix is another one or the file cannot be written.
+    """
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "svg"):
+        raise AmulettError(f"a figure is written as .png or .svg; '{path}' is neither")
+    with atomic_path(path) as temporary:
+        _write(figure, temporary, kind)
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path, prefix: str = "") -> list[Path]:
+    """Write figures as PNG into a folder, by their names, and return the files."""
+    paths = [folder / f"{prefix}{name}.png" for name in figures]
+    for path, figure in zip(paths, figures.values(), strict=True):
+        save_figure(figure, path)
+    return paths
+
+
+def figure_svg(figure: Figure, prefix: str) -> str:
+    """Return a figure as an SVG element to put into a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    prefix : str
+        Goes before every id, so that figures in the same page do not meet.
+    """
+    buffer = io.StringIO()
+    _write(figure, buffer, "svg")
+    svg = buffer.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
+    return re.sub(r'((?:url\(|href=")#)', rf"\g<1>{prefix}-", svg)
+
+
+def _write(figure: Figure, target: Path | io.StringIO, kind: str) -> None:
+    """Render a figure as ``"png"`` or ``"svg"``, without dates and versions: the same bytes each time."""
+    backend, metadata = {"png": ("agg", {"Software": None}), "svg": ("svg", {"Date": None})}[kind]
+    with _settings():
+        figure.savefig(target, format=kind, backend=backend, metadata=metadata)
+
+
+def reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
+    """Return how far an interval reaches below and above its mean, for `Axes.errorbar`; None without an interval."""
+    middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
+    if middle is None or low is None or high is None:
+        return None
+    return [[max(middle - low, 0.0)], [max(high - middle, 0.0)]]
