@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 import difflib
+import os
 import sys
+import textwrap
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
 from amulett_gym.errors import AmulettError, nearest
+from amulett_gym.jit.notice import announce_compilation
 
 COMMANDS = (
     "quickstart",
@@ -28,6 +31,21 @@ COMMANDS = (
     "list",
     "bench",
 )
+
+_EXAMPLES = "examples:"
+
+
+class Formatter(argparse.HelpFormatter):
+    """Wraps all text; an example that is too long goes on in the next line, as a shell reads it."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if not text.startswith(_EXAMPLES):
+            return super()._fill_text(text, width, indent)
+        lines = (
+            textwrap.wrap(line, width - 2, subsequent_indent="      ", break_long_words=False, break_on_hyphens=False)
+            for line in text.splitlines()
+        )
+        return "\n".join(" \\\n".join(line) for line in lines)
 
 
 class Parser(argparse.ArgumentParser):
@@ -89,8 +107,8 @@ def build_parser() -> Parser:
             name,
             help=module.HELP,
             description=module.HELP,
-            epilog=f"examples:\n{module.EXAMPLES.rstrip()}",
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            epilog=f"{_EXAMPLES}\n{module.EXAMPLES.rstrip()}",
+            formatter_class=Formatter,
         )
         module.add_arguments(command)
         command.set_defaults(run=module.run, parser=command)
@@ -108,10 +126,33 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 success, 1 a check failed, 2 wrong input, 130 interrupted.
+        Exit code: 0 success, 1 a check failed, 2 wrong input, 130 interrupted, 141 the reader of the output is gone.
     """
+    try:
+        return _run(argv)
+    except AmulettError as error:
+        print(f"amulett: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("amulett: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains as it exits
+        return 141
+    except OSError as error:  # what no reader or writer of ours has put into its own words
+        where = "" if error.filename is None else f" '{error.filename}'"
+        print(f"amulett: error: the system refuses{where}: {error.strerror or error}", file=sys.stderr)
+        with contextlib.suppress(OSError):  # else Python tries, and complains, once more as it exits
+            sys.stdout.close()
+        return 2
+
+
+def _run(argv: Sequence[str] | None) -> int:
     parser = build_parser()
-    arguments = parser.parse_args(argv)
+    try:
+        arguments = parser.parse_args(argv)
+    finally:
+        sys.stdout.flush()  # a help
     if arguments.version:
         from importlib.metadata import version
 
@@ -120,22 +161,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command is None:
         parser.print_help()
         return 2
-    try:
-        code = int(arguments.run(arguments))
-        sys.stdout.flush()
-        return code
-    except AmulettError as error:
-        print(f"amulett: error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("amulett: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 1
-    except OSError as error:  # what no reader or writer of ours has put into its own words
-        where = "" if error.filename is None else f" '{error.filename}'"
-        print(f"amulett: error: the system refuses{where}: {error.strerror or error}", file=sys.stderr)
-        with contextlib.suppress(OSError):  # else Python tries, and complains, once more as it exits
-            sys.stdout.close()
-        return 2
+    announce_compilation(lambda text: print(text, file=sys.stderr, flush=True))
+    code = int(arguments.run(arguments))
+    sys.stdout.flush()
+    return code

@@ -31,6 +31,8 @@ import llvmlite
 import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from amulett_gym.jit.notice import compiling
+
 PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
 
@@ -117,9 +119,12 @@ class CodeCache(FunctionCache):  # type: ignore[misc]
         except Exception:  # a damaged file raises anything; without its index it is written anew
             with suppress(OSError):
                 self.flush()
-            return None
+            code = None
         # numba numbers files: two processes at a time may have given one number to two signatures.
-        return code if code is None or code.signature.args == tuple(sig) else None
+        if code is None or code.signature.args != tuple(sig):
+            compiling()
+            return None
+        return code
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code for a signature, if it can be written."""

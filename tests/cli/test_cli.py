@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 
@@ -13,12 +14,16 @@ from amulett_gym.studies.speed.rates import contestants, race
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself_with_examples(command, capsys):
+def test_every_command_explains_itself_with_examples_in_80_columns(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as exit:
         main([command, "--help"])
     output = capsys.readouterr().out
     assert exit.value.code == 0
     assert f"examples:\n  amulett {command}" in output
+    assert max(map(len, output.splitlines())) <= 80
+    examples = output.partition("examples:")[2].replace("\\\n", "")
+    assert " ".join(examples.split()) == " ".join(import_module(f"amulett_gym.cli.{command}").EXAMPLES.split())
 
 
 def test_help_imports_nothing_heavy():
@@ -87,6 +92,28 @@ def test_quickstart_keeps_what_another_command_wrote(tmp_path, capsys):
     assert main(["quickstart", "--out", str(tmp_path)]) == 2
     assert "holds no quickstart" in capsys.readouterr().err
     assert (tmp_path / "results.json").read_text() == "somebody's"
+
+
+@pytest.mark.parametrize("words", ["--help", "list", "evaluate --help"])
+def test_a_reader_that_has_seen_enough_gets_no_complaint(words):
+    command = subprocess.Popen(
+        [sys.executable, "-m", "amulett_gym", *words.split()],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    command.stdout.close()  # before anything is written
+    assert command.stderr.read() == ""
+    assert command.wait() == 141
+
+
+def test_an_interrupted_command_says_so_in_one_line(monkeypatch, capsys):
+    def interrupted(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("amulett_gym.cli.list.run", interrupted)
+    assert main(["list"]) == 130
+    assert capsys.readouterr().err == "amulett: interrupted\n"
 
 
 def test_no_command_prints_the_help(capsys):

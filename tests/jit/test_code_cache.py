@@ -13,6 +13,7 @@ import pytest
 
 import amulett_gym
 from amulett_gym.jit import code_cache
+from amulett_gym.jit.notice import TEXT
 from amulett_gym.studies.speed.startup import COLD, COMMANDS, LIMITS, table
 
 PACKAGE = Path(amulett_gym.__file__).parent
@@ -26,6 +27,17 @@ values = [noise(uint64(3), uint64(5)), noise(3, 5)]
 compiled = sum(noise.stats.cache_misses.values())
 print(json.dumps({"values": values, "compiled": compiled, "folder": str(cache_folder())}))
 """
+ANNOUNCED = """
+import json
+from numpy import uint64
+from amulett_gym.jit.notice import announce_compilation
+lines = []
+announce_compilation(lines.append)
+from amulett_gym.simulation.random import noise
+noise(uint64(3), uint64(5)), noise(3, 5)
+print(json.dumps(lines))
+"""
+
 SIGNATURES = 2  # whole numbers with a sign, and without
 
 SENSOR_NOISE = """
@@ -240,3 +252,8 @@ def test_benchmark_says_which_limits_are_missed():
     lines = table({name: [9.0, 0.5, 0.25] for name in COMMANDS}).splitlines()
     assert [line.endswith("MISSED") for line in lines[1:]] == [LIMITS.get(name, 1.0) < 0.5 for name in COMMANDS]
     assert lines[-1].split() == [*COLD.split(), "0.500", "0.25-9.00", "1.0", "1.00", "12", "s"]
+
+
+def test_a_compilation_is_announced_once_and_only_where_code_is_compiled(site):
+    assert run(site, ANNOUNCED) == [TEXT]
+    assert run(site, ANNOUNCED) == []

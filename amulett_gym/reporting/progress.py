@@ -1,0 +1,84 @@
+"""How much of some work is done and what is left: a bar on a terminal, else a plain line now and then; on stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+from tqdm import tqdm
+
+FIRST, BETWEEN = 2.0, 10.0
+"""When the first plain line is written, and how long after one the next [s]; a bar begins after `FIRST`, too."""
+
+_LARGE = 10_000
+"""Totals from here on are shown as thousands and millions."""
+
+
+class Progress:
+    """Shows how much of some work is done, and an estimate of the time that the rest takes.
+
+    Parameters
+    ----------
+    total : int or None
+        Units of all work; None if it is not known.
+    what : str
+        What is done, in a word or two.
+    unit : str
+    show : bool
+        False shows nothing.
+    """
+
+    def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True) -> None:
+        terminal = show and sys.stderr.isatty()
+        self._bar = tqdm(
+            total=total,
+            desc=what,
+            unit=f" {unit}",
+            unit_scale=(total or 0) >= _LARGE,
+            delay=FIRST,
+            leave=False,
+            dynamic_ncols=True,
+            disable=not terminal,
+        )
+        self._total, self._what, self._unit, self._done = total, what, unit, 0
+        self._started = time.monotonic()
+        self._due = self._started + FIRST if show and not terminal else float("inf")
+
+    def update(self, count: int = 1, note: str = "") -> None:
+        """Add `count` units to what is done; `note` says what was done last."""
+        self._done += count
+        if note:
+            self._bar.set_postfix_str(note[-40:], refresh=False)
+        self._bar.update(count)
+        now = time.monotonic()
+        if now >= self._due:
+            self._due = now + BETWEEN
+            print(self._line(now - self._started, note), file=sys.stderr, flush=True)
+
+    def say(self, text: str) -> None:
+        """Print a line on stdout, above the bar."""
+        with tqdm.external_write_mode():
+            print(text, flush=True)
+
+    def close(self) -> None:
+        """End it; may be called again."""
+        self._bar.close()
+        self._due = float("inf")
+
+    def _line(self, passed: float, note: str) -> str:
+        unit, ending = f" {self._unit}" if self._unit else "", f": {note}" if note else ""
+        if self._total is None or not self._done:
+            return f"{self._what}: {self._done:,}{unit}, {passed:.0f} s{ending}"
+        left = passed * max(self._total - self._done, 0) / self._done
+        share = f"{self._done:,} of {self._total:,}{unit} ({100 * self._done / self._total:.0f} %)"
+        return f"{self._what}: {share} in {passed:.0f} s, about {left:.0f} s left{ending}"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,58 @@
+"""Progress is shown on stderr alone: a bar on a terminal, else a plain line now and then."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from amulett_gym.reporting import progress
+from amulett_gym.reporting.progress import Progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Return a list whose only number is the time that `Progress` reads."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_lines_say_what_is_done_and_how_long_the_rest_takes(clock, capsys):
+    with Progress(2000, "evaluate", "steps") as shown:
+        for _ in range(2000):
+            clock[0] += 0.01
+            shown.update(note="eq6")
+    output, lines = capsys.readouterr()
+    assert output == ""
+    assert lines.splitlines() == [
+        "evaluate: 200 of 2,000 steps (10 %) in 2 s, about 18 s left: eq6",
+        "evaluate: 1,200 of 2,000 steps (60 %) in 12 s, about 8 s left: eq6",
+    ]
+
+
+def test_work_of_unknown_length_says_what_is_done(clock, capsys):
+    with Progress(None, "seed 0") as shown:
+        clock[0] += 3
+        shown.update()
+    assert capsys.readouterr().err == "seed 0: 1, 3 s\n"
+
+
+@pytest.mark.parametrize(("show", "seconds"), [(True, 1.9), (False, 1000.0)])
+def test_short_work_and_quiet_work_show_nothing(show, seconds, clock, capsys):
+    with Progress(10, "evaluate", show=show) as shown:
+        clock[0] += seconds
+        shown.update()
+        shown.close()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(progress, "FIRST", 0.0)
+    with Progress(10, "evaluate", "steps") as shown:
+        shown.update(4, "eq6")
+        shown.say("a result")
+    output, bar = capsys.readouterr()
+    assert output == "a result\n"
+    assert "\revaluate" in bar and "4/10" in bar
