@@ -67,7 +67,7 @@ def _obstacle(scenario: Any, angle: Values) -> dict[str, Values]:
 
 
 def _pushes(scenario: Any, time: Values) -> dict[str, Values]:
-    begin, duration, slope = scenario("push_time"), scenario("push_duration"), scenario("push_slope")
+    begin, duration, slope = scenario("push_time"), scenario("push_duration"), scenario("push_inverse_rise")
     exists = np.arange(begin.shape[1]) < scenario("push_count")[:, None]
     elapsed = time[:, None] - begin
     begun = elapsed >= -_SLACK

@@ -384,7 +384,7 @@ INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real 
 INLINE real pushes(Parameters p, Scenarios c, States s, int64_t i) {
     real time = to_real(s->tick[i]) * p->control_period, push = all(0.0);
     for (int64_t k = 0; k < MAX_PUSHES && any(k < to_integer(c->push_count[i])); k++) {
-        real elapsed = time - to_real(c->push_time[k][i]), slope = to_real(c->push_slope[k][i]);
+        real elapsed = time - to_real(c->push_time[k][i]), slope = to_real(c->push_inverse_rise[k][i]);
         real remaining = to_real(c->push_duration[k][i]) - elapsed;
         mask acts = (k < to_integer(c->push_count[i])) & (elapsed >= -TIME_SLACK) & (remaining > TIME_SLACK);
         if (!any(acts)) continue;

@@ -63,12 +63,14 @@ def validate(path: str | Path) -> Found:
         from amulett_gym.laws.bundle import read_bundle
 
         return Found("a policy bundle", path.name, read_bundle(path).policy)
-    if path.suffix == ".json":
-        from amulett_gym.tasks.scenario import load_scenario
+    from amulett_gym.tasks.scenario import Scenario, load_scenario
 
+    if path.suffix.lower() == ".json":
         return Found("a scenario", path.stem, load_scenario(path))
-    if path.suffix not in (".yaml", ".yml"):
-        raise AmulettError(f"'{path}' is neither .yaml (device, recipe, benchmark), .json (scenario) nor a bundle")
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise AmulettError(
+            f"'{path}' is neither .yaml (device, recipe, benchmark, scenario), .json (scenario) nor a bundle"
+        )
 
     from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, load_profile
@@ -80,6 +82,7 @@ def validate(path: str | Path) -> Found:
         "a device profile": (Profile, load_profile),
         "a training recipe": (recipes.TrainConfig, recipes.load_train_config),
         "a benchmark's description": (Benchmark, load_benchmark),
+        "a scenario": (Scenario, load_scenario),
     }
     keys = set(read_yaml(path, "file"))
     if keys and all("." in str(key) for key in keys):

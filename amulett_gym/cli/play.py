@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default="testbed", help="device: a name or a YAML file (default: %(default)s)")
     parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
     parser.add_argument("--seed", type=int, default=0, help="draws scenarios and noise (default: %(default)s)")
-    parser.add_argument("--scenario", metavar="FILE.json", help="play this scenario in the place of drawn ones")
+    parser.add_argument("--scenario", metavar="FILE", help="play this scenario (JSON or YAML) instead of drawn ones")
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="how many to play (default: %(default)s)")
     parser.add_argument("--steps", type=int, metavar="N", help="agent steps in an episode (default: 10 s of them)")
     parser.add_argument(

@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the scenario and the sensor noise (default: 0)")
     parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
-    parser.add_argument("--scenario", metavar="FILE.json", help="a scenario of your own in the place of the suite's")
+    parser.add_argument(
+        "--scenario", metavar="FILE", help="a scenario of your own (JSON or YAML) instead of the suite's"
+    )
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="seconds to simulate (default: 10)")
     parser.add_argument("--out", metavar="FILE.csv", help="trajectory, one row a control tick")
     parser.add_argument("--plot", metavar="FILE.png", help="figure of the trajectory (.png or .svg)")

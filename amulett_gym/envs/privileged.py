@@ -177,7 +177,7 @@ def _write_pushes(c, i, time, values):
     values[1] = min(wait, _SOON)
     values[2:5] = 0.0
     if following >= 0:
-        slope = c.push_slope[following, i]
+        slope = c.push_inverse_rise[following, i]
         values[2] = c.push_torque[following, i]
         values[3] = c.push_duration[following, i]
         values[4] = 1.0 / slope if slope > 0.0 else 0.0

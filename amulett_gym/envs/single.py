@@ -137,7 +137,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             A whole number of at least 0. Scenarios and noise of this and all later episodes come from it; `np_random`,
             which it seeds as well, is asked only if there never was a seed.
         options : dict, optional
-            ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON file to play in the place of a drawn one.
+            ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON or YAML file to play instead of a drawn one.
 
         Returns
         -------
@@ -339,8 +339,9 @@ class ScalingEnv(TensionEnv):
     At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N). The suites'
     tasks begin after 0.5 s, and so do rewards and metrics: time to settle at the tension that the agent prefers.
     `reset(seed=...)` fixes the scenarios and the noise of this and all later episodes. `reset(options={"scenario": s})`
-    plays a scenario of your own (a mapping, a JSON file or a :class:`amulett_gym.tasks.scenario.Scenario`). Its key
-    `family` names the suite by whose costs it is charged, as with every drawn scenario; without it, the environment's.
+    plays a scenario of your own (a mapping, a JSON or YAML file or a :class:`amulett_gym.tasks.scenario.Scenario`). Its
+    key `family` names the suite by whose weights and divisors it is charged, as with every drawn scenario; without it,
+    `contact` if it has an obstacle, so that contact is charged, else the environment's suite.
 
     ## Episode End
 

@@ -141,8 +141,8 @@ def begin_motion(p, c, s, m, first, end):
             elapsed = time - c.push_time[k, i]
             remaining = c.push_duration[k, i] - elapsed
             acts = k < c.push_count[i] and elapsed >= -TIME_SLACK and remaining > TIME_SLACK
-            ramp = min(max(min(elapsed, remaining), 0.0) * c.push_slope[k, i], 1.0)
-            strength = choose(c.push_slope[k, i] > 0.0, ramp, 1.0)
+            ramp = min(max(min(elapsed, remaining), 0.0) * c.push_inverse_rise[k, i], 1.0)
+            strength = choose(c.push_inverse_rise[k, i] > 0.0, ramp, 1.0)
             push += choose(acts, strength * c.push_torque[k, i], 0.0)
         ideal = p.inverse_lag == 0.0
         m.push[i] = push

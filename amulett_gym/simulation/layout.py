@@ -154,7 +154,7 @@ _SCENARIO_FIELDS: list[tuple[Any, ...]] = [
     ("push_time", "f4", (MAX_PUSHES,)),
     ("push_duration", "f4", (MAX_PUSHES,)),
     ("push_torque", "f4", (MAX_PUSHES,)),
-    ("push_slope", "f4", (MAX_PUSHES,)),  # [1/s]; 0: a pulse
+    ("push_inverse_rise", "f4", (MAX_PUSHES,)),  # [1/s]; 0: a pulse
     ("shake_rms", "f4"),
     ("shake_bandwidth", "f4"),
     ("shake_time", "f4"),

@@ -285,7 +285,7 @@ def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> flo
         since = tick * period - float(scenario["push_time"][push])
         left = float(scenario["push_duration"][push]) - since
         if since >= -1e-5 and left > 1e-5:  # times are 32-bit floats
-            slope = float(scenario["push_slope"][push])
+            slope = float(scenario["push_inverse_rise"][push])
             share = min(max(min(since, left), 0.0) * slope, 1.0) if slope > 0.0 else 1.0
             total += share * float(scenario["push_torque"][push])
     return total

@@ -1,11 +1,12 @@
 """One episode as plain data: what the setpoint does, what disturbs and loads the arm, how this device was built.
 
-A scenario can be written as JSON, read back and replayed bit for bit. Packed, times, torques, stiffnesses, factors and
-sensor offsets keep 7 digits (see `simulation.layout`).
+A scenario can be written as JSON or YAML, read back and replayed bit for bit. Packed, times, torques, stiffnesses,
+factors and sensor offsets keep 7 digits (see `simulation.layout`).
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -29,6 +30,7 @@ from amulett_gym.simulation.layout import (
     load_arm,
 )
 from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.safe_yaml import read_yaml
 
 MAX_BYTES = 100_000
 """Largest scenario file accepted; the largest that can be described has 10 kB."""
@@ -125,12 +127,28 @@ class Device(Group):
     encoder_bias_deg: float = Field(default=0.0, ge=-30, le=30, description="added to the joint angle's reading [deg]")
     slider_bias_biceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
     slider_bias_triceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
-    jitter: float = Field(
+    late_probability: float = Field(
         default=0.0,
         ge=0,
         le=0.9,
         description="probability that a control tick comes too late: its commands are held for one more period [1]",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _accept_old_name(cls, content: Any) -> Any:
+        if not isinstance(content, Mapping) or "jitter" not in content:
+            return content
+        if "late_probability" in content:
+            raise ValueError("'jitter' is the old name of 'late_probability'; give one of them")
+        warnings.warn("the scenario key 'device.jitter' is now 'late_probability'", DeprecationWarning, stacklevel=2)
+        return {"late_probability" if key == "jitter" else key: value for key, value in content.items()}
+
+    @property
+    def jitter(self) -> float:
+        """Deprecated name of `late_probability`."""
+        warnings.warn("Device.jitter is now late_probability", DeprecationWarning, stacklevel=2)
+        return self.late_probability
 
 
 class Scenario(Group):
@@ -160,7 +178,9 @@ class Scenario(Group):
         description="metrics, rewards and setpoint steps count from here [s]; before, the arm settles",
     )
     family: Family | None = Field(
-        default=None, description="suite by whose costs the reward is scaled; null: that of the environment"
+        default=None,
+        description="suite by whose weights and divisors the reward is scaled; null: contact if there is an obstacle, "
+        "else that of the environment",
     )
     noise_seed: int | None = Field(
         default=None, ge=0, lt=2**64, description="key of the sensor noise [1]; null: drawn by the environment"
@@ -178,7 +198,7 @@ class Scenario(Group):
 
 
 def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
-    """Read and validate a scenario from a JSON file, a mapping, or as it is.
+    """Read and validate a scenario from a JSON or YAML file (by its suffix), a mapping, or as it is.
 
     Raises
     ------
@@ -190,11 +210,21 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     what = "scenario"
     if isinstance(scenario, str | Path):
         what = f"scenario '{scenario}'"
-        scenario = read_json(scenario, "scenario", MAX_BYTES)
+        scenario = _read(Path(scenario))
     try:
         return Scenario.model_validate(scenario)
     except ValidationError as error:
         raise describe(error, Scenario, what) from error
+
+
+def _read(path: Path) -> Any:
+    """Return the content of a scenario file."""
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return read_yaml(path, "scenario")
+    if suffix != ".json":
+        raise AmulettError(f"scenario '{path}' has to end in .json, .yaml or .yml")
+    return read_json(path, "scenario", MAX_BYTES)
 
 
 def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
@@ -237,7 +267,7 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["push_time"][0, k] = push.time
         row["push_duration"][0, k] = push.duration
         row["push_torque"][0, k] = push.torque
-        row["push_slope"][0, k] = 1.0 / push.rise if push.rise > 0.0 else 0.0
+        row["push_inverse_rise"][0, k] = 1.0 / push.rise if push.rise > 0.0 else 0.0
     if scenario.shake is not None:
         for key, value in scenario.shake:
             row[f"shake_{key}"] = value
@@ -247,7 +277,8 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["obstacle_stiffness"] = scenario.obstacle.stiffness
         row["obstacle_damping"] = scenario.obstacle.damping
     row["measure_from"] = scenario.measure_from
-    row["family"] = FAMILIES.index(scenario.family)
+    touches: Family | None = "contact" if scenario.obstacle is not None else None
+    row["family"] = FAMILIES.index(scenario.family or touches)
     if scenario.noise_seed is not None:
         row["noise_key"] = scenario.noise_seed
     if scenario.obstacle is not None:
@@ -300,7 +331,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
                 time=number("push_time", k),
                 duration=number("push_duration", k),
                 torque=number("push_torque", k),
-                rise=_rise(row["push_slope"][k]),
+                rise=_rise(row["push_inverse_rise"][k]),
             )
             for k in range(int(row["push_count"]))
         ],
@@ -314,7 +345,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
             encoder_bias_deg=degrees(row["encoder_bias"]),
             slider_bias_biceps=number("slider_bias_biceps"),
             slider_bias_triceps=number("slider_bias_triceps"),
-            jitter=number("late_probability"),
+            late_probability=number("late_probability"),
         ),
         measure_from=number("measure_from"),
         family=FAMILIES[int(row["family"])],
@@ -322,12 +353,12 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
     )
 
 
-def _rise(slope: np.float32) -> float:
-    """Return the ramp's length [s] of the fewest digits that is packed as this slope [1/s]; 0 for a pulse."""
-    if slope == 0.0:
+def _rise(inverse: np.float32) -> float:
+    """Return the ramp's length [s] of the fewest digits that is packed as this inverse [1/s]; 0 for a pulse."""
+    if inverse == 0.0:
         return 0.0
-    rises = (float(f"{1.0 / float(slope):.{digits}g}") for digits in range(1, 18))
-    return next(rise for rise in rises if np.float32(1.0 / rise) == slope)
+    rises = (float(f"{1.0 / float(inverse):.{digits}g}") for digits in range(1, 18))
+    return next(rise for rise in rises if np.float32(1.0 / rise) == inverse)
 
 
 def _pack_device(device: Device, row: NDArray[np.void]) -> None:
@@ -335,7 +366,7 @@ def _pack_device(device: Device, row: NDArray[np.void]) -> None:
         row[f"{name}_factor"] = getattr(device, name)
     row["encoder_bias"] = np.radians(device.encoder_bias_deg)
     row["slider_bias_biceps"], row["slider_bias_triceps"] = device.slider_bias_biceps, device.slider_bias_triceps
-    row["late_probability"] = device.jitter
+    row["late_probability"] = device.late_probability
 
 
 def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> None:

@@ -2,12 +2,12 @@
 
 Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Whatever acts on the
 arm is measured by the torque that the drives have to spare at the nominal tension, (f_max - sigma) R_2 less what the
-weight takes: 0.6 N m on the shipped devices. More than that, and every law fails alike by winding up its integrators.
+weight takes: 0.467 N m on the shipped devices. More than that, and every law fails alike by winding up its integrators.
 
 The split `shifted` draws from outside the ranges of the other three. What a suite draws is versioned: `tasks.hashes`.
 
 Nothing happens, and nothing is counted, in the first half second: an arm starts at the nominal tension, and a law that
-wants another one must not pay for the start that others are given.
+wants another one is not charged for getting there.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def sample(
     profile : Profile
         Scales what acts on the arm and gives the nominal tension and inertia.
     max_force : float, optional
-        Force at which the profile's springs saturate [N], for who knows it already: finding it takes most of the time.
+        Force at which the profile's springs saturate [N], if it is known already: finding it takes most of the time.
     split : str
         ``"shifted"`` draws from outside the ranges that all other splits share. The keys are as given in any case (see
         `episode_keys`).
@@ -192,7 +192,7 @@ def _fill(
 
 @compiled
 def _steps(row: Any, draw: Any, shifted: bool) -> None:
-    """Step by 10 to 60 deg, about the paper's 45 deg; a testbed arm takes 1.1 s for that one (Table 4).
+    """Step by 10 to 60 deg, about the paper's 45 deg, for which the testbed takes 1.1 to 2.4 s (Table 2).
 
     Shifted: 3 to 8 deg, or 65 to 85 deg.
     """
@@ -201,7 +201,7 @@ def _steps(row: Any, draw: Any, shifted: bool) -> None:
 
 @compiled
 def _reach(row: Any, draw: Any, shifted: bool) -> None:
-    """Minimum-jerk reaches (Flash and Hogan, 1985), half to three times as long as the arm takes for a step.
+    """Minimum-jerk reaches (Flash and Hogan, 1985) of 10 to 60 deg in 0.5 to 1.5 s.
 
     Shifted: 3 to 8 deg, or 65 to 85 deg.
     """
@@ -238,8 +238,8 @@ def _random_moves(
 def _track(row: Any, draw: Any, shifted: bool) -> None:
     """Sinusoids, and chirps in half the episodes, about the loop's corner frequency.
 
-    With Table 1's gains that is 0.3 Hz (an integral-dominated loop with a time constant of 0.5 s, reading notes 6).
-    Shifted: 0.6 to 1 Hz.
+    With the testbed's gains of Table 1 the integral dominates: K_i R_1 / R_2 is 2.0 1/s, a time constant of 0.5 s or
+    0.3 Hz. Shifted: 0.6 to 1 Hz.
     """
     which, how_fast, how_wide, changes = _four(draw, 0)
     row.initial_angle = np.radians(_between(draw[_ANGLE], 30.0, 60.0, 2))
@@ -275,7 +275,7 @@ def _pick_place(row: Any, draw: Any, shifted: bool, spare: float) -> None:
         time = _rounded(time + reach, 3)
         if k < MAX_PUSHES:
             row.push_time[k], row.push_duration[k], row.push_torque[k] = time, holding, torque
-            row.push_slope[k] = 1.0 / _between(ramp, 0.2, 0.4, 3)
+            row.push_inverse_rise[k] = 1.0 / _between(ramp, 0.2, 0.4, 3)
         time = _rounded(time + holding, 3)
         row.move_time[2 * k + 1], row.move_angle[2 * k + 1] = time, np.radians(home)
         row.move_duration[2 * k + 1] = reach
@@ -286,10 +286,10 @@ def _pick_place(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 def _contact(row: Any, draw: Any, shifted: bool, spare: float) -> None:
     """Reach 25 to 60 deg out in 0.4 to 1 s and back: an obstacle begins where half to 95 % of the way are done.
 
-    It yields by 1.5 to 10 deg under the spare torque (3 to 23 N m/rad: at a hand's distance of 0.25 m 50 to 370 N/m,
-    foam and soft tissue). In a quarter of the episodes there is none, so that fearing it has its price. The setpoint
-    stays out for 0.3 to 0.7 s, about the loop's time constant: what counts is the bump and the press that follows, not
-    an integrator that winds up for good. Shifted: 0.3 to 0.8 deg.
+    It yields by 1.5 to 10 deg under the spare torque (2.7 to 17.8 N m/rad on the shipped devices: at a hand's distance
+    of 0.25 m 43 to 286 N/m, foam and soft tissue). In a quarter of the episodes there is none, so that a law that is
+    always careful is charged for it. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: what
+    counts is the bump and the press that follows, not an integrator that winds up for good. Shifted: 0.3 to 0.8 deg.
     """
     out, way, how_long, stay = _four(draw, 0)
     where, softness, viscosity, pause = _four(draw, 1)
@@ -332,7 +332,7 @@ def _hold_push(row: Any, draw: Any, shifted: bool, spare: float) -> None:
         row.push_duration[k] = _between(how_long, 0.1, 0.5, 3)
         if kind < 1.0 / 3.0:
             row.push_duration[k] = _between(slow, 1.0, 1.6, 3)
-            row.push_slope[k] = 1.0 / _between(ramp, 0.3, 0.5, 3)
+            row.push_inverse_rise[k] = 1.0 / _between(ramp, 0.3, 0.5, 3)
         torque = _between(how_strong, low * left, high * left, 4)
         row.push_torque[k] = -torque if direction < 0.5 else torque
     if draw[_WHICH] < 0.5:
@@ -348,8 +348,8 @@ def _hold_push(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 def _payload(row: Any, draw: Any, shifted: bool, spare: float, weight: float) -> None:
     """Reaches with a payload at 0.1 to 0.25 m whose weight would take 10 to 50 % of the torque to spare.
 
-    Half the arms swing vertically, in the lower 60 deg: there the arm's own weight takes half the spare torque, and the
-    payload is measured by what remains at the top. Shifted: 60 to 80 %.
+    Half the arms swing vertically, in the lower 60 deg: there the arm's own weight takes up to 62 % of the spare
+    torque, and the payload is measured by what remains at the top. Shifted: 60 to 80 %.
     """
     vertical = draw[_WHICH] < 0.5
     row.orientation = _VERTICAL if vertical else _HORIZONTAL

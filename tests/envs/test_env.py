@@ -230,6 +230,7 @@ def test_obstacle_is_felt():
     assert 30.0 < info["joint_angle"] < 35.0
     assert info["metrics"]["contact_peak"] > 0.1
     assert info["contact_torque"] < 0
+    assert info["reward_terms"]["contact"] < -1e-4  # it is charged, although neither suite nor scenario is of contact
 
 
 def test_vertical_arm_holds_its_payload():

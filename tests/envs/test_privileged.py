@@ -25,7 +25,13 @@ SCENARIO = {
     "obstacle": {"angle_deg": 50.0, "blocks": "flexion", "stiffness": 10.0, "damping": 0.02},
     "payload": {"mass": 0.1, "arm": 0.2},
     "orientation": "vertical",
-    "device": {"spring_biceps": 0.9, "inertia": 1.2, "damping": 1.25, "encoder_bias_deg": 0.3, "jitter": 0.05},
+    "device": {
+        "spring_biceps": 0.9,
+        "inertia": 1.2,
+        "damping": 1.25,
+        "encoder_bias_deg": 0.3,
+        "late_probability": 0.05,
+    },
     "family": "pick-place",
     "noise_seed": 1,
 }

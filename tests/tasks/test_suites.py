@@ -7,14 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from amulett_gym.cli.config import validate
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.plant import static_torque
 from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import load_profile
+from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.tasks import hashes
+from amulett_gym.tasks import hashes, suites
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, unpack
 from amulett_gym.tasks.suites import (
     CONTACT_SUITES,
@@ -195,10 +198,15 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
         pushes=[{"time": time, "duration": 0.7, "torque": -0.5, "rise": rise} for time in times[:4]],
         shake={"rms": 0.1, "bandwidth": 2.5, "time": 0.1, "duration": 7.0},
         orientation="vertical" if rise > 0.2 else "profile",
-        device={"spring_biceps": 0.87, "encoder_bias_deg": -0.123, "slider_bias_triceps": 1e-5, "jitter": 0.07},
+        device={
+            "spring_biceps": 0.87,
+            "encoder_bias_deg": -0.123,
+            "slider_bias_triceps": 1e-5,
+            "late_probability": 0.07,
+        },
         obstacle={"angle_deg": 20.0, "blocks": blocks, "stiffness": 5.0, "damping": 0.1},
         payload={"mass": mass, "arm": 0.2} if mass > 0 else None,
-        family="contact" if mass > 0 else None,
+        family="contact" if mass > 0 else "steps",
         noise_seed=3,
     )
     assert unpack(pack(scenario, TESTBED)[0]) == scenario
@@ -221,7 +229,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
         ({"shake": {"rms": -1.0, "bandwidth": 1.0, "duration": 1.0}}, "'shake.rms' is -1.0"),
         ({"wave": {"amplitude_deg": 1.0, "frequenzy": 1.0, "duration": 1.0}}, "did you mean 'frequency'"),
         ({"family": "hold-pusch"}, "'family' is 'hold-pusch'"),
-        ({"device": {"jitter": 1.0}}, "'device.jitter' is 1.0"),
+        ({"device": {"late_probability": 1.0}}, "'device.late_probability' is 1.0"),
         ({"obstacle": {"angle_deg": 3.0, "stiffness": float("inf")}}, "finite"),
     ],
 )
@@ -236,8 +244,60 @@ def test_wrong_scenario_files_are_refused(tmp_path: Path):
     (tmp_path / "broken.json").write_text("{")
     with pytest.raises(AmulettError, match="not valid JSON"):
         load_scenario(tmp_path / "broken.json")
-    (tmp_path / "good.json").write_text(json.dumps({"initial_angle_deg": 10.0}))
-    assert load_scenario(tmp_path / "good.json").initial_angle_deg == 10.0
+    with pytest.raises(AmulettError, match=r"'.*scenario.txt' has to end in .json, .yaml or .yml"):
+        load_scenario(tmp_path / "scenario.txt")
+
+
+@pytest.mark.parametrize("suffix", [".json", ".JSON", ".yaml", ".yml", ".YAML"])
+def test_scenarios_are_json_or_yaml(suffix, tmp_path: Path):
+    path = tmp_path / f"mine{suffix}"
+    content = {"initial_angle_deg": 10.0, "moves": [{"time": 0.5, "angle_deg": 30.0}]}
+    path.write_text(json.dumps(content) if "j" in suffix.lower() else yaml.safe_dump(content))
+    assert load_scenario(path) == load_scenario(str(path)) == load_scenario(content)
+    assert validate(path).kind == "a scenario"
+    path.write_text("{}\nwrong")
+    with pytest.raises(AmulettError, match=r"scenario '.*mine.*' is not valid (JSON|YAML)"):
+        load_scenario(path)
+
+
+def test_old_names_of_keys_are_accepted_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="'device.jitter' is now 'late_probability'"):
+        scenario = load_scenario({"device": {"jitter": 0.1}})
+    assert scenario == load_scenario({"device": {"late_probability": 0.1}})
+    with pytest.warns(DeprecationWarning, match="late_probability"):
+        assert scenario.device.jitter == 0.1
+    with pytest.raises(AmulettError, match="'jitter' is the old name of 'late_probability'; give one"):
+        load_scenario({"device": {"jitter": 0.1, "late_probability": 0.1}})
+
+
+def test_an_obstacle_is_charged_as_in_the_contact_suite_unless_a_family_is_named():
+    wall = {"obstacle": {"angle_deg": 20.0, "stiffness": 5.0}, "moves": [{"time": 0.5, "angle_deg": 45.0}]}
+
+    def family(content):
+        return unpack(pack(load_scenario(content), TESTBED)[0]).family
+
+    assert family(wall) == "contact"
+    assert family({**wall, "family": "reach"}) == "reach"
+    assert family({**wall, "obstacle": None}) is None
+
+
+def test_figures_in_the_docstrings_are_those_of_the_shipped_devices():
+    for name in profile_names():
+        profile = load_profile(name)
+        plant, sigma = profile.plant, profile.variable_stiffness.nominal_tension
+        spare = (build_tables(profile.spring).max_force - sigma) * plant.joint_pulley_radius
+        assert f"weight takes: {spare:.3f} N m on the shipped devices" in suites.__doc__
+        soft, hard = (spare / np.radians(deg) for deg in (10.0, 1.5))
+        contact = suites._contact.py_func.__doc__
+        assert f"{soft:.1f} to {hard:.1f} N m/rad on the shipped devices" in contact
+        assert f"0.25 m {soft / 0.25**2:.0f} to {hard / 0.25**2:.0f} N/m" in " ".join(contact.split())
+        weight = static_torque([item.mass for item in plant.masses], [item.arm for item in plant.masses])
+        share = weight * np.sin(np.radians(suites._VERTICAL_TOP_DEG)) / spare
+        assert f"{share:.0%}".replace("%", " %") in suites._payload.py_func.__doc__
+    plant = TESTBED.plant
+    gain = TESTBED.loop.position.ki * plant.drive_pulley_radius / plant.joint_pulley_radius
+    corner = f"{gain:.1f} 1/s, a time constant of {1 / gain:.1f} s or {gain / (2 * np.pi):.1f} Hz"
+    assert corner in " ".join(suites._track.py_func.__doc__.split())
 
 
 @pytest.mark.parametrize(("key", "value"), [("stiffness", 1000.0), ("damping", 20.0)])
