@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,23 @@ _MOST_SHOWN = 100
 
 
 class Group(BaseModel):
-    """A frozen group of settings; unknown keys and non-finite numbers are refused."""
+    """A frozen group of settings; unknown keys, non-finite numbers, and text or truth values as numbers are refused.
+
+    A number may be Python's or NumPy's, an integer may be written as a float (``5e6``), a list as a tuple or an array,
+    and the text of a path as a Path.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _to_plain(cls, content: Any) -> Any:
+        if not isinstance(content, Mapping):
+            return content
+        fields = cls.model_fields
+        return {
+            key: to_plain(value, fields[key].annotation if key in fields else Any) for key, value in content.items()
+        }
 
 
 class Sourced(Group):
@@ -44,6 +58,53 @@ def configs_folder() -> Path:
     return package / "configs" if (package / "configs").is_dir() else package.parent / "configs"
 
 
+def to_plain(value: Any, annotation: Any = Any) -> Any:
+    """Return `value` as plain data: numbers, text, truth values, None, and lists and dicts of them.
+
+    Parameters
+    ----------
+    value : object
+        NumPy's (or torch's) numbers and arrays become Python's, tuples lists, mappings dicts, and paths text. Objects
+        of other kinds stay as they are.
+    annotation : type
+        What is wanted. Where that is an integer, an integral float becomes an int; where a tuple, lists become tuples.
+    """
+    if hasattr(value, "dtype") and hasattr(value, "tolist"):
+        value = value.tolist()
+    wanted = list(_alternatives(annotation))
+    if isinstance(value, Mapping):
+        _, item = _container(wanted, dict)
+        return {key: to_plain(part, item) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        kind, item = _container(wanted, list, tuple)
+        return kind(to_plain(part, item) for part in value)
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and int in wanted and float not in wanted and value.is_integer():
+        return int(value)
+    return value
+
+
+def _alternatives(annotation: Any) -> Iterator[Any]:
+    """Yield the types of a union, or the one type that an annotation is."""
+    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
+        for member in typing.get_args(annotation):
+            yield from _alternatives(member)
+    elif typing.get_origin(annotation) is typing.Annotated:
+        yield from _alternatives(typing.get_args(annotation)[0])
+    else:
+        yield annotation
+
+
+def _container(wanted: list[Any], *kinds: type) -> tuple[type, Any]:
+    """Return which of some kinds of container is wanted, the first if none, and the type of its items."""
+    for annotation in wanted:
+        kind = typing.get_origin(annotation)
+        if kind in kinds:
+            return kind, typing.get_args(annotation)[kind is dict]
+    return kinds[0], Any
+
+
 def describe(error: ValidationError, model: type[BaseModel], what: str) -> AmulettError:
     """Turn a pydantic error into one that names key, value, what is allowed and the nearest valid key."""
     lines = []
@@ -59,6 +120,8 @@ def describe(error: ValidationError, model: type[BaseModel], what: str) -> Amule
         else:
             value = "" if isinstance(item["input"], dict | list) else f" is {_shorten(repr(item['input']))}"
             message = _shorten(item["msg"].removeprefix("Value error, "), 10 * _MOST_SHOWN)
+            if item["type"] == "bool_type" and isinstance(item["input"], str):
+                message += ": true or false"
             lines.append(f"'{key}'{value}: {message}" if key else message)
     if len(errors) > _MOST_ERRORS:
         lines.append(f"and {len(errors) - _MOST_ERRORS} more")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -327,7 +326,7 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
     for override in overrides:
         content = merge(content, _parse_override(override))
     try:
-        return TrainConfig.model_validate(read_numbers(content))
+        return TrainConfig.model_validate(content)
     except ValidationError as error:
         raise describe(error, TrainConfig, "recipe" if path is None else f"recipe '{path}'") from error
 
@@ -340,15 +339,4 @@ def _parse_override(override: str) -> dict[str, Any]:
     value = parse_yaml(text, f"'{override[:100]}': the value")
     for part in reversed(parts):
         value = {part: value}
-    return value
-
-
-def read_numbers(value: Any) -> Any:
-    """Turn ``"3e-4"`` into a number: YAML 1.1, unlike everybody, takes it for a string unless it is ``3.0e-4``."""
-    if isinstance(value, Mapping):
-        return {key: read_numbers(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [read_numbers(item) for item in value]
-    if isinstance(value, str) and re.fullmatch(r"[+-]?\d+(\.\d*)?[eE][+-]?\d+", value):
-        return float(value)
     return value

@@ -20,7 +20,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
-import yaml
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
@@ -47,6 +46,7 @@ from amulett_gym.profile import load_profile
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
 from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import atomic_path, output_folder, write_json, write_text
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
@@ -561,7 +561,7 @@ def _prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> N
             path.unlink(missing_ok=True)
     if start is not None:
         kept.rename(out / START)
-    write_text(out / "config.yaml", yaml.safe_dump(config.model_dump(), sort_keys=False))
+    write_text(out / "config.yaml", to_yaml(config.model_dump()))
     _write_note(out, config, command)
 
 

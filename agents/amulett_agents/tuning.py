@@ -24,18 +24,17 @@ from typing import Any
 
 import numpy as np
 import optuna
-import yaml
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import Field, ValidationError, model_validator
 
-from amulett_agents.config import TrainConfig, read_numbers
+from amulett_agents.config import TrainConfig
 from amulett_agents.training import RUN_MARKS, TrainResult, resume, train
 from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json
-from amulett_gym.storage.safe_yaml import read_yaml
+from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 from amulett_gym.storage.writing import output_folder, write_json, write_text
 
 STUDY, TRIALS, BEST = "study.json", "trials.json", "best.yaml"
@@ -121,7 +120,7 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
     AmulettError
         If the file cannot be read, a key is none of the recipe's, or an end of a range or a choice is not allowed.
     """
-    content = read_numbers(read_yaml(path, "space"))
+    content = read_yaml(path, "space")
     if not content:
         raise AmulettError(f"space '{path}' names no key of the recipe")
     space: Space = {}
@@ -131,13 +130,24 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
             space[str(key)] = kind.model_validate(entry)
         except ValidationError as error:
             raise describe(error, kind, f"space '{path}', key '{key}'") from error
-        for value in space[str(key)].ends():
-            try:
-                _changed(config, {str(key): value})
-            except ValidationError as error:
-                if any(one["loc"] for one in error.errors()):  # others may be right in company
-                    raise describe(error, TrainConfig, f"space '{path}'") from error
+        found = space[str(key)]
+        ends = [_valid(config, str(key), value, path) for value in found.ends()]
+        if isinstance(found, Range) and all(isinstance(end, int) for end in ends):  # 1e3 of a key that takes integers
+            space[str(key)] = Range(low=ends[0], high=ends[1], log=found.log)
     return space
+
+
+def _valid(config: TrainConfig, key: str, value: Any, path: str | Path) -> Any:
+    """Return a value of a space as the recipe reads it; refuse one that is not allowed."""
+    try:
+        content: Any = _changed(config, {key: value}).model_dump()
+    except ValidationError as error:
+        if any(one["loc"] for one in error.errors()):  # others may be right in company
+            raise describe(error, TrainConfig, f"space '{path}'") from error
+        return value
+    for part in key.split("."):
+        content = content[part]
+    return content
 
 
 def tune(
@@ -206,7 +216,7 @@ def tune(
             best = best_of(done)
             if best is not None:
                 recipe = _changed(config, best.changes).model_dump()
-                write_text(out / BEST, yaml.safe_dump(recipe, sort_keys=False))
+                write_text(out / BEST, to_yaml(recipe))
             if tell is not None:
                 tell(trial, best)
     return done

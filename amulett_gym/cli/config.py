@@ -121,10 +121,10 @@ def _load_space(path: Path) -> Mapping[str, BaseModel]:
 
 def _flow(value: Any) -> str:
     """Return a value as YAML on one line."""
-    import yaml
+    from amulett_gym.storage.safe_yaml import to_yaml
 
-    content = json.loads(json.dumps(value, default=_plain))  # without references to what occurs twice
-    text: str = yaml.safe_dump(content, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    content = json.loads(json.dumps(value, default=_plain))
+    text = to_yaml(content, default_flow_style=True, width=10**9, allow_unicode=True)
     return text.removesuffix("...\n").strip()
 
 

@@ -39,7 +39,7 @@ from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import parse_json, read_bytes
+from amulett_gym.storage.reading import parse_json, read_bytes, to_text
 from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
@@ -379,11 +379,7 @@ def _parse(model: type[Any], content: bytes, path: Path) -> Any:
 
 
 def _json(content: bytes, path: Path) -> dict[str, Any]:
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise AmulettError(f"'{path}' is not UTF-8 text") from error
-    value = parse_json(text, f"'{path}'")
+    value = parse_json(to_text(content, f"'{path}'"), f"'{path}'")
     if not isinstance(value, dict):
         raise AmulettError(f"'{path}' has to hold a JSON object, not {type(value).__name__}")
     return value

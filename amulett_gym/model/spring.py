@@ -122,7 +122,7 @@ def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float6
         If the file is unreadable or empty, a column is missing, a cell is no finite number, a value is negative, a
         deflection rises by less than a nanometre or a force falls, or a value is out of its range (10 m, 1e6 N).
     """
-    text = read_text(path, "measured spring curve", _MAX_CURVE_BYTES).removeprefix("\ufeff")
+    text = read_text(path, "measured spring curve", _MAX_CURVE_BYTES)
     delimiter = ";" if ";" in text.partition("\n")[0] else ","
     try:
         header, *rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if row] or [[]]

@@ -67,18 +67,29 @@ def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool
 
 
 def read_text(path: str | Path, what: str, limit: int = 4_000_000) -> str:
-    """Read a UTF-8 text file; see :func:`read_bytes` for the parameters.
+    """Read a UTF-8 text file, with or without a byte order mark; see :func:`read_bytes` for the parameters.
 
     Raises
     ------
     AmulettError
         If the file is missing, unreadable, no ordinary one, larger than `limit` or not UTF-8.
     """
-    try:
-        text = read_bytes(path, what, limit).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise AmulettError(f"{what} '{path}' is not UTF-8 text") from error
+    text = to_text(read_bytes(path, what, limit), f"{what} '{path}'")
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def to_text(content: bytes, what: str) -> str:
+    """Return UTF-8 text without its byte order mark.
+
+    Raises
+    ------
+    AmulettError
+        If it is not UTF-8.
+    """
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise AmulettError(f"{what} is not UTF-8 text") from error
 
 
 def read_json(path: str | Path, what: str, limit: int = 4_000_000) -> Any:

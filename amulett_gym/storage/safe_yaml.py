@@ -1,7 +1,13 @@
-"""YAML from strangers: plain data only, and bounded before anything is built from it."""
+"""YAML 1.2 from strangers: plain data only, and bounded before anything is built from it.
+
+PyYAML reads YAML 1.1, where ``yes`` and ``off`` are truth values, ``010`` is 8, ``1:30`` is 90, and ``1e-3`` is text.
+Here only ``true`` and ``false`` are truth values, and numbers are those of YAML 1.2, with ``_`` between digits allowed
+as well. Everything else is text; so is an integer with leading zeros, which the two versions read differently.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +22,18 @@ MAX_BYTES = 100_000
 MAX_NODES = 10_000
 """Keys and values in a file, aliases counted as often as they are used; the largest of ours has 500."""
 
-_TAGS = ("map", "seq", "str", "int", "float", "bool", "null", "merge")
+_TAGS = ("map", "seq", "str", "null", "merge")
+_DIGITS = "[0-9]+(?:_[0-9]+)*"
+_SCALARS = {
+    "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    "int": (rf"[-+]?(?:0|(?!0){_DIGITS})|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    "float": (
+        rf"[-+]?(?:{_DIGITS}\.(?:{_DIGITS})?|\.{_DIGITS}|{_DIGITS}(?=[eE]))(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+}
+"""Pattern of what is a truth value or a number, and the characters with which one can begin."""
 
 
 def parse_yaml(text: str, what: str) -> Any:
@@ -42,6 +59,12 @@ def parse_yaml(text: str, what: str) -> Any:
         message = " ".join(str(error).split())[:500]
         raise AmulettError(f"{what} is not valid YAML: {message}") from error
     return value
+
+
+def to_yaml(value: Any, **options: Any) -> str:
+    """Return plain data as YAML that `parse_yaml` reads as the same, keys in their order; `options` are PyYAML's."""
+    text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, **options)
+    return text
 
 
 def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
@@ -70,6 +93,19 @@ class _Loader(yaml.SafeLoader):
         first: [(tag, pattern) for tag, pattern in resolvers if tag.rpartition(":")[2] in _TAGS]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
+
+    def construct_truth(self, node: yaml.ScalarNode) -> bool:
+        text = self.construct_scalar(node)
+        if text.lower() not in ("true", "false"):
+            raise ValueError(f"{text[:100]!r} is no truth value: true or false")
+        return text.lower() == "true"
+
+    def construct_integer(self, node: yaml.ScalarNode) -> int:
+        return int(self.construct_scalar(node), 0)
+
+    def construct_number(self, node: yaml.ScalarNode) -> float:
+        text = self.construct_scalar(node).lower()
+        return float(text.replace(".inf", "inf") if text.endswith(".inf") else "nan" if text == ".nan" else text)
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -101,3 +137,22 @@ class _Loader(yaml.SafeLoader):
         self._count += count
         if self._count > MAX_NODES:
             raise ValueError(f"it stands for more than {MAX_NODES} keys and values")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.1 or 1.2 would take for something else."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+for _kind, _construct in (
+    ("bool", _Loader.construct_truth),
+    ("int", _Loader.construct_integer),
+    ("float", _Loader.construct_number),
+):
+    _pattern, _first = _SCALARS[_kind]
+    _tag = f"tag:yaml.org,2002:{_kind}"
+    _Loader.add_constructor(_tag, _construct)
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(_tag, re.compile(f"(?:{_pattern})$"), list(_first))

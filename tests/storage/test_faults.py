@@ -177,7 +177,7 @@ def test_a_folder_that_vanished_is_made_again(tmp_path, results, monkeypatch, fa
 
 HOLD = """
 import sys
-from amulett_gym.storage.writing import locked_folder
+from amulett_gym.storage.lock import locked_folder
 with locked_folder(sys.argv[1]):
     print("locked", flush=True)
     sys.stdin.read()

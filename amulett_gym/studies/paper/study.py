@@ -22,7 +22,6 @@ from threading import Thread
 from typing import Any
 
 import numpy as np
-import yaml
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
@@ -30,6 +29,7 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile
 from amulett_gym.storage.provenance import write_provenance
 from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import write_json, write_text
 from amulett_gym.studies.paper.identification import (
     CERTAIN,
@@ -260,9 +260,7 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
         **groups,
     }
     head = "# Written by `amulett identify`. In parentheses: the range of the sets that explain the tables as well.\n"
-    plain = json.loads(json.dumps(profile))  # YAML would write a mapping that occurs twice as a reference
-    text: str = yaml.safe_dump(plain, sort_keys=False, width=120)
-    return head + text
+    return head + to_yaml(profile, width=120)
 
 
 def _run_stages(
