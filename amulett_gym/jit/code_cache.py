@@ -37,7 +37,7 @@ PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
 
 SOURCES = (
-    *("errors.py", "profile.py", "settings.py", "jit/*.py", "storage/reading.py", "storage/safe_yaml.py"),
+    *("errors.py", "profile.py", "settings.py", "jit/*.py", "storage/*.py"),
     *("control/*.py", "model/*.py", "simulation/batch.py"),
     *("simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
     *("tasks/*.py", "envs/privileged.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),

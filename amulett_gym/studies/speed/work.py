@@ -147,7 +147,9 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
         module.math = counting  # type: ignore[attr-defined]
     sensors.np = counting  # type: ignore[assignment,attr-defined]
     random.float = Number  # type: ignore[attr-defined]
-    parameters, scenarios, states = (np.load(folder / f"{name}.npy") for name in ("parameters", "scenarios", "states"))
+    parameters, scenarios, states = (
+        np.load(folder / f"{name}.npy", allow_pickle=False) for name in ("parameters", "scenarios", "states")
+    )
     p = SimpleNamespace()
     for name in parameters.dtype.names:
         value = parameters[name][0]
