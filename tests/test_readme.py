@@ -24,15 +24,15 @@ def blocks(language: str, page: str = "README.md") -> list[str]:
 
 
 def commands() -> list[str]:
-    """Every `amulett ...` command: lines of bash blocks, and inline code without a placeholder."""
+    """Every `amulett ...` command: lines of bash blocks of all pages, and inline code of the guides without a placeholder."""
     lines = [line for page in PAGES for block in blocks("bash", page) for line in block.splitlines()]
     found = [line.split("  #")[0].strip() for line in lines if line.startswith("amulett ")]
-    found += [code for text in PAGES.values() for code in re.findall(r"`(amulett [^`]+)`", text)]
+    found += [code for page in GUIDES for code in re.findall(r"`(amulett [^`]+)`", PAGES[page])]
     return sorted({" ".join(code.split()) for code in found if not re.search(r"FILE|DIR|COMMAND|NEW|\.\.\.", code)})
 
 
 def snippets() -> list[str]:
-    return [snippet for page in ("README.md", "docs/devices.md", "docs/training.md") for snippet in blocks("python", page)]
+    return [snippet for page in GUIDES for snippet in blocks("python", page)]
 
 
 @pytest.mark.parametrize("snippet", snippets())
@@ -47,7 +47,7 @@ def test_commands_parse(command: str):
 
 
 def test_simulate_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (command,) = [line for line in commands() if "configs/my_device.yaml" in line]
+    (command,) = [line for line in commands() if "simulate" in line and "configs/my_device.yaml" in line]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     assert main(shlex.split(command)[1:]) == 0
