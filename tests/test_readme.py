@@ -18,13 +18,16 @@ PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text() for path in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 }
 
+GUIDES = ("README.md", "docs/commands.md", "docs/devices.md", "docs/training.md")
+"""Pages whose inline commands are whole, and whose Python blocks run."""
+
 
 def blocks(language: str, page: str = "README.md") -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", PAGES[page], flags=re.DOTALL)
 
 
 def commands() -> list[str]:
-    """Every `amulett ...` command: lines of bash blocks of all pages, and inline code of the guides without a placeholder."""
+    """Every `amulett ...` command: of bash blocks in all pages, and inline in the guides, without placeholders."""
     lines = [line for page in PAGES for block in blocks("bash", page) for line in block.splitlines()]
     found = [line.split("  #")[0].strip() for line in lines if line.startswith("amulett ")]
     found += [code for page in GUIDES for code in re.findall(r"`(amulett [^`]+)`", PAGES[page])]
