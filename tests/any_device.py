@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile, profile_names

@@ -23,10 +23,10 @@ from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
+from amulett_gym.envs.action import tension_to_action
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import bundle_folder
-from amulett_gym.laws.policies import tension_to_action
 
 Model = PPO | SAC
 

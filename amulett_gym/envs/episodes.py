@@ -31,9 +31,6 @@ from amulett_gym.tasks.suites import check_names, episode_keys, sample
 DEFAULT_STEPS = 500
 """Agent steps in an episode, 10 s at the default agent period."""
 
-TENSION_RANGE = (4.0, 15.0)
-"""Tension setpoints that an action can choose by default [N]."""
-
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]
 """Parameters, settings, and blocks of scenarios and states."""
 

@@ -12,7 +12,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from amulett_gym.envs.episodes import DEFAULT_STEPS, TENSION_RANGE, Episodes, check_range, device_seeds
+from amulett_gym.envs.action import TENSION_RANGE
+from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes, check_range, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.transition import (
     FIRST_METRIC,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
 from amulett_gym.envs.reward import COST_TERMS, TERMS
 from amulett_gym.jit.compiled import compiled, compiled_in_place
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
@@ -139,7 +140,7 @@ def step_block(p, e, c, s, m, first, end, actions, observations, report):
 @compiled
 def wanted_tension(e, action):
     """Return the tension setpoint [N] that an action asks for."""
-    return e.low + 0.5 * (min(max(float(action), -1.0), 1.0) + 1.0) * (e.high - e.low)
+    return compiled_tension_of(min(max(float(action), -1.0), 1.0), e.low, e.high)
 
 
 @compiled
@@ -175,7 +176,7 @@ def observe(p, e, c, s, i, row):
     row[9] = s.agonist[i]
     row[10] = s.command_biceps[i] / _COMMAND
     row[11] = s.command_triceps[i] / _COMMAND
-    row[12] = 2.0 * (s.tension_setpoint[i] - e.low) / (e.high - e.low) - 1.0
+    row[12] = compiled_action_of(s.tension_setpoint[i], e.low, e.high)
     if e.observation_noise > 0.0:
         key = c.noise_key[i] ^ _NOISE_STREAM
         for k in range(_ENTRIES):

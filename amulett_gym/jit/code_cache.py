@@ -40,7 +40,7 @@ SOURCES = (
     *("errors.py", "profile.py", "settings.py", "jit/*.py", "storage/*.py"),
     *("control/*.py", "model/*.py", "simulation/batch.py"),
     *("simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
-    *("tasks/*.py", "envs/privileged.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
+    *("tasks/*.py", "envs/action.py", "envs/privileged.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
 )
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.envs.action import tension_of
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 
 FEATURES = (
@@ -77,8 +78,7 @@ def features(observations: NDArray[np.floating[Any]], tension_range: tuple[float
     time, agonist = _TIME * np.maximum(shown["time_since_move"], 0.0), shown["agonist"]
     biceps, triceps = _TENSION * shown["estimated_tension_biceps"], _TENSION * shown["estimated_tension_triceps"]
     pulling, other = np.where(agonist > 0.0, biceps, triceps), np.where(agonist > 0.0, triceps, biceps)
-    low, high = tension_range
-    setpoint = low + 0.5 * (high - low) * (shown["tension_setpoint"] + 1.0)
+    setpoint = tension_of(shown["tension_setpoint"], *tension_range)
     fine, coarse = np.tanh(error / 1.5), np.tanh(error / 5.0)
     slow, fast = np.tanh(velocity / 8.0), np.tanh(velocity / 30.0)
     columns = {

@@ -37,6 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.envs.action import TENSION_RANGE, compiled_tension_of
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled
@@ -44,7 +45,7 @@ from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 
-RANGE = (4.0, 15.0)
+RANGE = TENSION_RANGE
 """Tension setpoints that the laws choose from [N]: those of the environments' default actions."""
 
 DEFAULT_SUITE = "mixed"
@@ -244,7 +245,7 @@ def _fill_parametric(rows, vectors, device, period, low, high, tensions):  # typ
             + p[10] * row[_ANGLE_AT] * _ANGLE / (0.5 * math.pi)
             + p[11] * early * way
         )
-        last = low + 0.5 * (row[_SETPOINT_AT] + 1.0) * (high - low)
+        last = compiled_tension_of(row[_SETPOINT_AT], low, high)
         tensions[k] = _follow(last, _squash(wanted), p[16], p[17], period)
 
 

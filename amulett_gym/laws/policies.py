@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
+from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
@@ -74,18 +75,6 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     else:
         act = _from_bundle(read_bundle(bundle_folder(name)), base)
     return _for_one_or_many(act, base.episodes.observation_size)
-
-
-def tension_to_action(tension: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the action that means a tension [N]."""
-    low, high = tension_range
-    return 2.0 * (np.asarray(tension, dtype=np.float64) - low) / (high - low) - 1.0
-
-
-def action_to_tension(action: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the tension [N] that an action means."""
-    low, high = tension_range
-    return low + 0.5 * (np.asarray(action, dtype=np.float64) + 1.0) * (high - low)
 
 
 def _constant(tension: float, tension_range: tuple[float, float]) -> Act:

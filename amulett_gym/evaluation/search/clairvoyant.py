@@ -37,13 +37,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.envs.action import TENSION_RANGE, action_to_tension, tension_to_action
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.evaluation.search.trials import Actions, Trials, held, scheduled
 from amulett_gym.laws.actor import TENSION_SETPOINT
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
-from amulett_gym.laws.policies import action_to_tension, tension_to_action
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.reading import read_arrays
 from amulett_gym.storage.writing import atomic_path

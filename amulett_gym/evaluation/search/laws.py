@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from amulett_gym import __version__
-from amulett_gym.envs.episodes import TENSION_RANGE
+from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Choose, Trials
 from amulett_gym.laws.parametric import LAWS, TUNED, Device, Law
-from amulett_gym.laws.policies import tension_to_action
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.reading import read_json
 from amulett_gym.storage.writing import write_json

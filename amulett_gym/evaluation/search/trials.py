@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym import __version__
-from amulett_gym.envs.episodes import TENSION_RANGE, Episodes, Observations, device_seeds
+from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
+from amulett_gym.envs.episodes import Episodes, Observations, device_seeds
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.envs.transition import FIRST_READING
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
-from amulett_gym.laws.policies import tension_to_action
 from amulett_gym.simulation.layout import RUNNING, Control
 from amulett_gym.simulation.random import derive_keys
 

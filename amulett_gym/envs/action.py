@@ -1,0 +1,41 @@
+"""What an action means: -1 to 1 is the tension setpoint [N] from one end of a range to the other, linearly.
+
+The two formulas are written here only. They keep the type of arrays and numbers, and compiled code uses the same text,
+so that the bits are the same everywhere.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulett_gym.jit.compiled import compiled
+
+TENSION_RANGE = (4.0, 15.0)
+"""Default tension setpoints at action -1 and +1 [N]."""
+
+
+def tension_of(action: Any, low: float, high: float) -> Any:
+    """Return the tension [N] that an action, a number or an array, means in the range from `low` to `high` [N]."""
+    return low + 0.5 * (action + 1.0) * (high - low)
+
+
+def action_of(tension: Any, low: float, high: float) -> Any:
+    """Return the action that means a tension [N], a number or an array, in the range from `low` to `high` [N]."""
+    return 2.0 * (tension - low) / (high - low) - 1.0
+
+
+compiled_tension_of, compiled_action_of = compiled(tension_of), compiled(action_of)
+"""The same for compiled code."""
+
+
+def action_to_tension(action: ArrayLike, tension_range: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the tensions [N] that actions mean, in float64."""
+    return np.asarray(tension_of(np.asarray(action, dtype=np.float64), *tension_range))
+
+
+def tension_to_action(tension: ArrayLike, tension_range: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the actions that mean tensions [N], in float64."""
+    return np.asarray(action_of(np.asarray(tension, dtype=np.float64), *tension_range))
