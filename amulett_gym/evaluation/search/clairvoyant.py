@@ -24,10 +24,9 @@ how it stands beside the contenders.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -44,8 +43,7 @@ from amulett_gym.evaluation.search.trials import Actions, Trials, held, schedule
 from amulett_gym.laws.actor import TENSION_SETPOINT
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.profile import load_profile
-from amulett_gym.storage.reading import read_arrays
-from amulett_gym.storage.writing import atomic_path
+from amulett_gym.storage.kept import digest, kept
 
 VERSION = 2
 """Of the search: one more whenever the same settings would find other schedules."""
@@ -177,7 +175,7 @@ def clairvoyant(
     for first in range(0, count, block):
         scenarios = np.arange(first, min(first + block, count))
         own = {name: actions[scenarios] for name, actions in schedules.items()}
-        found.append(_kept(trials, scenarios, own, effort, folder))
+        found.append(_found(trials, scenarios, own, effort, folder))
         report(int(scenarios[-1]) + 1, count)
     shares = np.array([part.costs.size for part in found]) / count
     return Reference(
@@ -204,7 +202,7 @@ def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actio
 
 def replay(trials: Trials, actions: Actions) -> Values:
     """Return what a schedule for each scenario costs there, the mean over its draws, shape (S,)."""
-    return _play(trials, np.arange(len(actions)), actions[:, None])[:, 0].sum(axis=1)
+    return _cost(trials, np.arange(len(actions)), actions)
 
 
 def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort) -> Reference:
@@ -348,6 +346,11 @@ def _play(trials: Trials, scenarios: Devices, actions: NDArray[np.floating[Any]]
     return np.ascontiguousarray(costs.mean(axis=2))
 
 
+def _cost(trials: Trials, scenarios: Devices, actions: Actions) -> Values:
+    """Return what a schedule for each of some scenarios costs there, shape (len(scenarios),)."""
+    return _play(trials, scenarios, actions[:, None])[:, 0].sum(axis=1)
+
+
 def _rows(trials: Trials, scenarios: Devices) -> Devices:
     """Return all rows of some scenarios, those of one after the other's."""
     return (scenarios[:, None] * trials.draws + np.arange(trials.draws)).reshape(-1)
@@ -385,52 +388,36 @@ def _followed(trials: Trials, name: str) -> Actions:
     return np.array(steps).T
 
 
-def _kept(
+def _found(
     trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort, folder: str | Path | None
 ) -> Reference:
     """Read what was found for these scenarios, or search for it and keep it."""
     if folder is None:
         return improve(trials, scenarios, starts, effort)
-    content = hashlib.sha256(json.dumps([VERSION, asdict(effort), list(starts)]).encode())
-    content.update(trials.digest(_rows(trials, scenarios)).encode())
-    for actions in starts.values():
-        content.update(np.ascontiguousarray(actions).tobytes())
-    digest = content.hexdigest()
     protocol = trials.protocol
-    place = f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
-    path = Path(folder) / protocol.profile.name / place
-    found = _read(path, digest)
-    if found is None:
-        found = improve(trials, scenarios, starts, effort)
-        _write(path, digest, found)
-    return found
+    path = Path(folder) / protocol.profile.name
+    path /= f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
+    settings = json.dumps([VERSION, asdict(effort), list(starts)])
+    inputs = digest(settings, trials.digest(_rows(trials, scenarios)), *starts.values())
 
-
-def _write(path: Path, digest: str, found: Reference) -> None:
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            sha256=np.array(digest),
-            names=np.array(list(found.starts)),
-            starts=np.array(list(found.starts.values())),
-            **{key: getattr(found, key) for key in ("costs", "actions", "restarts", "curve")},
-        )
-
-
-def _read(path: Path, digest: str) -> Reference | None:
-    """Return what a file holds, None if it is not there or was found for something else."""
-    if not path.exists():
-        return None
-    try:
-        arrays = read_arrays(path, "schedules")
-        if str(arrays["sha256"]) != digest:
-            return None
-        return Reference(
+    def unpack(arrays: Mapping[str, NDArray[Any]]) -> Reference:
+        found = Reference(
             starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
             **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
         )
-    except (ValueError, KeyError, TypeError) as error:
-        raise AmulettError(f"cannot read clairvoyant schedules '{path}': {error}; delete it to search again") from error
+        if not np.allclose(_cost(trials, scenarios, found.actions), found.costs, rtol=1e-9):
+            raise ValueError("they cost something else in this version of the simulation")
+        return found
+
+    return kept(path, inputs, lambda: improve(trials, scenarios, starts, effort), _pack, unpack)
+
+
+def _pack(found: Reference) -> dict[str, Any]:
+    return {
+        "names": np.array(list(found.starts)),
+        "starts": np.array(list(found.starts.values())),
+        **{key: getattr(found, key) for key in ("costs", "actions", "restarts", "curve")},
+    }
 
 
 def main(argv: Sequence[str] | None = None) -> None:

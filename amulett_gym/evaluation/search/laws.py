@@ -7,10 +7,10 @@ was found into the package, too. Each independent start is a *stage*: one that i
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Choose, Trials
 from amulett_gym.laws.parametric import LAWS, TUNED, Device, Law
 from amulett_gym.profile import load_profile
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.kept import digest, kept
 from amulett_gym.storage.writing import write_json
 
 Values = NDArray[np.float64]
@@ -111,10 +111,7 @@ def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage
     for seed in recipe.seeds:
         inputs = _inputs(recipe, seed, train, validation)
         path = place / "stages" / f"{name}-{seed}.json"
-        starts[seed] = _read_stage(path, inputs)
-        if starts[seed] is None:
-            starts[seed] = search(recipe, seed, train, validation)
-            write_json(path, {"inputs": inputs, "result": starts[seed]})
+        starts[seed] = kept(path, inputs, partial(search, recipe, seed, train, validation))
         report(f"{name}-{seed}", starts[seed])
     content = _content(recipe, starts, train, validation)
     write_json(place / f"{name}.json", content)
@@ -223,28 +220,12 @@ def _content(
 
 
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
-    """Return everything a start's result hangs on."""
+    """Return everything a start's result depends on."""
+    this = asdict(replace(recipe, seeds=(seed,)))
     law = [asdict(parameter) for parameter in LAWS[recipe.law].parameters]
-    long = {
-        "recipe": asdict(replace(recipe, seeds=(seed,))),
-        "law": law,
-        "scenarios": [train.digest(), validation.digest()],
-        "scipy": scipy.__version__,
-    }
-    digest = hashlib.sha256(json.dumps(long, sort_keys=True).encode()).hexdigest()
-    content: dict[str, Any] = json.loads(json.dumps({"recipe": long["recipe"], "sha256": digest}))
-    return content
-
-
-def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
-    """Return a finished start's result, None if it is not there or was asked for otherwise."""
-    if not path.exists():
-        return None
-    try:
-        content = read_json(path, "stage")
-    except AmulettError as error:
-        raise AmulettError(f"{error}; delete it to do it again") from error
-    return content.get("result") if isinstance(content, dict) and content.get("inputs") == inputs else None
+    scenarios = [train.digest(), validation.digest()]
+    long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}
+    return {"recipe": this, "sha256": digest(long)}
 
 
 def main(argv: Sequence[str] | None = None) -> None:

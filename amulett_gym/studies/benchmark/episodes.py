@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs.reward import prices
-from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
 from amulett_gym.jit.code_cache import fingerprint
 from amulett_gym.laws.bundle import MANIFEST
 from amulett_gym.laws.contenders import Contender, Own
 from amulett_gym.laws.parametric import tuned_names, tuned_vector
-from amulett_gym.storage.reading import read_arrays
-from amulett_gym.storage.writing import atomic_path
+from amulett_gym.storage.kept import digest, kept
 
 VERSION = 1
 """Of what a file holds and how it came about; the compiled code's own fingerprint counts besides."""
@@ -58,22 +54,14 @@ class Played:
 def played(folder: Path, label: str, protocol: Protocol, contender: Contender, keep_schedule: bool = False) -> Run:
     """Return what a contender does under a protocol: read from its file, or played and kept.
 
-    A policy of one's own is played anew each time, since nobody can tell whether a callable is still the same.
-
-    Raises
-    ------
-    AmulettError
-        If a file is damaged.
+    A policy of one's own is played anew each time: a callable has no content to compare.
     """
     if isinstance(contender, Own):
         return play_alone(protocol, contender)
     path = folder / protocol.split / protocol.suite / f"{label}.npz"
-    digest = _digest(protocol, contender, keep_schedule)
-    run = _read(path, digest)
-    if run is None:
-        run = play_alone(protocol, contender)
-        _write(path, digest, run, keep_schedule and acts_from_outside(contender))
-    return run
+    inputs = _digest(protocol, contender, keep_schedule)
+    with_schedule = keep_schedule and acts_from_outside(contender)
+    return kept(path, inputs, lambda: play_alone(protocol, contender), partial(_pack, with_schedule), _unpack)
 
 
 def file_label(name: str) -> str:
@@ -82,23 +70,20 @@ def file_label(name: str) -> str:
 
 
 def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> str:
-    """Return a SHA-256 of all that a run hangs on: scenarios, device, prices, code, and what acts."""
-    content = hashlib.sha256(protocol.profile.model_dump_json().encode())
+    """Return a digest of all that a run depends on: scenarios, device, prices, code, and what acts."""
     settings = [
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
         *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
-        prices(protocol.profile, protocol.suite).tolist(),
+        prices(protocol.profile, protocol.suite),
     ]
-    content.update(json.dumps(settings, default=str).encode())
     name = contender.policy_name or contender.name
+    acting: list[Any] = [name]
     if contender.policy_name is not None and is_bundle(name):
-        content.update((Path(name) / MANIFEST).read_bytes())
+        acting = [(Path(name) / MANIFEST).read_bytes()]
     elif name in tuned_names():
         law, vector = tuned_vector(name, protocol.profile)
-        content.update(law.name.encode() + vector.tobytes())
-    else:
-        content.update(name.encode())
-    return content.hexdigest()
+        acting = [law.name, vector]
+    return digest(protocol.profile.model_dump_json(), settings, *acting)
 
 
 @cache
@@ -107,44 +92,31 @@ def _code() -> str:
     return fingerprint()
 
 
-def _write(path: Path, digest: str, run: Run, with_schedule: bool) -> None:
+def _pack(with_schedule: bool, run: Run) -> dict[str, Any]:
     schedule = run.schedule
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {
+        "metrics": np.array(list(UNITS)),
+        "values": np.array([run.values[metric] for metric in UNITS]),
+        "failures": np.array(run.failures),
+        "families": run.families,
+        "tension_range": np.array(schedule.tension_range),
+    }
     if with_schedule:
-        arrays = {
+        arrays |= {
             "error": schedule.error.astype(np.float32),
             "tension": schedule.tension.astype(np.float32),
             "phase": schedule.phase.astype(np.int8),
             "approach": schedule.approach.astype(np.float32),
         }
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(
-            file,
-            sha256=np.array(digest),
-            metrics=np.array(list(UNITS)),
-            values=np.array([run.values[metric] for metric in UNITS]),
-            failures=np.array(run.failures),
-            families=run.families,
-            tension_range=np.array(schedule.tension_range),
-            **arrays,
-        )
+    return arrays
 
 
-def _read(path: Path, digest: str) -> Run | None:
-    """Return what a file holds, None if it is not there or is about something else."""
-    if not path.exists():
-        return None
-    try:
-        arrays = read_arrays(path, "episodes")
-        if str(arrays["sha256"]) != digest:
-            return None
-        values = dict(zip(arrays["metrics"].tolist(), arrays["values"], strict=True))
-        low, high = arrays["tension_range"].tolist()
-        kept = "error" in arrays
-        error, tension, phase, approach = (
-            arrays[key].astype(np.float64) if kept else np.zeros(0) for key in ("error", "tension", "phase", "approach")
-        )
-        schedule = Schedule(error, tension, phase.astype(np.int64), (low, high), approach)
-        return Run(values, arrays["failures"].tolist(), arrays["families"], schedule)
-    except (ValueError, KeyError, TypeError) as error:
-        raise AmulettError(f"cannot read episodes '{path}': {error}; delete it to play them again") from error
+def _unpack(arrays: Mapping[str, NDArray[Any]]) -> Run:
+    values = dict(zip(arrays["metrics"].tolist(), arrays["values"], strict=True))
+    low, high = arrays["tension_range"].tolist()
+    error, tension, phase, approach = (
+        arrays[key].astype(np.float64) if "error" in arrays else np.zeros(0)
+        for key in ("error", "tension", "phase", "approach")
+    )
+    schedule = Schedule(error, tension, phase.astype(np.int64), (low, high), approach)
+    return Run(values, arrays["failures"].tolist(), arrays["families"], schedule)

@@ -127,12 +127,20 @@ def test_more_scenarios_search_only_what_is_missing(trials, tmp_path, monkeypatc
     assert searched == [[3, 4]]
 
 
-def test_a_damaged_file_is_named(trials, tmp_path):
-    path = tmp_path / "testbed" / "steps-held-out-7.npz"
-    path.parent.mkdir()
-    path.write_bytes(b"PK nothing")
-    with pytest.raises(AmulettError, match="steps-held-out-7.npz.*delete it"):
-        clairvoyant(trials, EFFORT, folder=tmp_path)
+def test_schedules_that_are_damaged_or_of_another_simulation_are_searched_for_again(trials, tmp_path, monkeypatch):
+    short = replace(EFFORT, stages=(Stage(1, 0.1, 0.2, 2.0),))
+    first = clairvoyant(trials, short, folder=tmp_path, block=2)
+    damaged, stale = sorted((tmp_path / "testbed").iterdir())
+    damaged.write_bytes(b"PK nothing")
+    with np.load(stale) as arrays:
+        content = dict(arrays)
+    np.savez(stale, **{**content, "costs": 0.9 * content["costs"]})
+    searched = []
+    improve = module.improve
+    monkeypatch.setattr(module, "improve", lambda *given: searched.append(given[1].tolist()) or improve(*given))
+    for _ in range(2):
+        assert clairvoyant(trials, short, folder=tmp_path, block=2).costs.tolist() == first.costs.tolist()
+    assert searched == [[0, 1], [2]]
 
 
 def test_what_acts_in_the_loop_is_no_start(trials):
