@@ -68,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
     _check(arguments)
+    from amulett_gym.reporting.document import check_document, update_document
     from amulett_gym.studies.speed import document as performance
 
     asked = [name for name in performance.SECTIONS if _asked(arguments, name)]
@@ -75,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     if "c" in asked:
         yardstick()  # refused before anything is measured
     if arguments.doc is not None:
-        performance.check(arguments.doc, asked)
+        check_document(arguments.doc, map(performance.section_marks, asked))
     data: Data = {}
     done: list[str] = []
     interrupted = False
@@ -104,13 +105,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         found = {section: performance.tables(section, data) for section in done}
         texts = {
-            section: "\n\n".join(
+            performance.section_marks(section): "\n\n".join(
                 [f"`{_command(arguments, section)}` on {machine()}", *(table.markdown() for table in made)]
             )
             for section, made in found.items()
             if made
         }
-        performance.update(arguments.doc, texts)
+        update_document(arguments.doc, texts)
         _say(quiet, f"Renewed: {arguments.doc}")
     return 130 if interrupted else 0
 

@@ -42,9 +42,10 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.cli.bench import machine
     from amulett_gym.cli.own_policies import with_zips
     from amulett_gym.laws.contenders import Contender, parse_contender
+    from amulett_gym.reporting.document import check_document
     from amulett_gym.studies.benchmark.claims import check_claims
     from amulett_gym.studies.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
-    from amulett_gym.studies.benchmark.document import check_document, write_document
+    from amulett_gym.studies.benchmark.document import MARKS, write_document
     from amulett_gym.studies.benchmark.page import PAGE, in_words, write_benchmark
     from amulett_gym.studies.benchmark.results import content
     from amulett_gym.studies.benchmark.stages import run_benchmark
@@ -53,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.quick:
         description = quick(description)
     if arguments.doc is not None:
-        check_document(arguments.doc)
+        check_document(arguments.doc, [MARKS], images=True)
     profile = load_profile_of(description, recipes)
     named = with_zips(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-import re
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -14,9 +11,11 @@ from typing import Any
 from amulett_gym import __version__
 from amulett_gym.envs.reward import COST_CAP, default_weights, divisors
 from amulett_gym.envs.transition import MAY_BE_MISSING
-from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.metrics import METRICS, UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, divisors_owner, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
+from amulett_gym.reporting.table import Table, csv_text
+from amulett_gym.reporting.words import EQUAL, span
 from amulett_gym.storage.writing import write_text
 from amulett_gym.tasks.suites import families_of
 
@@ -24,11 +23,6 @@ Summary = dict[str, Any]
 
 COMPARISON_MARKS = ("results.json", "scenarios.csv")
 """Files by which a comparison's folder is recognised."""
-
-EQUAL = "practically 1"
-_MOST_DIGITS = 6
-
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def summarise(results: Results) -> Summary:
@@ -129,67 +123,26 @@ def in_words(summary: Summary) -> str:
     if not summary["yardstick"]["listed"]:
         remarks.append(f"{YARDSTICK} was not asked for; it always runs, as the yardstick")
     notes = "".join(f"Note: {remark}.\n" for remark in remarks)
-    return f"{table(summary)}\n\n{summary['verdict']}\n{notes}".rstrip()
+    return f"{table(summary).text()}\n\n{summary['verdict']}\n{notes}".rstrip()
 
 
-def table(summary: Summary) -> str:
-    """Return the comparison as aligned text: cost, its ratio to eq. 6 with interval, and the main metrics."""
-    header = [
-        "policy",
-        "cost",
-        "ratio to eq6 [95 %]",
-        "pos. ISE [deg2 s]",
-        "effort [deg2/s]",
-        "tens. ISE [N2 s]",
-        "rise [s] (risen)",
-        "rest [N m/rad]",
-        "push [deg]",
-        "failed",
+def table(summary: Summary) -> Table:
+    """Return the comparison as a table: cost, its ratio to eq. 6 with interval, and the main metrics."""
+    shown = ("cost", "position_ise", "effort", "tension_ise", "resting_stiffness", "push_deflection")
+    cost, *metrics = (METRICS[key] for key in shown)
+    rows = [
+        [
+            summary["labels"][name],
+            cost.text(found["cost"]["mean"]),
+            span(found["cost"]["ratio_to_eq6"]),
+            *(metric.text(found[metric.key]["mean"]) for metric in metrics),
+            f"{METRICS['rise_time'].text(found['rise_time']['mean'])} ({risen(found)})",
+            f"{found['failed']['mean']:.0%}",
+        ]
+        for name, found in summary["policies"].items()
     ]
-    rows = [header]
-    for name, metrics in summary["policies"].items():
-        means = {metric: number(entry["mean"]) for metric, entry in metrics.items()}
-        rows.append(
-            [
-                summary["labels"][name],
-                means["cost"],
-                span(metrics["cost"]["ratio_to_eq6"]),
-                number(metrics["position_ise"]["mean"], 4),
-                means["effort"],
-                means["tension_ise"],
-                f"{means['rise_time']} ({risen(metrics)})",
-                means["resting_stiffness"],
-                means["push_deflection"],
-                f"{metrics['failed']['mean']:.0%}",
-            ]
-        )
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = []
-    for row in rows:
-        cells = [cell.rjust(width) for cell, width in zip(row, widths, strict=True)]
-        lines.append("  ".join([row[0].ljust(widths[0]), *cells[1:]]))
-    return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:]])
-
-
-def span(ratio: Mapping[str, float | None]) -> str:
-    """Return a ratio with its interval, with as many digits as it takes to tell it from 1.
-
-    Parameters
-    ----------
-    ratio : mapping
-        ``"mean"``, ``"low"``, ``"high"``; None or NaN where there is none.
-
-    Returns
-    -------
-    str
-        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not tell it from 1.
-    """
-    values = [ratio[key] for key in ("mean", "low", "high")]
-    for digits in range(3, _MOST_DIGITS + 1):
-        mean, low, high = (number(value, digits) for value in values)
-        if values == [1.0] * 3 or any(float(text) != 1.0 for text in (mean, low, high) if text != "-"):
-            return mean if low == high == "-" else f"{mean} [{low}, {high}]"
-    return EQUAL if values[0] is not None and math.isfinite(values[0]) else "-"
+    headings = (metric.heading for metric in metrics)
+    return Table("", ("policy", "cost", "ratio to eq6 [95 %]", *headings, "rise time [s] (risen)", "failed"), rows)
 
 
 def risen(metrics: Mapping[str, Any]) -> str:
@@ -198,35 +151,14 @@ def risen(metrics: Mapping[str, Any]) -> str:
     return f"{metrics['steps_risen']['mean'] / steps:.0%}" if steps else "no steps"
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, a dash if there is none; no exponent below a million."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    if value == 0:
-        return "0"
-    exponent = math.floor(math.log10(abs(value)))
-    if not -4 <= exponent < 6:
-        return f"{value:.{digits - 1}e}"
-    return f"{round(value, digits - 1 - exponent):.{max(digits - 1 - exponent, 0)}f}"
-
-
-def pretty(text: str) -> str:
-    """Return a text with numbers as people write them: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
-    text = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda match: f"×10{str(int(match[1])).translate(_SUPERSCRIPTS)}", text)
-    text = re.sub(r"\b(deg|N|m)2\b", r"\1²", text)
-    return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
-
-
 def write_scenarios(results: Results, path: str | Path) -> None:
     """Write one CSV row for each policy and scenario: seed, failure, and every metric (empty: not reached)."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(["policy", "scenario", "seed", "failure", *UNITS])
-    for name, metrics in results.values.items():
-        for i, failure in enumerate(results.failures[name]):
-            cells = ["" if math.isnan(metrics[metric][i]) else repr(float(metrics[metric][i])) for metric in UNITS]
-            writer.writerow([name, i, results.protocol.seed + i, failure, *cells])
-    write_text(path, buffer.getvalue())
+    rows = (
+        [name, i, results.protocol.seed + i, failure, *(float(metrics[key][i]) for key in METRICS)]
+        for name, metrics in results.values.items()
+        for i, failure in enumerate(results.failures[name])
+    )
+    write_text(path, csv_text(["policy", "scenario", "seed", "failure", *METRICS], rows))
 
 
 def _numbers(estimate: Estimate) -> dict[str, float | None]:

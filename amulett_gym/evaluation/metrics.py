@@ -1,50 +1,130 @@
-"""What a comparison reports about an episode: names, units, and the cost that ranks contenders."""
+"""The registry of metrics: what is reported of an episode, its name, unit and definition; and the cost.
+
+There are two costs. ``cost`` is computed from the metrics below and ranks contenders: neither shaped nor capped. The
+*training cost* is minus the return: what learning minimises, at most `COST_CAP` for each agent step.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs.reward import COST_CAP, COST_TERMS
+from amulett_gym.reporting.words import number
 
-UNITS = {
-    "cost": "1",
-    "cost_position": "1",
-    "cost_effort": "1",
-    "cost_tension": "1",
-    "cost_contact": "1",
-    "cost_failure": "1",
-    "return": "1",
-    "failed": "1",
-    "effort": "deg2/s",
-    "position_ise": "deg2 s",
-    "tension_ise": "N2 s",
-    "isav_biceps": "deg2/s",
-    "isav_triceps": "deg2/s",
-    "iav_biceps": "deg",
-    "iav_triceps": "deg",
-    "rise_time": "s",
-    "settling_time": "s",
-    "overshoot": "deg",
-    "tension_ise_estimated": "N2 s",
-    "isav_kick": "deg2/s",
-    "effort_biceps": "deg2/s",
-    "effort_triceps": "deg2/s",
-    "contact_ise": "N2 m2 s",
-    "contact_peak": "N m",
-    "push_deflection": "deg",
-    "resting_stiffness": "N m/rad",
-    "setpoint_steps": "1",
-    "steps_risen": "1",
-    "steps_settled": "1",
-    "agonist_switches": "1",
-}
-"""Unit of each reported metric, in the order of reports; "1" is dimensionless. `effort` is that of both drives."""
 
-COSTS = ("position", "effort", "tension", "contact", "failure")
+@dataclass(frozen=True)
+class Metric:
+    """A number that is reported of every episode.
+
+    Attributes
+    ----------
+    key : str
+        Its key in ``results.json``, CSV files and ``info["metrics"]``.
+    name : str
+        In tables, figures and text.
+    unit : str
+        "1": dimensionless.
+    meaning : str
+        Its definition, with the paper's equation if it has one.
+    lower_is_better : bool or None
+        None: neither is better by itself.
+    digits : int
+        Significant digits that are shown.
+    paper_name : str
+        What the paper's tables call it, as the reproduction reads them; `name` if empty.
+    """
+
+    key: str
+    name: str
+    unit: str
+    meaning: str
+    lower_is_better: bool | None = None
+    digits: int = 3
+    paper_name: str = ""
+
+    @property
+    def heading(self) -> str:
+        """Name and unit, such as ``"position ISE [deg2 s]"``."""
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    def text(self, value: float | None) -> str:
+        """Return a value as it is shown; a dash if there is none."""
+        return number(value, self.digits)
+
+
+_COST = "share of the cost"
+_DRIVE = "{} of the {}' drive"
+
+_ALL = (
+    Metric("cost", "cost", "1", "sum of the five terms below; what eq. 6 has in training is about 1", True),
+    Metric("cost_position", "cost of position", "1", f"position ISE: {_COST}", True),
+    Metric("cost_effort", "cost of effort", "1", f"effort: {_COST}", True),
+    Metric("cost_tension", "cost of tension", "1", f"tension ISE: {_COST}", True),
+    Metric("cost_contact", "cost of contact", "1", f"contact ISE: {_COST}", True),
+    Metric("cost_failure", "cost of failure", "1", f"{COST_CAP:g} for each agent step left after a failure", True),
+    Metric("return", "return", "1", "sum of the rewards: minus the training cost, which is capped", False),
+    Metric("failed", "failed", "1", "1 if the device left its limits", True),
+    Metric("effort", "effort", "deg2/s", "ISAV (eq. 8) of both drives without the setpoint's jump", True),
+    Metric("position_ise", "position ISE", "deg2 s", "integrated squared error of the true angle (eq. 7)", True, 4),
+    Metric("tension_ise", "tension ISE", "N2 s", "eq. 7 of the antagonist's true force", True),
+    *(
+        Metric(f"isav_{drive}", _DRIVE.format("ISAV", drive), "deg2/s", "eq. 8: squared rate of its command", True)
+        for drive in ("biceps", "triceps")
+    ),
+    *(
+        Metric(f"iav_{drive}", _DRIVE.format("IAV", drive), "deg", "integrated absolute rate of its command", True)
+        for drive in ("biceps", "triceps")
+    ),
+    Metric(
+        "rise_time",
+        "rise time",
+        "s",
+        "from a setpoint step to the first entry into the band around its target; mean over the steps that got there",
+        paper_name="first entry",
+    ),
+    Metric(
+        "settling_time",
+        "settling time",
+        "s",
+        "from a setpoint step to the last entry into the band around its target; mean over the steps that got there",
+        paper_name="rise time (last entry)",
+    ),
+    Metric("overshoot", "overshoot", "deg", "largest excursion beyond the target of a step", True),
+    Metric(
+        "tension_ise_estimated", "tension ISE, estimated", "N2 s", "eq. 7 of the antagonist's estimated force", True
+    ),
+    Metric("isav_kick", "ISAV of the jumps", "deg2/s", "eq. 8 of what the setpoint's jumps alone contribute"),
+    *(
+        Metric(f"effort_{drive}", _DRIVE.format("effort", drive), "deg2/s", "eq. 8 without the setpoint's jump", True)
+        for drive in ("biceps", "triceps")
+    ),
+    Metric("contact_ise", "contact ISE", "N2 m2 s", "integrated square of the contact torque", True),
+    Metric("contact_peak", "peak contact torque", "N m", "largest contact torque", True),
+    Metric("push_deflection", "push deflection", "deg", "largest error while a push acts", True),
+    Metric(
+        "resting_stiffness",
+        "resting stiffness",
+        "N m/rad",
+        "mean joint stiffness while the joint is inside the band around a standing setpoint",
+    ),
+    Metric("setpoint_steps", "setpoint steps", "1", "number of steps of the setpoint"),
+    Metric("steps_risen", "steps risen", "1", "number of steps that have a rise time"),
+    Metric("steps_settled", "steps settled", "1", "number of steps that have a settling time"),
+    Metric("agonist_switches", "agonist switches", "1", "number of switches of the agonist"),
+)
+
+METRICS = {metric.key: metric for metric in _ALL}
+"""All metrics by key, in the order of reports."""
+
+UNITS = {key: metric.unit for key, metric in METRICS.items()}
+"""Unit of each metric."""
+
+COSTS = (*COST_TERMS, "failure")
 """Terms of the cost; ``"cost_" + term`` is reported for each."""
 
 Values = NDArray[np.float64]
@@ -53,8 +133,8 @@ Values = NDArray[np.float64]
 def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[str, Values]:
     """Add what follows from raw metrics: the cost with its terms, whether the device failed, both drives' effort.
 
-    The cost is the sum of each raw metric times its price: its weight over what eq. 6 pays for it, both of the
-    scenario's family. Neither shaped nor capped, unlike the reward: a contender is ranked by what it did.
+    The cost is the sum of each raw metric times its price: its weight over its frozen divisor, both of the scenario's
+    family.
 
     Parameters
     ----------
@@ -68,7 +148,7 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[st
     Returns
     -------
     dict of str to ndarray
-        `raw` and the derived metrics: all of `UNITS` but ``return``.
+        `raw` and the derived metrics: all of `METRICS` but ``return``.
     """
     effort = raw["effort_biceps"] + raw["effort_triceps"]
     terms = {

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from importlib import resources
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jinja2
+from markupsafe import Markup
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.comparison import (
-    COMPARISON_MARKS,
-    Summary,
-    number,
-    pretty,
-    risen,
-    span,
-    summarise,
-    write_scenarios,
-)
+from amulett_gym.evaluation.comparison import COMPARISON_MARKS, Summary, risen, summarise, write_scenarios
 from amulett_gym.evaluation.episode import record_episode
-from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.metrics import METRICS, Metric
 from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
+from amulett_gym.reporting.page import fill_page
+from amulett_gym.reporting.table import Table
+from amulett_gym.reporting.words import interval, pretty, span
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.storage.writing import after_results, files_together, write_json, write_text
 
@@ -40,22 +34,11 @@ RESPONSES = 12
 
 _NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES))
 
-_MAIN = {
-    "cost": "cost",
-    "position_ise": "position ISE",
-    "effort": "effort: ISAV of both drives without the setpoint's jump",
-    "tension_ise": "tension ISE",
-}
-_DETAILS = {
-    "rise_time": "rise time",
-    "settling_time": "settling time",
-    "overshoot": "overshoot",
-    "resting_stiffness": "resting stiffness",
-    "push_deflection": "push deflection",
-    "agonist_switches": "agonist switches",
-    "failed": "failed",
-}
-_LOWER_IS_BETTER = ("cost", "position_ise", "effort", "tension_ise")
+_MAIN = ("cost", "position_ise", "effort", "tension_ise")
+_DETAILS = (
+    *("rise_time", "settling_time", "overshoot", "resting_stiffness", "push_deflection", "agonist_switches"),
+    "failed",
+)
 
 
 def write_report(results: Results, folder: str | Path) -> Summary:
@@ -136,60 +119,45 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
         summary=summary,
         labels=label,
         long_names={name: short for name, short in label.items() if name != short},
-        main=_columns(summary, _MAIN),
-        details=_columns(summary, _DETAILS),
-        everything=_columns(summary, {metric: metric for metric in UNITS}),
-        risen={name: risen(metrics) for name, metrics in summary["policies"].items()},
+        main=_table(summary, _MAIN),
+        details=_table(summary, _DETAILS, ratios=False),
+        everything=_table(summary, METRICS, titles=False),
+        metrics=METRICS.values(),
         failures=_failures(results),
         few=summary["episodes"] < FEW,
         command=summary["command"] or _call(results),
         figures={name: figure_svg(figure, name) for name, figure in figures.items()},
-        pretty=pretty,
         band=round(math.degrees(device.parameters["margin"][0]), 3),
         max_force=device.max_force,
     )
 
 
-def fill_page(template: str, **values: Any) -> str:
-    """Fill one of the package's templates; `style` is what all pages look like.
-
-    Parameters
-    ----------
-    template : str
-        Its path in the package.
-    **values
-        What the template needs; text is escaped.
-    """
-    files = resources.files("amulett_gym")
-    style = files.joinpath("reporting/page.css").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    return environment.from_string(files.joinpath(template).read_text(encoding="utf-8")).render(style=style, **values)
+def _table(summary: Summary, keys: Iterable[str], ratios: bool = True, titles: bool = True) -> Markup:
+    """Return a line for each contender: means, intervals, maybe ratios to eq. 6; under the metrics' names or keys."""
+    label, policies, metrics = summary["labels"], summary["policies"], [METRICS[key] for key in keys]
+    rows = [[label[name], *(_cell(metric, policies, name, ratios) for metric in metrics)] for name in policies]
+    head = [metric.heading if titles else metric.heading.replace(metric.name, metric.key) for metric in metrics]
+    return Table("", ("contender", *head), rows).html("stack lines")
 
 
-def _columns(summary: Summary, titles: dict[str, str]) -> list[dict[str, Any]]:
-    """Return one column of cells for each metric, in words."""
-    columns = []
-    for metric, title in titles.items():
-        entries = {name: metrics[metric] for name, metrics in summary["policies"].items()}
-        means = [entry["mean"] for entry in entries.values() if entry["mean"] is not None]
-        cells = {}
-        for name, entry in entries.items():
-            ratio = entry["ratio_to_eq6"]
-            cells[name] = {
-                "mean": pretty(number(entry["mean"])),
-                "interval": _interval(entry),
-                "ratio": "" if ratio["mean"] is None else pretty(span(ratio)),
-                "best": metric in _LOWER_IS_BETTER and entry["mean"] == min(means),
-                "missing": entry.get("not_reached", 0),
-            }
-        columns.append({"metric": metric, "title": title, "unit": pretty(UNITS[metric]), "cells": cells})
-    return columns
-
-
-def _interval(entry: dict[str, Any]) -> str:
-    if entry["low"] is None and entry["high"] is None:
-        return ""
-    return f"[{pretty(number(entry['low']))}, {pretty(number(entry['high']))}]"
+def _cell(metric: Metric, policies: Mapping[str, Any], name: str, ratios: bool) -> Markup:
+    """Return a mean, bold if it is the best of several, and what has to be known about it below."""
+    entry = policies[name][metric.key]
+    means = {other[metric.key]["mean"] for other in policies.values()} - {None}
+    best = {True: min, False: max}[metric.lower_is_better] if metric.lower_is_better is not None else None
+    is_best = best is not None and len(means) > 1 and entry["mean"] == best(means)
+    below = [interval(entry["low"], entry["high"], metric.digits)]
+    if ratios and entry["ratio_to_eq6"]["mean"] is not None:
+        below.append(f"× eq6: {span(entry['ratio_to_eq6'])}")
+    if metric.key == "rise_time":
+        share = risen(policies[name])
+        below.append(f"{share} of the steps got there" if "%" in share else share)
+    if missing := entry.get("not_reached", 0):
+        below.append(f"none in {missing} scenario{'' if missing == 1 else 's'}")
+    small = Markup("").join(Markup('<span class="small">{}</span>').format(pretty(text)) for text in below)
+    return Markup('<span class="best">{}</span>{}' if is_best else "{}{}").format(
+        pretty(metric.text(entry["mean"])), small
+    )
 
 
 def _failures(results: Results) -> list[str]:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.evaluation.comparison import number, pretty, span
 from amulett_gym.evaluation.metrics import COSTS
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
@@ -45,6 +44,7 @@ from amulett_gym.reporting.style import (
     reach,
     styled,
 )
+from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.simulation.trajectory import Trajectory
 
 _STRINGS = {"biceps": (BICEPS, (0, (4, 1))), "triceps": (TRICEPS, "-")}

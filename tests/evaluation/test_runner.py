@@ -16,11 +16,12 @@ from amulett_gym.envs.reward import DEFAULT_WEIGHTS, divisors
 from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import runner
-from amulett_gym.evaluation.comparison import in_words, number, pretty, span, summarise, table, verdict, write_scenarios
+from amulett_gym.evaluation.comparison import in_words, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS, failure_cost
 from amulett_gym.evaluation.page import write_report
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
+from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.storage.provenance import COMMAND
 from amulett_gym.tasks.suites import families_of
 
@@ -286,9 +287,11 @@ def test_the_verdict_of_one_scenario_promises_nothing():
 
 
 def test_the_table_has_a_line_for_each_policy(results):
-    lines = table(summarise(results)).splitlines()
-    assert [line.split()[0] for line in lines[2:]] == list(results.values)
-    assert len({len(line) for line in lines}) == 1
+    shown = table(summarise(results))
+    assert [row[0] for row in shown.rows] == list(results.values)
+    lines = shown.text().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert {"cost", "position ISE [deg2 s]", "resting stiffness [N m/rad]"} <= set(shown.head)
 
 
 def test_the_csv_holds_every_scenario_exactly(results, tmp_path):

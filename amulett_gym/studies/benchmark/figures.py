@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor
 from amulett_gym.evaluation import plots
-from amulett_gym.evaluation.comparison import number, pretty
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
 from amulett_gym.laws.contenders import CONSTANT, constant_tension
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, FuncFormatter
+from amulett_gym.reporting.words import number, pretty
 from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-import re
+import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
-from amulett_gym.evaluation.comparison import number, pretty
-from amulett_gym.evaluation.page import fill_page
 from amulett_gym.evaluation.runner import YARDSTICK
+from amulett_gym.reporting.page import fill_page
+from amulett_gym.reporting.table import TEXT_WIDTH
+from amulett_gym.reporting.words import number, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
 from amulett_gym.studies.benchmark.results import Content, write_worst
 from amulett_gym.studies.benchmark.stages import Evidence
 from amulett_gym.studies.benchmark.tables import FOLDER as TABLES
-from amulett_gym.studies.benchmark.tables import interval, tables, write_csv
-from amulett_gym.studies.speed.document import Table
+from amulett_gym.studies.benchmark.tables import HOLDS, tables, write_csv
 
 if TYPE_CHECKING:
     from amulett_gym.reporting.style import Figure
 
 RESULTS, PAGE, FIGURES = "benchmark.json", "benchmark.html", "figures"
+
+_COLOURED = {
+    word: Markup(f'<span class="{kind}">{shown}</span>')
+    for word, kind, shown in zip(HOLDS.values(), ("yes", "no", "open"), ("yes", "no", "–"), strict=True)
+}
 
 CAPTIONS = {
     "score": "Score on each suite's first held-out scenarios (their number in brackets), with 95 % intervals. Arrows: "
@@ -82,71 +88,50 @@ def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure
     """Return the page: one HTML file with inline figures, styles and no script."""
     from amulett_gym.reporting.style import figure_svg
 
+    made = tables(found, claims)
+    if claims:
+        rows = [[*row[:4], _COLOURED[row[4]], row[5]] for row in made["claims"].rows]
+        made["claims"] = replace(made["claims"], rows=rows)
     return fill_page(
         "studies/benchmark/benchmark.html.j2",
         found=found,
         verdict=verdict(found, claims),
-        claims=claims,
-        held={True: "yes", False: "no", None: "open"},
-        tables={name: _as_page(table) for name, table in tables(found, claims).items()},
+        titles={name: table.title for name, table in made.items()},
+        tables={
+            name: table.html("stack" if name == "claims" else "stack lines narrow") for name, table in made.items()
+        },
         figures={name: figure_svg(figure, name) for name, figure in figures.items()},
         captions=CAPTIONS,
         description=found["description"],
-        number=lambda value: pretty(number(value)),
-        interval=lambda low, high: pretty(interval(low, high)),
-        pretty=pretty,
     )
 
 
 def verdict(found: Content, claims: Sequence[Claim]) -> str:
     """Say in a few sentences how the learned entry stands, and how many claims hold."""
     place = f"{found['description']['headline']}/held-out"
-    results, best = found["results"][place], found["best_learned"]
-    hand = found["best_by_hand"]
+    results, best, hand = found["results"][place], found["best_learned"], found["best_by_hand"]
     scenarios = f"{found['description']['episodes']} held-out scenarios of {found['description']['headline']}"
+    costs = number(results[hand]["ratio"][YARDSTICK]["mean"])
     if best is None:
-        costs = number(results[hand]["ratio"][YARDSTICK]["mean"])
-        return (
-            f"Nothing was learned here. The best law by hand, {hand}, costs {costs} of what eq. 6 costs in {scenarios}."
-        )
-    against = results[best]["ratio"][YARDSTICK]
+        return f"Nothing was learned. The best hand-tuned law, {hand}, has {costs} of eq. 6's cost in {scenarios}."
     seeds = len(found["entries"][best]["seeds"])
-    text = (
-        f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, costs {number(against['mean'])} "
-        f"{interval(against['low'], against['high'])} of what eq. 6 costs in {scenarios}"
-    )
-    by_hand = results[hand]["ratio"][YARDSTICK]
-    text += f"; the best law by hand, {hand}, costs {number(by_hand['mean'])}."
     judged = [claim for claim in claims if claim.holds is not None]
-    failed = [claim for claim in judged if not claim.holds]
-    text += f" {len(judged) - len(failed)} of {len(judged)} claims hold."
+    failed = [f"{claim.about}: {claim.claim}" for claim in judged if not claim.holds]
+    text = (
+        f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, has "
+        f"{with_interval(results[best]['ratio'][YARDSTICK])} of eq. 6's cost in {scenarios}; the best hand-tuned law, "
+        f"{hand}, has {costs}. {len(judged) - len(failed)} of {len(judged)} claims hold."
+    )
     if failed:
-        shown = [f"{claim.about}: {claim.claim}" for claim in failed[:4]]
-        text += f" Not: {'; '.join(shown)}{'; ...' if len(failed) > 4 else ''}."
+        text += f" Not: {'; '.join(failed[:4])}{'; ...' if len(failed) > 4 else ''}."
     return text
 
 
 def in_words(found: Content, claims: Sequence[Claim]) -> str:
     """Return the benchmark for the terminal: claims, ranking, verdict."""
-    words = {True: "yes", False: "NO", None: "-"}
-    lines = [
-        f"{words[claim.holds]:4}{number(claim.measured):>7} {interval(claim.low, claim.high):16} {claim.about}: "
-        f"{claim.claim}"
-        for claim in claims
-    ]
-    heading = ["What the learned policy is to show: does it hold, measured, 95 %"] if claims else []
-    return "\n\n".join(["\n".join([*heading, *lines]), tables(found, claims)["ranking"].text(), verdict(found, claims)])
-
-
-def _as_page(table: Table) -> dict[str, Any]:
-    return {
-        "title": table.title,
-        "columns": [pretty(column) for column in table.columns],
-        "rows": [[pretty(cell) for cell in row] for row in table.rows],
-        "note": _words(table.note),
-    }
-
-
-def _words(text: str) -> Markup:
-    """Return a text as HTML: numbers as people write them, and `code` as code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(pretty(text)))))
+    made = tables(found, claims)
+    shown = [made["ranking"]]
+    if claims:
+        table = made["claims"]
+        shown = [replace(table, head=table.head[:5], rows=[row[:5] for row in table.rows], left=(0, 1)), *shown]
+    return "\n\n".join([*(table.text() for table in shown), textwrap.fill(verdict(found, claims), TEXT_WIDTH)])

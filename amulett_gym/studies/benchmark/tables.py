@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.evaluation.comparison import number
+from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.laws.contenders import CONSTANT
+from amulett_gym.reporting.table import Table, csv_text
+from amulett_gym.reporting.words import interval, number, with_interval
 from amulett_gym.storage.writing import write_text
 from amulett_gym.studies.benchmark.claims import Claim
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_LAW, Content
-from amulett_gym.studies.speed.document import Table
 
 FOLDER = "tables"
+
+HOLDS = {True: "yes", False: "NO", None: "-"}
+"""Whether a claim holds, in words."""
 
 Estimate = Mapping[str, float | None]
 
@@ -53,14 +55,15 @@ def claims_table(claims: Sequence[Claim]) -> Table:
             claim.claim,
             number(claim.measured, 3),
             interval(claim.low, claim.high),
-            {True: "yes", False: "NO", None: "-"}[claim.holds],
+            HOLDS[claim.holds],
             claim.note,
         ]
         for claim in claims
     ]
     held, judged = sum(claim.holds is True for claim in claims), sum(claim.holds is not None for claim in claims)
-    note = f"{held} of {judged} claims hold. A dash: not measured here, or told without having been claimed."
-    return Table("What the learned policy is to show", ("claim", "measured", "95 %", "holds", "of what"), rows, note)
+    note = f"{held} of {judged} claims hold. A dash: not measured here, or reported without a claim."
+    head = ("on", "claim", "measured", "95 %", "holds", "of what")
+    return Table("What the learned policy is to show", head, rows, note, left=(0, 1, 5))
 
 
 def ranking(found: Content) -> Table:
@@ -72,7 +75,7 @@ def ranking(found: Content) -> Table:
         [
             label(found, name),
             number(results[name]["cost"]["mean"]),
-            *(ratio(results[name]["ratio"].get(other)) for other in (YARDSTICK, overall, TUNED_LAW)),
+            *(with_interval(results[name]["ratio"].get(other)) for other in (YARDSTICK, overall, TUNED_LAW)),
             number(results[name]["iqm"]["mean"]),
             number(results[name]["worst_decile"]["mean"]),
             share(results[name]["better_than"].get(TUNED_LAW)),
@@ -81,8 +84,8 @@ def ranking(found: Content) -> Table:
         ]
         for name in names
     ]
-    columns = (
-        *("cost", "to eq. 6", "to the best constant", "to the tuned richer law", "IQM", "worst decile"),
+    head = (
+        *("", "cost", "to eq. 6", "to the best constant", "to the tuned richer law", "IQM", "worst decile"),
         *("P(better than it)", "failed", "rest [N m/rad]"),
     )
     note = (
@@ -90,7 +93,7 @@ def ranking(found: Content) -> Table:
         "the middle half; worst decile: CVaR; P: probability to cost less than the tuned richer law in a scenario. "
         + _position_only(found)
     )
-    return Table(f"{place.replace('/', ', ')}: all contenders", columns, rows, note)
+    return Table(f"{place.replace('/', ', ')}: all contenders", head, rows, note)
 
 
 def by_suite(found: Content) -> Table:
@@ -104,12 +107,12 @@ def by_suite(found: Content) -> Table:
             [
                 place.replace("/", ", "),
                 f"{best.removeprefix(CONSTANT)} N: {number(results[best]['ratio'][YARDSTICK]['mean'])}",
-                *(ratio(results[name]["ratio"].get(YARDSTICK)) for name in names),
+                *(with_interval(results[name]["ratio"].get(YARDSTICK)) for name in names),
             ]
         )
-    columns = ("best constant there", *(label(found, name) for name in names))
+    head = ("", "best constant there", *(label(found, name) for name in names))
     note = "Cost over that of eq. 6 (text) in the same scenarios. A suite's best constant is chosen on its split train."
-    return Table("Cost as a share of eq. 6's, by suite and split", columns, rows, note)
+    return Table("Cost as a share of eq. 6's, by suite and split", head, rows, note)
 
 
 def scores(found: Content) -> Table | None:
@@ -119,55 +122,39 @@ def scores(found: Content) -> Table | None:
         return None
     names = [name for name in found["entries"] if _is_main(found, name)]
     rows = [
-        [f"{suite} ({goal['scenarios']})", *(ratio(goal["score"].get(name)) for name in names)]
+        [f"{suite} ({goal['scenarios']})", *(with_interval(goal["score"].get(name)) for name in names)]
         for suite, goal in clairvoyant.items()
     ]
     note = (
         "On the suite's first held-out scenarios, whose number is in brackets. 0: the best constant overall; 1: each "
         "scenario's best schedule with the future known. " + _position_only(found)
     )
-    return Table("Score", tuple(label(found, name) for name in names), rows, note)
+    return Table("Score", ("", *(label(found, name) for name in names)), rows, note)
 
 
 def physical(found: Content) -> Table:
     """Return physical metrics on the headline suite, held-out, and their ratios to eq. 6's."""
+    keys = (
+        *("position_ise", "isav_biceps", "isav_triceps", "effort", "contact_ise", "contact_peak", "push_deflection"),
+        "resting_stiffness",
+    )
     place = f"{found['description']['headline']}/held-out"
-    metrics = {
-        "position_ise": "position ISE",
-        "isav_biceps": "ISAV, biceps",
-        "isav_triceps": "ISAV, triceps",
-        "effort": "ISAV without the jump",
-        "contact_ise": "contact ISE",
-        "contact_peak": "contact peak",
-        "push_deflection": "push deflection",
-        "resting_stiffness": "resting stiffness",
-    }
-    results = found["results"][place]
-    rows = [[label(found, name), *_metric_cells(results[name], metrics)] for name in _told(found, results)]
-    columns = tuple(f"{title} [{found['units'][metric]}]" for metric, title in metrics.items())
-    note = "Means over all episodes; in brackets the ratio to eq. 6's. Stiffness is not better or worse by itself."
-    return Table(f"{place.replace('/', ', ')}: physical metrics", columns, rows, note)
+    note = (
+        "Means over all episodes; in brackets the ratio to eq. 6's. Effort is the ISAV of both drives without the "
+        "setpoint's jump. Stiffness is not better or worse by itself."
+    )
+    return _of_metrics(found, place, {key: METRICS[key].name for key in keys}, "physical metrics", note)
 
 
 def paper_step(found: Content) -> Table | None:
     """Return the metrics of the paper's Tables 2-5 on its step, or None if it was not played."""
-    results = found["results"].get(f"{PAPER_STEP}/held-out")
-    if results is None:
+    place = f"{PAPER_STEP}/held-out"
+    if place not in found["results"]:
         return None
-    metrics = {
-        "rise_time": "first entry",
-        "settling_time": "rise time (last entry)",
-        "position_ise": "position ISE",
-        "tension_ise": "tension ISE",
-        "isav_biceps": "ISAV, biceps",
-        "isav_triceps": "ISAV, triceps",
-        "overshoot": "overshoot",
-    }
-    rows = [[label(found, name), *_metric_cells(results[name], metrics)] for name in _told(found, results)]
-    columns = tuple(f"{title} [{found['units'][metric]}]" for metric, title in metrics.items())
-    return Table(
-        "The paper's step", columns, rows, "In brackets the ratio to eq. 6's. Episodes differ by sensor noise."
-    )
+    keys = (*("rise_time", "settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps", "overshoot"),)
+    names = {key: METRICS[key].paper_name or METRICS[key].name for key in keys}
+    note = "In brackets the ratio to eq. 6's. Episodes differ by sensor noise."
+    return _of_metrics(found, place, names, "", note)
 
 
 def constants(found: Content) -> Table:
@@ -182,10 +169,10 @@ def constants(found: Content) -> Table:
         ]
         for suite, costs in tried.items()
     ]
-    columns = (*(f"{name.removeprefix(CONSTANT)} N" for name in names), "best")
+    head = ("", *(f"{name.removeprefix(CONSTANT)} N" for name in names), "best")
     overall = found["constants"]["overall"].removeprefix(CONSTANT)
     note = f"Mean cost on the split train, by which constants are chosen: overall, that is on the mix, {overall} N."
-    return Table("How the best constant differs between suites", columns, rows, note)
+    return Table("How the best constant differs between suites", head, rows, note)
 
 
 def by_seed(found: Content) -> Table | None:
@@ -209,18 +196,11 @@ def by_seed(found: Content) -> Table | None:
                         f"{run['seconds']:.0f}",
                     ]
                 )
-    columns = (
-        *(
-            "cost",
-            "to eq. 6",
-            "to the tuned richer law",
-            "on validation",
-            "steps of the best policy",
-            "steps",
-            "seconds",
-        ),
+    head = (
+        *("", "cost", "to eq. 6", "to the tuned richer law", "training cost, validation", "steps of the best policy"),
+        *("steps", "seconds"),
     )
-    return Table("Training seeds, one by one", columns, rows) if rows else None
+    return Table("Training seeds, one by one", head, rows) if rows else None
 
 
 def ablations(found: Content) -> Table | None:
@@ -230,13 +210,13 @@ def ablations(found: Content) -> Table | None:
     names = [name for name, entry in found["entries"].items() if entry["kind"] == "ablation"]
     if not names:
         return None
-    metrics = {"position_ise": "position ISE", "effort": "ISAV without the jump", "contact_ise": "contact ISE"}
+    metrics = ("position_ise", "effort", "contact_ise")
     rows = [
-        [label(found, name), ratio(results[name]["ratio"][YARDSTICK]), *_metric_cells(results[name], metrics)]
+        [label(found, name), with_interval(results[name]["ratio"][YARDSTICK]), *_metric_cells(results[name], metrics)]
         for name in (found["best_learned"], *names)
     ]
     note = "Trained again with one weight at zero, one seed each; judged by the same cost as all."
-    return Table("Without a reward term", ("cost to eq. 6", *metrics.values()), rows, note)
+    return Table("Without a reward term", ("", "cost to eq. 6", *(METRICS[key].heading for key in metrics)), rows, note)
 
 
 def references(found: Content) -> Table | None:
@@ -249,8 +229,8 @@ def references(found: Content) -> Table | None:
                 [
                     f"{kind}, {suite} ({goal['scenarios']})",
                     number(goal["cost"], 4),
-                    ratio(goal["ratio_to_eq6"]),
-                    "-" if best is None else ratio(goal["share_from_hand"][best]),
+                    with_interval(goal["ratio_to_eq6"]),
+                    "-" if best is None else with_interval(goal["share_from_hand"][best]),
                     number(goal["with_other_noise"], 4),
                     f"{goal['last_quarter']:.2%}",
                     " and ".join(number(cost, 4) for cost in goal["searches_alone"]),
@@ -259,10 +239,16 @@ def references(found: Content) -> Table | None:
                 ]
             )
     for name, goal in found["references"]["causal"].items():
-        shares = ratio(goal["ratio_to_eq6"]), ratio(goal["share_from_hand"].get(best))
+        shares = with_interval(goal["ratio_to_eq6"]), with_interval(goal["share_from_hand"].get(best))
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
-    columns = (
-        *("cost", "to eq. 6", "share of the way" if best is None else f"share of the way, {best}", "with other noise"),
+    head = (
+        *(
+            "",
+            "cost",
+            "to eq. 6",
+            "share of the way" if best is None else f"share of the way, {best}",
+            "with other noise",
+        ),
         "found in the last quarter",
         *("searches alone", "second search finds", "beaten by an entry"),
     )
@@ -278,7 +264,7 @@ def references(found: Content) -> Table | None:
         "acts in the loop plays by other rules, another one shows that the search fell short, or that to answer "
         "the noise is worth more than to foresee."
     )
-    return Table("References", columns, rows, note) if rows else None
+    return Table("References", head, rows, note) if rows else None
 
 
 def budgets(found: Content) -> Table | None:
@@ -292,10 +278,8 @@ def budgets(found: Content) -> Table | None:
             rows.append([name, f"{episodes[-1]:,}", f"{len(times)}", f"{times[0]:.0f} to {times[-1]:.0f}"])
         else:
             rows.append([name, f"{entry['tuned_episodes']:,}", f"{len(entry['recipe']['seeds'])} starts together", "-"])
-    columns = ("simulated episodes", "runs", "seconds")
-    return (
-        Table("What learning and tuning took", columns, rows, "Episodes of one run, of all starts.") if rows else None
-    )
+    head = ("", "simulated episodes", "runs", "seconds")
+    return Table("What learning and tuning took", head, rows, "Episodes of one run, of all starts.") if rows else None
 
 
 def worst(found: Content) -> Table | None:
@@ -309,9 +293,9 @@ def worst(found: Content) -> Table | None:
         ]
         for item in found["worst"]
     ]
-    columns = ("learned", f"by hand ({found['best_by_hand']})", "eq. 6", "loses", "scenario")
+    head = ("", "learned", f"hand-tuned ({found['best_by_hand']})", "eq. 6", "loses", "scenario")
     note = "Costs, of the learned entry the mean over its seeds. Replay: `amulett simulate --scenario FILE --law ...`."
-    return Table("Where the learned policy loses most", columns, rows, note) if rows else None
+    return Table("Where the learned policy loses most", head, rows, note) if rows else None
 
 
 def write_csv(found: Content, claims: Sequence[Claim], folder: Path) -> list[Path]:
@@ -340,14 +324,9 @@ def write_csv(found: Content, claims: Sequence[Claim], folder: Path) -> list[Pat
             ),
         ),
     }
-    paths = []
-    for name, (header, rows) in files.items():
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(["" if cell is None else cell for cell in row] for row in rows)
-        paths.append(folder / f"{name}.csv")
-        write_text(paths[-1], buffer.getvalue())
+    paths = [folder / f"{name}.csv" for name in files]
+    for path, (head, rows) in zip(paths, files.values(), strict=True):
+        write_text(path, csv_text(head, rows))
     return paths
 
 
@@ -382,6 +361,14 @@ def _three(estimate: Estimate) -> tuple[float | None, float | None, float | None
     return estimate["mean"], estimate["low"], estimate["high"]
 
 
+def _of_metrics(found: Content, place: str, names: Mapping[str, str], title: str, note: str) -> Table:
+    """Return metrics of all entries on a suite and split, under the names that are given."""
+    results = found["results"][place]
+    rows = [[label(found, name), *_metric_cells(results[name], names)] for name in _told(found, results)]
+    head = ("", *(f"{name} [{found['units'][key]}]" for key, name in names.items()))
+    return Table(f"{place.replace('/', ', ')}: {title}" if title else "The paper's step", head, rows, note)
+
+
 def _metric_cells(numbers: Content, metrics: Iterable[str]) -> list[str]:
     cells = []
     for metric in metrics:
@@ -408,26 +395,9 @@ def label(found: Content, name: str) -> str:
     return f"{name} ({count} seeds)" if count > 1 else name
 
 
-def ratio(estimate: Estimate | None) -> str:
-    """Return a ratio with its interval."""
-    if estimate is None or estimate["mean"] is None:
-        return "-"
-    bounds = interval(estimate["low"], estimate["high"])
-    return (
-        f"{number(estimate['mean'])} {bounds}".rstrip()
-        if estimate["low"] != estimate["high"]
-        else number(estimate["mean"])
-    )
-
-
 def share(estimate: Estimate | None) -> str:
     """Return a probability in percent."""
     return "-" if estimate is None or estimate["mean"] is None else f"{estimate['mean']:.0%}"
-
-
-def interval(low: float | None, high: float | None) -> str:
-    """Return an interval in brackets; nothing if there is none."""
-    return "" if low is None or high is None else f"[{number(low)}, {number(high)}]"
 
 
 def _position_only(found: Content) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup, escape
 
 from amulett_gym import __version__
-from amulett_gym.evaluation.comparison import number, pretty
+from amulett_gym.reporting.words import number, pretty
 from amulett_gym.studies.paper.claims import CheckedClaim
 from amulett_gym.studies.paper.evidence import Evidence
 from amulett_gym.studies.paper.figures import CAPTIONS, with_remark
@@ -61,7 +61,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
     figures : mapping of str to Figure
         By the names of `figures.CAPTIONS`; may be empty.
     """
-    from amulett_gym.evaluation.page import fill_page
+    from amulett_gym.reporting.page import fill_page
     from amulett_gym.reporting.style import figure_svg
 
     reproduction, claims, found = evidence.reproduction, evidence.claims, evidence.identification

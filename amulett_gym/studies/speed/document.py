@@ -6,55 +6,15 @@ Every table is a function of the plain data that ``--json`` writes.
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from amulett_gym.reporting.document import between_marks
-from amulett_gym.storage.reading import read_text
-from amulett_gym.storage.writing import check_writable, write_text
+from amulett_gym.reporting.document import Marks, marks
+from amulett_gym.reporting.table import Table
 
 SECTIONS = ("speed", "c", "ppo", "time-to-beat", "scale", "peers")
 
 Data = Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Table:
-    """A titled table and what has to be said about it.
-
-    Attributes
-    ----------
-    title : str
-    columns : tuple of str
-    rows : list of list of str
-        The first cell of each is a name, the others are numbers.
-    note : str
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: list[list[str]]
-    note: str = ""
-
-    def text(self) -> str:
-        """Return it with aligned columns."""
-        lines = [["", *self.columns], *self.rows]
-        widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-        body = [
-            "  ".join(
-                [line[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True))]
-            )
-            for line in lines
-        ]
-        return "\n".join([self.title, *(line.rstrip() for line in body), *([self.note] if self.note else [])])
-
-    def markdown(self) -> str:
-        """Return it as Markdown, under a heading."""
-        lines = [["", *self.columns], ["---", *["---:"] * len(self.columns)], *self.rows]
-        body = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-        return f"### {self.title}\n\n{body}" + (f"\n\n{self.note}" if self.note else "")
 
 
 def tables(section: str, data: Data) -> list[Table]:
@@ -62,43 +22,9 @@ def tables(section: str, data: Data) -> list[Table]:
     return _TABLES[section](data)
 
 
-def update(path: str | Path, texts: Mapping[str, str]) -> None:
-    """Put each section's text between its two marks of a document, in the place of what was there.
-
-    Sections that are not given stay as they are: the long ones are measured apart.
-
-    Raises
-    ------
-    AmulettError
-        If the file cannot be read or written, or has not both marks of each section once, in their order.
-    """
-    document = read_text(path, "document")
-    for section, text in texts.items():
-        document = between_marks(document, path, *marks(section), text)
-    write_text(path, document)
-
-
-def check(path: str | Path, sections: Iterable[str]) -> None:
-    """Refuse a document that could not be renewed, before any work.
-
-    Raises
-    ------
-    AmulettError
-        As `update`.
-    """
-    document = read_text(path, "document")
-    for section in sections:
-        between_marks(document, path, *marks(section), "")
-    check_writable(path)
-
-
-def marks(section: str) -> tuple[str, str]:
+def section_marks(section: str) -> Marks:
     """Return the lines of a document between which a section is written."""
-    option = "" if section == "speed" else f" --{section}"
-    return (
-        f"<!-- Written by `amulett bench{option} --doc`; edit around it. -->",
-        f"<!-- End of what `amulett bench{option}` wrote. -->",
-    )
+    return marks("amulett bench" if section == "speed" else f"amulett bench --{section}")
 
 
 def _speed(data: Data) -> list[Table]:
@@ -116,7 +42,7 @@ def _speed(data: Data) -> list[Table]:
         "Medians of interleaved turns. Ratio: to Pendulum-v1 (single), to CartPole-v1 (vector); 1.3 or less is a tie."
     )
     return [
-        Table("Kernel and environments", ("agent steps/s", "slowest", "fastest", "ticks/s", "ratio"), rows, note),
+        Table("Kernel and environments", ("", "agent steps/s", "slowest", "fastest", "ticks/s", "ratio"), rows, note),
     ]
 
 
@@ -141,7 +67,7 @@ def _c(data: Data) -> list[Table]:
                 f"{ratio:.2f} ({least:.2f}-{most:.2f})",
             ]
         )
-    columns = ("kernel", "C, strict scalar", "C, strict SIMD", "C, SIMD, fast math", "kernel to strict scalar C")
+    columns = ("", "kernel", "C, strict scalar", "C, strict SIMD", "C, SIMD, fast math", "kernel to strict scalar C")
     note = "Million ticks a second on one core; medians of interleaved turns; the ratio turn by turn (least-most)."
     return [Table(f"The kernel beside the same tick in C, {data['c_devices']:,} devices", columns, rows, note)]
 
@@ -162,7 +88,7 @@ def _ppo(data: Data) -> list[Table]:
         "is as many of each as an episode takes, the ratio turn by turn (least-most). Milliseconds are what a step "
         "of all devices takes on average: in the rollout, and as its share of the update."
     )
-    columns = ("agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
+    columns = ("", "agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
     return [Table("PPO of Stable-Baselines3", columns, rows, note)]
 
 
@@ -185,6 +111,7 @@ def _time_to_beat(data: Data) -> list[Table]:
             ]
         )
     columns = (
+        "",
         "first cost",
         f"below eq. 6 ({lines['eq6']:.3f}) [s]",
         f"below the lower of eq. 6 and {lines['constant_tension']:g} N ({lines['lower']:.3f}) [s]",
@@ -211,7 +138,7 @@ def _scale(data: Data) -> list[Table]:
         made.append(
             Table(
                 "Cost of a device's step [ns], testbed, one core",
-                ("median", "least", "most"),
+                ("", "median", "least", "most"),
                 rows,
                 "By number of devices in a vector environment: observations, rewards and infos included; "
                 "autoreset where turns are longer than episodes, up to about a thousand devices.",
@@ -223,7 +150,7 @@ def _scale(data: Data) -> list[Table]:
             for size, row in scale["two_threads"].items()
         ]
         note = "By number of devices; turn by turn (least-most). It pays where a second core is free."
-        made.append(Table("Two threads to one, testbed", ("times as fast",), rows, note))
+        made.append(Table("Two threads to one, testbed", ("", "times as fast"), rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
         rows = [
@@ -234,7 +161,7 @@ def _scale(data: Data) -> list[Table]:
                 "not told here" if memory["resident"] is None else f"{memory['resident']:,.0f}",
             ],
         ]
-        made.append(Table("Memory of a device [bytes]", (f"{memory['devices']:,} devices",), rows))
+        made.append(Table("Memory of a device [bytes]", ("", f"{memory['devices']:,} devices"), rows))
     if "long_run" in scale:
         made.append(_long_run(scale["long_run"]))
     return made
@@ -252,7 +179,7 @@ def _long_run(run: Data) -> Table:
         ["change of the string tensions in its second half [N]", f"{run['lone_tension_change_n']:.1e}"],
     ]
     title = f"{run['simulated_s'] / 60:.0f} minutes of simulated time, {run['devices']:,} devices"
-    return Table(title, ("",), rows)
+    return Table(title, ("", ""), rows)
 
 
 def _peers(data: Data) -> list[Table]:
@@ -270,6 +197,7 @@ def _peers(data: Data) -> list[Table]:
         rows.append([name, *cells])
     profiles = [name.removeprefix("single, ") for name in ours]
     columns = (
+        "",
         "agent steps/s",
         "inner ticks/s",
         *(f"{what}: {profile} to it" for what in ("steps", "ticks") for profile in profiles),

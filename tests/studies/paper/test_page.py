@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
-from amulett_gym.evaluation.comparison import number, pretty
+from amulett_gym.reporting.words import number, pretty
 from amulett_gym.studies.paper import reproduction as definitions
 from amulett_gym.studies.paper.claims import CLAIMS, check_claims
 from amulett_gym.studies.paper.evidence import Evidence

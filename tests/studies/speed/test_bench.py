@@ -16,9 +16,10 @@ from amulett_gym.c.build import find_compiler
 from amulett_gym.cli import bench, build_parser, main
 from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting.document import update_document
 from amulett_gym.studies.speed import document as performance
 from amulett_gym.studies.speed import peers, scale
-from amulett_gym.studies.speed.document import SECTIONS, Table, marks, tables, update
+from amulett_gym.studies.speed.document import SECTIONS, section_marks, tables
 from amulett_gym.studies.speed.rates import Speed, kernel, race, ratios
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "performance.md"
@@ -219,34 +220,13 @@ def test_scale_measures_memory_sizes_and_the_long_run(brief, monkeypatch, long_r
 # --- tables
 
 
-def test_a_table_is_text_and_markdown():
-    table = Table("Title", ("a", "bb"), [["one", "1", "2"], ["twelve", "12", "34"]], "Note.")
-    assert table.text().splitlines() == ["Title", "         a  bb", "one      1   2", "twelve  12  34", "Note."]
-    assert "| twelve | 12 | 34 |" in table.markdown()
-
-
 def test_a_section_that_was_not_measured_has_no_table():
     assert [tables(section, {}) for section in SECTIONS] == [[]] * len(SECTIONS)
 
 
-def test_a_document_is_renewed_section_by_section(tmp_path):
-    path = tmp_path / "performance.md"
-    path.write_text("before\n" + "\nbetween\n".join("\n".join(marks(section)) for section in SECTIONS) + "\nafter\n")
-    update(path, {"ppo": "first", "peers": "kept"})
-    update(path, {"ppo": "second"})
-    text = path.read_text()
-    assert "first" not in text and "kept" in text and "second" in text
-    assert text.startswith("before\n") and text.endswith("\nafter\n")
-    assert text.count("between") == len(SECTIONS) - 1
-    begin, _ = marks("ppo")
-    path.write_text(text + begin)
-    with pytest.raises(AmulettError, match="has to hold the line '<!-- Written by `amulett bench --ppo --doc`"):
-        update(path, {"ppo": "third"})
-
-
 def test_the_document_has_a_place_for_every_section(tmp_path):
     document = shutil.copy(DOCUMENT, tmp_path / "performance.md")
-    update(document, dict.fromkeys(SECTIONS, "measured"))
+    update_document(document, {section_marks(section): "measured" for section in SECTIONS})
     assert document.read_text().count("measured\n\n<!-- End") == len(SECTIONS)
 
 
