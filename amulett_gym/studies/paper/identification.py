@@ -22,7 +22,7 @@ from scipy.optimize import differential_evolution
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
-from amulett_gym.profile import Profile, load_profile
+from amulett_gym.profile import STABLE_STEP, Profile, load_profile
 from amulett_gym.studies.paper.reproduction import BOUNDS, MEASUREMENT_TIME, Readings, Row, compare, measure
 from amulett_gym.studies.paper.tables import DEVICES, TABLES_2_TO_5
 
@@ -157,7 +157,26 @@ class Fit:
 
 
 def unpack(vector: Values) -> dict[str, float]:
-    """Turn a search vector, whose numbers go from 0 to 1 between the bounds, into named parameters."""
+    """Turn a search vector, whose numbers go from 0 to 1 between the bounds, into named parameters.
+
+    Every vector gives devices that a profile allows: a lag too short for the control period is raised to the least one.
+    """
+    parameters = _unbounded(vector)
+    return {**parameters, "testbed.lag": max(parameters["testbed.lag"], _least_lag(parameters))}
+
+
+def allowed(vector: Values) -> bool:
+    """Return whether `unpack` takes a vector as it is; one that it changes is no candidate of a search."""
+    parameters = _unbounded(vector)
+    return parameters["testbed.lag"] >= _least_lag(parameters)
+
+
+def _least_lag(parameters: Mapping[str, float]) -> float:
+    """Return the shortest lag of the testbed's drives [s] that its integration steps resolve."""
+    return parameters["testbed.control_period"] / load_profile("testbed").loop.substeps / STABLE_STEP
+
+
+def _unbounded(vector: Values) -> dict[str, float]:
     parameters = {}
     for free, place in zip(PARAMETERS, vector.tolist(), strict=True):
         if free.choices:
@@ -276,10 +295,13 @@ def objective(readings: Readings, without: str | None = None) -> Callable[[Value
     """Return the cost as a function of the search vector; `without` leaves out one configuration, on both devices."""
 
     def value(vector: Values) -> float:
+        worst = cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
+        if not allowed(vector):
+            return worst
         try:
             rows = reproduced(unpack(vector), readings)
-        except AmulettError:  # springs too weak for a starting posture, a potentiometer that does not reach
-            return cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
+        except AmulettError:  # springs too weak for a starting posture
+            return worst
         seen = [row for row in rows if row.cell.configuration != without]
         return cost([residual(row) for row in seen], [WEIGHTS[row.cell.metric] for row in seen])
 

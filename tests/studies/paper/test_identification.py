@@ -1,5 +1,6 @@
 """The search finds what it is given, the same way every time, and the shipped profiles are what it found."""
 
+import itertools
 import json
 import os
 import signal
@@ -24,6 +25,7 @@ from amulett_gym.studies.paper import identification, reproduction, study
 from amulett_gym.studies.paper.identification import (
     EQUAL,
     PARAMETERS,
+    allowed,
     cost,
     devices,
     ensemble,
@@ -60,6 +62,39 @@ def test_a_search_vector_turns_into_parameters_and_back(vector):
     assert unpack(pack(parameters)) == pytest.approx(parameters)
     for free in PARAMETERS:
         assert free.low * (1 - 1e-9) <= parameters[free.name] <= free.high * (1 + 1e-9)
+
+
+def test_the_whole_box_holds_devices_that_a_profile_allows():
+    """All corners of every two parameters, the others in the middle or at either end, and what is between.
+
+    An integration step of the longest control period is too long for the shortest lag.
+    """
+    size = len(PARAMETERS)
+    corners = {(base,) * size for base in (0.0, 0.5, 1.0)}
+    for base in (0.0, 0.5, 1.0):
+        for i, j in itertools.combinations(range(size), 2):
+            for one, other in itertools.product((0.0, 1.0), repeat=2):
+                corner = [base] * size
+                corner[i], corner[j] = one, other
+                corners.add(tuple(corner))
+    between = np.random.default_rng(0).uniform(size=(100, size))
+    for vector in [*map(np.array, sorted(corners)), *between]:
+        parameters = unpack(vector)
+        devices(parameters)
+
+
+def test_what_no_device_can_be_costs_most_and_is_not_simulated(monkeypatch):
+    names = [free.name for free in PARAMETERS]
+    corner = np.full(len(names), 0.5)
+    corner[names.index("testbed.lag")], corner[names.index("testbed.control_period")] = 0.0, 1.0
+    assert not allowed(corner)
+    assert unpack(corner)["testbed.lag"] == 0.004
+    value = objective(Readings())
+    most = cost([identification.OUT_OF_REACH] * 40)
+    monkeypatch.setattr(identification, "reproduced", lambda *_: pytest.fail("simulated"))
+    assert value(corner) == most
+    corner[names.index("testbed.control_period")] = 0.0
+    assert allowed(corner)
 
 
 @given(vectors)
