@@ -166,11 +166,23 @@ def test_what_a_switch_changes_begins_at_the_switch(switching):
         assert switch.deviation == pytest.approx(np.abs(angle - np.degrees(without["angle"])).max())
 
 
-def test_the_position_has_no_peak_at_a_switch(switching):
-    trajectory = switching.trajectory
-    for row, switch in zip(switch_rows(trajectory), switching.switches, strict=True):
-        apart = np.degrees(trajectory["angle"][row + 1] - switch.without["angle"][1])
-        assert abs(apart) < 0.005 * PROTOCOL.position_margin_deg
+def test_a_switch_moves_the_joint_by_little_more_than_its_error_margin(switching):
+    """Over the whole window: the drives lag by 0.14 s, so that a jump of their commands shows only after a while.
+
+    The paper sees "no visible peaks". Here the switches move the joint by up to 2.3 deg, somewhat more than its margin.
+    """
+    margin = PROTOCOL.position_margin_deg
+    assert margin < max(switch.deviation for switch in switching.switches) < 1.25 * margin
+
+
+def test_without_the_tension_controller_a_switch_does_not_move_the_joint_at_all():
+    """What a switch does then is what its offsets do: nothing, or the position would peak."""
+    gains = {"kp": 0.0, "ki": 0.0, "kd": 0.0}
+    run = switching_run(device("testbed", loop={"tension": gains}), READINGS)
+    assert run.switches
+    for switch in run.switches:
+        assert switch.without["time"][-1] - switch.time == pytest.approx(SWITCH_WINDOW)
+        assert switch.deviation < 1e-9
 
 
 def test_switching_is_on_in_figure_9_whatever_the_other_figures_take(switching):
