@@ -21,6 +21,7 @@ from amulett_gym.studies.paper.results import (
     bounds_in_words,
     cost_in_words,
     determined_in_words,
+    force_rise_table,
     search_varies,
     sensitivity_tables,
     springs_table,
@@ -56,6 +57,7 @@ def block(evidence: Evidence, figures: Mapping[str, str]) -> str:
     parts = [
         *([] if evidence.folder is None else [status(evidence)]),
         _rows(evidence.reproduction),
+        _force_rises(evidence),
         _readings(evidence.reproduction, evidence.identification),
         _predicted(evidence.predicted),
         _spread(evidence.identification),
@@ -119,6 +121,11 @@ def _rows(reproduction: Reproduction) -> str:
         f"### Tables 2-5\n\n{bounds_in_words()} {total} of {len(reproduction.rows)} are. In the table: paper / ours "
         f"(ratio); **bold**: not explained.\n\n{_table(titles, body)}"
     )
+
+
+def _force_rises(evidence: Evidence) -> str:
+    table = force_rise_table(evidence)
+    return f"### Rise time of the string force\n\n{table['title']}.\n\n{_table(table['head'], table['body'])}"
 
 
 def _cell(row: Row) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from amulett_gym.studies.paper.claims import CheckedClaim, check_claims
 from amulett_gym.studies.paper.figures import remarks
 from amulett_gym.studies.paper.hypotheses import Answer, answer_hypotheses
-from amulett_gym.studies.paper.motion import observe
+from amulett_gym.studies.paper.motion import ForceRise, force_rise_times, observe
 from amulett_gym.studies.paper.own_study import OwnStudy
 from amulett_gym.studies.paper.reproduction import Reproduction, Row, reproduce
 from amulett_gym.studies.paper.sensitivity import Sensitivity, vary
@@ -35,6 +35,8 @@ class Evidence:
         What the figures show on these devices, by the figures' names (`figures.remarks`).
     sensitivity : Sensitivity
         What the judgement calls are worth that no table decides (`sensitivity.vary`).
+    force_rises : tuple of ForceRise
+        The string force's rise times (`motion.force_rise_times`).
     folder : str or None
         Of the study that the devices come from; None for the shipped one.
     """
@@ -47,6 +49,7 @@ class Evidence:
     hypotheses: tuple[Answer, ...]
     remarks: dict[str, str]
     sensitivity: Sensitivity
+    force_rises: tuple[ForceRise, ...]
     folder: str | None = None
 
 
@@ -75,5 +78,6 @@ def gather(study: OwnStudy | None = None) -> Evidence:
         answer_hypotheses({**our_numbers(reproduction), **observed}),
         remarks(reproduction.profiles, reproduction.readings),
         vary(reproduction.profiles, reproduction.readings),
+        force_rise_times(reproduction.profiles, reproduction.readings),
         None if study is None else study.folder,
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,10 +12,24 @@ from amulett_gym.evaluation.signals import acting, force_feedback
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.kernel import joint_stiffness
 from amulett_gym.simulation.trajectory import record
-from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Readings, Reproduction, apply_readings
-from amulett_gym.studies.paper.runs import HOLD, MOVES_FROM, STEPS, follow, paper_step, start, there_and_back
+from amulett_gym.studies.paper.reproduction import (
+    MEASUREMENT_TIME,
+    Readings,
+    Reproduction,
+    apply_readings,
+)
+from amulett_gym.studies.paper.runs import (
+    HOLD,
+    MOVES_FROM,
+    STEPS,
+    antagonist_force,
+    follow,
+    paper_step,
+    start,
+    there_and_back,
+)
 from amulett_gym.studies.paper.switching import switching_run
-from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL
+from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, repetitions
 from amulett_gym.tasks.suites import START
 
 _TO_DEGREES = math.degrees(1.0)
@@ -68,6 +83,70 @@ force_swings
 switching_ise, fixed_ise
     Position ISE with the agonist switching, and with the biceps as agonist throughout.
 """
+
+
+@dataclass(frozen=True)
+class ForceRise:
+    """When the string force reaches its error margin of 5 % after the paper's step (section 2.2).
+
+    The paper defines this rise time and prints none. Force and setpoint are those of Table 4: the antagonist's true
+    force in the simulation, its estimate on the testbed.
+
+    Attributes
+    ----------
+    profile, configuration : str
+    first_entry : float or None
+        Time from the step to the first moment within the margin, mean over the repetitions [s]; 0 where the step finds
+        the force within it. None: not reached in all repetitions, or one of them failed.
+    last_entry : float or None
+        Time to the last entry, mean over those repetitions that are within the margin at T [s]; None: there are none.
+    inside_at_end, repetitions : int
+        Repetitions that are within the margin at T, and all of them.
+    share_inside : float
+        Part of the last second before T that the force is within the margin [1].
+    """
+
+    profile: str
+    configuration: str
+    first_entry: float | None
+    last_entry: float | None
+    inside_at_end: int
+    repetitions: int
+    share_inside: float
+
+
+def force_rise_times(profiles: Mapping[str, Profile], readings: Readings) -> tuple[ForceRise, ...]:
+    """Return the string force's rise times for each device and configuration of Tables 2-5.
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold the posture at which a configuration starts.
+    """
+    return tuple(_force_rise(profiles[name], name, item, readings) for name in DEVICES for item in CONFIGURATIONS)
+
+
+def _force_rise(profile: Profile, name: str, configuration: str, readings: Readings) -> ForceRise:
+    device = apply_readings(profile, readings)
+    keys = range(1, repetitions(name) + 1)
+    steps = [paper_step(device, configuration, readings.eq6, key) for key in keys]
+    simulation = start(device, configuration, steps, readings.eq6)
+    force, setpoint = antagonist_force(simulation, START + MEASUREMENT_TIME, estimated=name == "testbed")
+    period, first = simulation.control_period, math.ceil(START / simulation.control_period - 1e-9)
+    inside = (np.abs(force - setpoint) <= PROTOCOL.tension_margin * setpoint)[first:]
+    inside[:, simulation.read("failure") > 0] = False
+    entered = np.where(inside.any(axis=0), inside.argmax(axis=0) * period, math.nan)
+    since = np.where(inside.all(axis=0), 0, len(inside) - (~inside[::-1]).argmax(axis=0)) * period
+    settled = inside[-1]
+    return ForceRise(
+        name,
+        configuration,
+        None if np.isnan(entered).any() else float(entered.mean()),
+        float(since[settled].mean()) if settled.any() else None,
+        int(settled.sum()),
+        len(keys),
+        float(inside[-round(1.0 / period) :].mean()),
+    )
 
 
 def observe(reproduction: Reproduction) -> dict[Key, float]:

@@ -21,6 +21,7 @@ from amulett_gym.studies.paper.results import (
     by_table,
     cost_in_words,
     determined_in_words,
+    force_rise_table,
     search_varies,
     sensitivity_tables,
     springs_table,
@@ -83,6 +84,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
         determined=determined_in_words(found),
         spread=[_spread(item) for item in found["spread"]],
         springs=springs_table(evidence),
+        force_rise=force_rise_table(evidence),
         sensitivity=sensitivity_tables(evidence),
         claims=claims,
         counts={

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from amulett_gym.control.agonist import BICEPS
 from amulett_gym.errors import unknown
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
@@ -15,6 +17,8 @@ from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, PROTOCOL, TENSION_SETPOINT
 from amulett_gym.tasks.scenario import Move, Scenario, pack
 from amulett_gym.tasks.suites import START
+
+Values = NDArray[np.float64]
 
 MOVES_FROM = 2.0
 """When the first of several setpoint steps comes [s]: Figure 7 takes the mean force until then as its setpoint."""
@@ -101,3 +105,24 @@ def follow(simulation: Simulation, duration: float) -> Trajectory:
     rows = int(trajectory["tick"][-1] - trajectory["tick"][0]) + 1
     signals = {name: values[:rows] for name, values in trajectory.signals.items()}
     return Trajectory(trajectory.profile, trajectory.control_period, signals)
+
+
+def antagonist_force(simulation: Simulation, duration: float, estimated: bool) -> tuple[Values, Values]:
+    """Record the force of each device's antagonist string, and its setpoint, for `duration` seconds.
+
+    Returns
+    -------
+    force, setpoint : ndarray, shape (ticks, devices)
+        As they are when each control tick begins, with the roles and the setpoint of that tick [N].
+    """
+    kind = "estimate" if estimated else "force"
+    names = ("agonist", f"{kind}_biceps", f"{kind}_triceps", "tension_setpoint")
+    ticks = round(duration / simulation.control_period)
+    rows = {name: np.empty((ticks + 1, simulation.num_devices)) for name in names}
+    for tick in range(ticks + 1):
+        if tick:
+            simulation.advance(1)
+        for name, values in rows.items():
+            values[tick] = simulation.read(name)
+    agonist, biceps, triceps, setpoint = rows.values()
+    return np.where(agonist[1:] == BICEPS, triceps[:-1], biceps[:-1]), setpoint[1:]

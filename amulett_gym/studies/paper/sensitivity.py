@@ -22,7 +22,7 @@ from amulett_gym.studies.paper.reproduction import (
     explained,
     measure,
 )
-from amulett_gym.studies.paper.runs import paper_step, start
+from amulett_gym.studies.paper.runs import MOVES_FROM, antagonist_force, paper_step, start
 from amulett_gym.studies.paper.switching import switching_run
 from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL, TENSION_SETPOINT
 
@@ -58,12 +58,17 @@ class Sensitivity:
     by_floor : dict of str to tuple of float
         Treatment -> the antagonist's true force [N] after each of `REST`, mean of all repetitions: the testbed at rest
         on the posture of the paper's step, before it, with a setpoint of 5 N.
+    by_setpoint : dict of str to float
+        What the error is taken against -> tension ISE of the testbed without tension control [N^2 s], mean of all
+        repetitions: the true force at rest, as in Table 4, or as in the paper the force signal's mean over the two
+        seconds before the step.
     """
 
     by_noise: dict[int, tuple[int, ...]]
     by_time: dict[float, tuple[int, ...]]
     by_hysteresis: dict[float, dict[str, tuple[int, float]]]
     by_floor: dict[str, tuple[float, ...]]
+    by_setpoint: dict[str, float]
 
 
 def vary(profiles: Mapping[str, Profile], readings: Readings) -> Sensitivity:
@@ -86,6 +91,7 @@ def vary(profiles: Mapping[str, Profile], readings: Readings) -> Sensitivity:
         {time: _explained(profiles, readings, time) for time in MEASUREMENT_TIMES},
         {factor: _switches(testbed, readings, factor) for factor in HYSTERESES},
         {floor: _forces_at_rest(testbed, replace(readings, floor=floor)) for floor in FLOORS},
+        _position_only_ise(apply_readings(testbed, readings)),
     )
 
 
@@ -117,3 +123,19 @@ def _forces_at_rest(testbed: Profile, readings: Readings) -> tuple[float, ...]:
         forces.append(float(np.mean(simulation.read("force_triceps"))))
         passed = time
     return tuple(forces)
+
+
+def _position_only_ise(testbed: Profile) -> dict[str, float]:
+    scenario = paper_step(testbed, "position-only")
+    late = {"moves": [scenario.moves[0].model_copy(update={"time": MOVES_FROM})], "measure_from": MOVES_FROM}
+    keys = range(1, PROTOCOL.repetitions_testbed + 1)
+    scenarios = [scenario.model_copy(update={**late, "noise_seed": key}) for key in keys]
+    simulation = start(testbed, "position-only", scenarios)
+    force, at_rest = antagonist_force(simulation, MOVES_FROM + MEASUREMENT_TIME, estimated=True)
+    first = round(MOVES_FROM / simulation.control_period)
+    mean = force[:first].mean(axis=0)
+    setpoints = {"true force at rest (as in Table 4 here)": at_rest[0], "mean of the signal before the step": mean}
+    return {
+        name: float(np.mean(np.sum((force[first:] - setpoint) ** 2, axis=0)) * simulation.control_period)
+        for name, setpoint in setpoints.items()
+    }

@@ -107,6 +107,12 @@ class Protocol:
 
 PROTOCOL = Protocol()
 
+
+def repetitions(profile: str) -> int:
+    """Return how many step responses a number of the tables is the mean of, on one of `DEVICES`."""
+    return PROTOCOL.repetitions_testbed if profile == "testbed" else PROTOCOL.repetitions_simulation
+
+
 TENSION_SETPOINT = {"tension-5": 5.0, "tension-10": 10.0}
 """Setpoint of the two configurations that hold one [N] (section 2.2)."""
 

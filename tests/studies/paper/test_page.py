@@ -14,6 +14,7 @@ from amulett_gym.studies.paper import reproduction as definitions
 from amulett_gym.studies.paper.claims import CLAIMS, check_claims
 from amulett_gym.studies.paper.evidence import Evidence
 from amulett_gym.studies.paper.hypotheses import answer_hypotheses
+from amulett_gym.studies.paper.motion import ForceRise
 from amulett_gym.studies.paper.page import render
 from amulett_gym.studies.paper.reproduction import ALTERNATIVES, Row, best_reading, reproduce
 from amulett_gym.studies.paper.results import bounds_in_words, search_varies, within
@@ -27,7 +28,9 @@ VARIED = Sensitivity(
     by_time={5.0: (8, 7, 6, 13)},
     by_hysteresis={1.0: {"tension-5": (3, 0.25), "tension-10": (4, 0.5), "variable": (5, 1.25)}},
     by_floor={"clamp": (4.5, 2.5)},
+    by_setpoint={"mean": 0.95},
 )
+RISES = (ForceRise("testbed", "tension-5", 0.25, None, 0, 10, 0.5),)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +43,7 @@ def evidence() -> Evidence:
     answers = answer_hypotheses(our_numbers(reproduction))
     springs = {spring["law"]: reproduction.rows for spring in shipped()["springs"]}
     claims = check_claims(reproduction, {})
-    return Evidence(reproduction, shipped(), predicted, springs, claims, answers, {}, VARIED)
+    return Evidence(reproduction, shipped(), predicted, springs, claims, answers, {}, VARIED, RISES)
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +200,16 @@ def test_the_page_has_the_variations(page):
     assert line[0].endswith("(shipped)")
     assert [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in line[1:]] == ["3, 0.2 deg", "4, 0.5 deg", "5, 1.2 deg"]
     assert rows_of(page, heading, 3) == [["clamp", "4.5", "2.5"]]
+    assert rows_of(page, heading, 4) == [["mean", "0.950", "0.97"]]
+
+
+def test_the_page_has_the_rise_time_of_the_string_force(page):
+    (line,) = rows_of(page, "Rise time of the string force")
+    assert [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in line] == [
+        "testbed",
+        "5 N",
+        "0.25",
+        "-",
+        "0 of 10",
+        "50 %",
+    ]

@@ -57,7 +57,15 @@ def reproduction(evidence) -> Reproduction:
 
 def test_json_has_every_number_of_tables_2_to_5_in_the_agreed_form(evidence):
     result = json.loads(json.dumps(content(evidence), allow_nan=False))
-    assert list(result) == ["parameters", "rows", "cross_check", "claims", "hypotheses", "sensitivity"]
+    assert list(result) == [
+        "parameters",
+        "rows",
+        "cross_check",
+        "claims",
+        "hypotheses",
+        "sensitivity",
+        "force_rise_time",
+    ]
     assert len(result["rows"]) == 8 + 8 + 8 + 16
     for row, cell in zip(result["rows"], TABLES_2_TO_5, strict=True):
         keys = "table profile configuration metric drive paper ours ratio unit explained note"
@@ -315,3 +323,10 @@ def test_what_the_document_says_by_hand_is_what_it_shows(evidence):
     assert fewer["tension_error", "estimated"] == fewer["tension_error", "true"] == 2
     assert "With the same one for both, two numbers less" in by_hand
     assert fewer["damping", "printed"] == fewer["rise_time", "first-entry"] == 1
+    moves = evidence.sensitivity.by_hysteresis[1.0]
+    constant = max(moves[name][1] for name in ("tension-5", "tension-10"))
+    moved = f"by up to {constant:.1f} deg under a constant tension and by {moves['variable'][1]:.1f} deg under variable"
+    assert moved in by_hand
+    [peaks] = [item for item in evidence.claims if item.claim.id == "switching-no-peaks"]
+    assert peaks.ours.holds is False
+    assert f"the drives lag by {evidence.reproduction.profiles['testbed'].drives.lag:.2f} s" in by_hand
