@@ -221,7 +221,7 @@ def write_report(p, c, s, i, report):
     r[4] = s.tension_setpoint[i]
     r[5] = s.force_biceps[i]
     r[6] = s.force_triceps[i]
-    r[7] = joint_stiffness(p, c, s, i)
+    r[7] = joint_stiffness(p, c, i, s.angle[i], s.drive_biceps[i], s.drive_triceps[i])
     r[8] = s.push_torque[i]
     r[9] = s.contact_torque[i]
     m = report[FIRST_METRIC:]

@@ -78,7 +78,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @styled
 def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
-    """Draw one recorded episode: joint angle, string tensions, drive commands, and external torques if there are any.
+    """Draw one episode: joint angle, string tensions, joint stiffness, drive commands, and external torques if any.
 
     Parameters
     ----------
@@ -91,10 +91,10 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
         "contact": trajectory["contact_torque"],
     }
     torques = {name: torque for name, torque in torques.items() if np.any(torque != 0.0)}
-    heights = [3.0, 3.0, 2.4] + [1.4] * bool(torques)
+    heights = [3.0, 3.0, 1.7, 2.4] + [1.4] * bool(torques)
     figure = Figure(figsize=(7.2, 1.0 + 0.72 * sum(heights)), layout="constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
-    angle, tension, command = axes[:3]
+    angle, tension, stiffness, command = axes[:4]
 
     angle.plot(
         time, np.degrees(trajectory["setpoint"]), color=SETPOINT, linestyle="--", linewidth=1.0, label="setpoint"
@@ -119,16 +119,54 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     )
     tension.set_ylabel("string tension [N]")
     tension.set_ylim(bottom=0.0)
+    stiffness.plot(time, trajectory["joint_stiffness"], color=JOINT, label="of both strings")
+    stiffness.set_ylabel("joint stiffness\n[N m/rad]")
+    stiffness.set_ylim(bottom=0.0)
     command.set_ylabel("drive command [deg]")
     shaded = _shade_triceps(axes, time, trajectory["agonist"])
     for (name, torque), style in zip(torques.items(), ("-", "--"), strict=False):
-        axes[3].plot(time, torque, color=GREY, linestyle=style, drawstyle="steps-pre", label=f"{name} torque")
-        axes[3].set_ylabel("torque [N m]")
+        axes[4].plot(time, torque, color=GREY, linestyle=style, drawstyle="steps-pre", label=f"{name} torque")
+        axes[4].set_ylabel("torque [N m]")
     for panel in axes:
         handles, names = panel.get_legend_handles_labels()
         if panel is angle and shaded:
             handles, names = [*handles, shaded], [*names, "triceps is agonist"]
         panel.legend(handles, names, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.align_ylabels(axes)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
+    if title:
+        figure.suptitle(title, fontsize=10.5)
+    return figure
+
+
+@styled
+def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
+    """Draw what several contenders do in the same scenario, each as one curve in every panel.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By contender.
+    title : str
+    """
+    label, colour = labels(list(trajectories)), colours(list(trajectories))
+    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    axes = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.4, 1.9])
+    for name, trajectory in trajectories.items():
+        time = trajectory["time"]
+        curves = np.degrees(trajectory["angle"]), _antagonist_tension(trajectory), trajectory["joint_stiffness"]
+        for panel, values in zip(axes, curves, strict=True):
+            panel.plot(time, values, color=colour[name], linewidth=1.1, label=label[name])
+    longest = max(trajectories.values(), key=len)
+    time, setpoint = longest["time"], np.degrees(longest["setpoint"])
+    axes[0].plot(time, setpoint, color=GREY, linestyle="--", linewidth=1.0, label="setpoint")
+    texts = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
+    for panel, text in zip(axes, texts, strict=True):
+        panel.set_ylabel(text)
+    for panel in axes[1:]:
+        panel.set_ylim(bottom=0.0)
+    axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.align_ylabels(axes)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
@@ -155,8 +193,8 @@ def step_response_figure(
     label, colour = labels(names), colours(names) if colour is None else colour
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)
-    figure = Figure(figsize=(WIDTH, 0.8 + 3.0 * rows), layout="constrained")
-    grid = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2] * rows)
+    figure = Figure(figsize=(WIDTH, 0.8 + 3.8 * rows), layout="constrained")
+    grid = figure.subplots(3 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2, 1.6] * rows)
     reference = trajectories.get(YARDSTICK)
     angles = np.degrees(
         np.concatenate([path[signal] for path in trajectories.values() for signal in ("angle", "setpoint")])
@@ -165,9 +203,10 @@ def step_response_figure(
     tensions = [
         s.max() for path in trajectories.values() for s in (_antagonist_tension(path), path["tension_setpoint"])
     ]
+    stiffest = max(path["joint_stiffness"].max() for path in trajectories.values())
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
-        angle, tension = grid[2 * row, column], grid[2 * row + 1, column]
+        angle, tension, stiffness = panels = grid[3 * row : 3 * row + 3, column]
         trajectory = trajectories[name]
         time = trajectory["time"]
         angle.set_title(label[name], color=colour[name], fontweight="bold")
@@ -177,19 +216,22 @@ def step_response_figure(
         angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
         tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
         tension.plot(time, trajectory["tension_setpoint"], color=SETPOINT, linestyle="--", linewidth=0.9)
+        stiffness.plot(time, trajectory["joint_stiffness"], color=colour[name], linewidth=1.0)
         angle.set_ylim(angles.min() - room, angles.max() + room)
         angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
         tension.set_ylim(0.0, 1.05 * max(tensions))
-        for panel, text in ((angle, "joint angle [deg]"), (tension, "antagonist's\ntension [N]")):
-            panel.sharey(grid[0 if panel is angle else 1, 0])
+        stiffness.set_ylim(0.0, 1.05 * stiffest)
+        texts = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
+        for panel, first, text in zip(panels, grid[:3, 0], texts, strict=True):
+            panel.sharey(first)
             if column == 0:
                 panel.set_ylabel(text)
             else:
                 panel.tick_params(labelleft=False)
-        tension.set_xlabel("time [s]")
-        tension.tick_params(labelbottom=True)
+        stiffness.set_xlabel("time [s]")
+        stiffness.tick_params(labelbottom=True)
     for k in range(len(names), rows * columns):
-        for panel in (grid[2 * (k // columns), k % columns], grid[2 * (k // columns) + 1, k % columns]):
+        for panel in grid[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]:
             panel.set_axis_off()
     handles = [
         Line2D([], [], color=BLACK, label="contender"),

@@ -71,8 +71,7 @@ class SpringTables:
     @property
     def max_stiffness(self) -> float:
         """Steepest slope of the force between two of the table's knots [N/m]."""
-        start, end = self.force[:, 1], self.force @ [0.0, 1.0, 2.0, 3.0]
-        return float(max(start.max(), end.max())) * CELLS / self.max_deflection
+        return steepest_slope(self.force) / self.max_deflection
 
     def force_at(self, deflection: float) -> float:
         """Return f(Delta l) [N] at a string deflection [m]."""
@@ -93,6 +92,11 @@ class SpringTables:
         if not 0.0 <= force <= self.max_force:
             raise AmulettError(f"a string force of {force} N is outside what the springs give: 0 to {self.max_force} N")
         return float(inverse_look_up(self.force, force) * self.max_deflection)
+
+
+def steepest_slope(table: NDArray[np.float64]) -> float:
+    """Return the steepest slope of a table's value by position, at its knots."""
+    return float(max(table[:, 1].max(), (table @ [0.0, 1.0, 2.0, 3.0]).max())) * len(table)
 
 
 def assembly_curve(spring: Spring, deflection: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

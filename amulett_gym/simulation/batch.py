@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.model.spring import look_up
+from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import (
@@ -67,6 +67,13 @@ class Simulation:
     def max_force(self) -> float:
         """Force at which the springs saturate [N]."""
         return float(look_up(self.parameters["force_table"][0], 1.0))
+
+    @property
+    def max_stiffness(self) -> float:
+        """Joint stiffness at which both strings are as stiff as their springs get [N m/rad]."""
+        p = self.parameters[0]
+        slope = steepest_slope(p["force_table"]) * p["inverse_max_deflection"]
+        return float(2.0 * slope * p["joint_radius"] ** 2)
 
     def reset(self, scenarios: NDArray[np.void], devices: NDArray[np.int64] | None = None) -> None:
         """Start devices anew, at rest in their initial posture.

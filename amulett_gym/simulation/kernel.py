@@ -479,13 +479,21 @@ def update_string_forces(p, c, s, i):
 
 
 @compiled
-def joint_stiffness(p, c, s, i):
+def joint_stiffness(p, c, i, angle, drive_biceps, drive_triceps):
     """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
-    biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
-    triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
+    biceps, triceps = stretch_biceps(p, c, i, drive_biceps, angle), stretch_triceps(p, c, i, drive_triceps, angle)
     slope_biceps = c.spring_biceps_factor[i] * look_up_slope(p.force_table, biceps)
     slope_triceps = c.spring_triceps_factor[i] * look_up_slope(p.force_table, triceps)
     return (slope_biceps + slope_triceps) * p.inverse_max_deflection * p.joint_radius * p.joint_radius
+
+
+@compiled
+def recorded_stiffness(p, c, i, angles, drives_biceps, drives_triceps):
+    """Return the `joint_stiffness` [N m/rad] of one device at recorded angles [rad]."""
+    stiffness = np.empty(angles.size)
+    for row in range(angles.size):
+        stiffness[row] = joint_stiffness(p, c, i, angles[row], drives_biceps[row], drives_triceps[row])
+    return stiffness
 
 
 @compiled
@@ -620,7 +628,8 @@ def track_step(p, c, s, m, i):
                 s.rise_sum[i] += time - s.step_start[i]
                 s.rise_count[i] += 1.0
     if abs(s.setpoint[i] - s.angle[i]) <= p.margin and s.setpoint[i] == s.previous_setpoint[i]:
-        s.resting_stiffness_sum[i] += m.counting[i] * p.control_period * joint_stiffness(p, c, s, i)
+        stiffness = joint_stiffness(p, c, i, s.angle[i], s.drive_biceps[i], s.drive_triceps[i])
+        s.resting_stiffness_sum[i] += m.counting[i] * p.control_period * stiffness
         s.resting_time[i] += m.counting[i] * p.control_period
 
 

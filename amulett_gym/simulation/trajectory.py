@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.kernel import recorded_stiffness
 from amulett_gym.simulation.layout import LANES, STATE_NAMES
 from amulett_gym.storage.writing import atomic_path
 
@@ -40,6 +41,7 @@ CSV_COLUMNS = {
     "drive_triceps_deg": ("drive_triceps", _TO_DEGREES),
     "push_torque_Nm": ("push_torque", 1.0),
     "contact_torque_Nm": ("contact_torque", 1.0),
+    "joint_stiffness_Nm_per_rad": ("joint_stiffness", 1.0),
 }
 """Column of the CSV file -> signal and the factor that turns its SI unit into the column's."""
 
@@ -59,7 +61,8 @@ class Trajectory:
     control_period : float
         Time between two rows [s].
     signals : mapping of str to ndarray, shape (ticks + 1,)
-        By the names of `layout.STATE_NAMES`, in SI units and radians. Agonist: +1 biceps, -1 triceps.
+        By the names of `layout.STATE_NAMES`, in SI units and radians, and ``joint_stiffness`` [N m/rad], that of the
+        strings about the joint. Agonist: +1 biceps, -1 triceps.
     """
 
     profile: str
@@ -122,6 +125,12 @@ def record(
             simulation.advance(1)
         for name, view in live.items():
             signals[name][row] = view
+    signals["joint_stiffness"] = recorded_stiffness(
+        simulation.parameters[0],
+        simulation.scenarios[block],
+        lane,
+        *(signals[name] for name in ("angle", "drive_biceps", "drive_triceps")),
+    )
     return Trajectory(simulation.profile.name, simulation.control_period, signals)
 
 

@@ -24,6 +24,9 @@ from amulett_gym.envs.rendering.frame import STRIP_SECONDS, frame_of
 from amulett_gym.envs.rendering.window import Renderer
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import load_profile
+from amulett_gym.simulation.batch import Simulation
 
 SCALING = amulett_gym.ENV_IDS[0]
 SHAPE = (560, 720, 3)
@@ -96,6 +99,25 @@ def test_a_frame_is_the_truth_of_the_state():
     assert np.degrees(frame.joint_angle) == pytest.approx(info["joint_angle"])
     for name in ("force_biceps", "force_triceps", "tension_setpoint", "push_torque", "contact_torque"):
         assert getattr(frame, name) == info[name]
+    assert frame.joint_stiffness == info["joint_stiffness"]
+    assert 0 < frame.joint_stiffness < frame.max_stiffness
+
+
+def test_the_stiffness_of_a_frame_ends_where_both_springs_are_steepest():
+    simulation = Simulation(load_profile("testbed"))
+    tables = build_tables(simulation.profile.spring)
+    radius = simulation.profile.plant.joint_pulley_radius
+    steepest = max(tables.stiffness_at(stretch) for stretch in np.linspace(0.0, tables.max_deflection, 2000))
+    assert simulation.max_stiffness == pytest.approx(2 * radius**2 * steepest, rel=1e-3)
+
+
+def test_a_string_of_a_varied_device_is_drawn_as_stretched_as_it_is():
+    with gym.make(SCALING) as env:
+        env.reset(options={"scenario": {"initial_angle_deg": 60.0, "device": {"pulley_biceps": 1.2}}})
+        frame = frame_of(env.unwrapped.episodes, 0)
+    radius = 1.2 * frame.drive_radius
+    stretch = frame.drive_biceps * radius - frame.joint_angle * frame.joint_radius
+    assert frame.deflection_biceps == pytest.approx(stretch, rel=1e-6) and stretch > 0
 
 
 def test_equal_frames_give_equal_pictures(rest):
@@ -107,6 +129,7 @@ def test_equal_frames_give_equal_pictures(rest):
     [
         {"joint_angle": 0.3},
         {"joint_angle": -2.5},
+        {"joint_stiffness": 3.0},
         {"setpoint": 0.3},
         {"time": 0.02},
         {"drive_biceps": 1.0},

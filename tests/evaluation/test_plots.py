@@ -25,14 +25,19 @@ def results():
 
 
 @pytest.fixture(scope="module")
-def figures(results):
+def trajectories(results):
+    return {name: record_episode(name, results.protocol).trajectory for name in POLICIES}
+
+
+@pytest.fixture(scope="module")
+def figures(results, trajectories):
     profile = results.protocol.profile
-    trajectories = {name: record_episode(name, results.protocol).trajectory for name in POLICIES}
     pushed = record_episode("eq6", Protocol(profile, suite="hold-push")).trajectory
     summary = summarise(results)
     return {
         "trajectory": plots.trajectory_figure(trajectories["eq6"], "eq. 6"),
         "pushed": plots.trajectory_figure(pushed),
+        "together": plots.overlay_figure(trajectories, "steps"),
         "responses": plots.step_response_figure(trajectories),
         "schedule": plots.schedule_figure(results.schedules, profile.variable_stiffness),
         "no schedule": plots.schedule_figure({}, profile.variable_stiffness),
@@ -55,7 +60,7 @@ def test_a_push_gets_a_panel_of_its_own(figures):
 
 
 def test_the_trajectory_shows_truth_and_estimate(figures):
-    angle, tension, command = figures["trajectory"].axes
+    angle, tension, stiffness, command = figures["trajectory"].axes
     assert {"setpoint", "joint angle"} <= {line.get_label() for line in angle.lines}
     assert {line.get_label() for line in tension.lines} == {
         "biceps, true",
@@ -65,6 +70,33 @@ def test_the_trajectory_shows_truth_and_estimate(figures):
         "antagonist's setpoint",
     }
     assert {line.get_label() for line in command.lines} == {"biceps", "triceps"}
+    assert stiffness.get_ylabel() == "joint stiffness\n[N m/rad]"
+
+
+def test_every_contenders_joint_stiffness_is_drawn(trajectories, figures):
+    drawn = [line.get_ydata() for panel in figures["responses"].axes for line in panel.lines]
+    for path in trajectories.values():
+        assert any(np.array_equal(values, path["joint_stiffness"]) for values in drawn)
+
+
+def test_several_laws_share_the_panels(trajectories, figures):
+    panels = figures["together"].axes
+    assert [panel.get_ylabel().split("\n")[0] for panel in panels] == [
+        "joint angle [deg]",
+        "antagonist's",
+        "joint stiffness",
+    ]
+    for panel in panels:
+        assert {line.get_label() for line in panel.lines} >= set(trajectories)
+    angle, tension, stiffness = panels
+    for name, path in trajectories.items():
+        for panel, expected in (
+            (angle, np.degrees(path["angle"])),
+            (tension, np.where(path["agonist"] > 0, path["force_triceps"], path["force_biceps"])),
+            (stiffness, path["joint_stiffness"]),
+        ):
+            (line,) = [line for line in panel.lines if line.get_label() == name]
+            np.testing.assert_array_equal(line.get_ydata(), expected)
 
 
 def test_the_schedule_shows_only_tensions_that_change_over_both_readings_of_eq6(figures):

@@ -327,7 +327,9 @@ def test_joint_stiffness_is_the_slope_of_the_strings_torque():
         for x in (angle - step, angle + step)
     )
     slope = (before - after) * c["inertia"][0] / (2 * step)
-    assert kernel.joint_stiffness(p, c, s, 0) == pytest.approx(slope, rel=1e-6)
+    stiffness = kernel.joint_stiffness(p, c, 0, angle, s["drive_biceps"][0], s["drive_triceps"][0])
+    assert stiffness == pytest.approx(slope, rel=1e-6)
+    assert record(simulation, 0)["joint_stiffness"][0] == stiffness
 
 
 @pytest.mark.parametrize("agonist", ["switching", "biceps", "triceps"])

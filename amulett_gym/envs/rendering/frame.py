@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from amulett_gym.envs.episodes import Episodes
-from amulett_gym.model.plant import deflection_biceps, deflection_triceps
+from amulett_gym.simulation.kernel import joint_stiffness, stretch_biceps, stretch_triceps
 from amulett_gym.simulation.layout import FAILURES, LANES
 
 STRIP_SECONDS = 5.0
@@ -36,6 +36,8 @@ class Frame:
         R_2, R_1 [m].
     max_force : float
         Where the springs saturate [N].
+    joint_stiffness, max_stiffness : float
+        Of the strings about the joint, now and at most [N m/rad].
     obstacle_angle : float or None
         Where an obstacle begins [rad]; None if there is none.
     obstacle_side : float
@@ -62,6 +64,8 @@ class Frame:
     joint_radius: float
     drive_radius: float
     max_force: float
+    joint_stiffness: float
+    max_stiffness: float
     obstacle_angle: float | None
     obstacle_side: float
     push_torque: float
@@ -75,12 +79,13 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
     simulation, scenario = episodes.simulation, episodes.scenario(device)
     parameters = simulation.parameters[0]
     block, lane = divmod(int(device), LANES)
+    own = parameters, simulation.scenarios[block], lane
 
     def state(name: str) -> float:
         return float(simulation.states[name][block, lane])
 
     angle, biceps, triceps = state("angle"), state("drive_biceps"), state("drive_triceps")
-    drive_radius, joint_radius = float(parameters["drive_radius"]), float(parameters["joint_radius"])
+    reach = 1.0 / float(parameters["inverse_max_deflection"])
     controls_tension = bool(parameters["tension_loop"])
     return Frame(
         time=state("tick") * simulation.control_period,
@@ -92,11 +97,13 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
         agonist=state("agonist") if controls_tension else None,
         drive_biceps=biceps,
         drive_triceps=triceps,
-        deflection_biceps=deflection_biceps(biceps, angle, drive_radius, joint_radius),
-        deflection_triceps=deflection_triceps(triceps, angle, drive_radius, joint_radius),
-        joint_radius=joint_radius,
-        drive_radius=drive_radius,
+        deflection_biceps=reach * stretch_biceps(*own, biceps, angle),
+        deflection_triceps=reach * stretch_triceps(*own, triceps, angle),
+        joint_radius=float(parameters["joint_radius"]),
+        drive_radius=float(parameters["drive_radius"]),
         max_force=simulation.max_force,
+        joint_stiffness=joint_stiffness(*own, angle, biceps, triceps),
+        max_stiffness=simulation.max_stiffness,
         obstacle_angle=float(scenario["obstacle_angle"]) if scenario["obstacle_stiffness"] > 0 else None,
         obstacle_side=float(scenario["obstacle_side"]),
         push_torque=state("push_torque"),

@@ -48,6 +48,7 @@ _SPRING_LENGTH = 44.0
 _ABOVE, _BELOW = -1.0, 1.0  # sides of the upper arm: biceps, triceps
 _SPRING_AT = {_ABOVE: 306.0, _BELOW: 250.0}  # where the springs end when the arm is straight
 _BAR = (556.0, 76.0, 138.0, 9.0)  # colour bar: left, top, width, height
+_GAUGE = (256.0, 314.0, 192.0, 6.0)  # of the joint stiffness: left, top, width, height
 _STRETCH = 2.0  # springs are shown stretched by this much more than the pulleys' scale gives
 
 
@@ -79,6 +80,7 @@ def paint(frame: Frame, history: Sequence[Frame], title: str) -> pygame.Surface:
     if frame.push_torque != 0.0:
         _paint_push(canvas, frame)
     _paint_tension_scale(canvas, frame)
+    _paint_stiffness(canvas, frame)
     canvas.clip(None)
     canvas.text(title, (24, 31), 15, bold=True)
     canvas.text(f"{frame.time:.2f} s", (696, 31), 15, align=1.0, bold=True)
@@ -361,6 +363,16 @@ def _paint_tension_scale(canvas: _Canvas, frame: Frame) -> None:
             _MUTED,
             align=0.5 - 0.35 * math.cos(math.radians(degrees)),
         )
+
+
+def _paint_stiffness(canvas: _Canvas, frame: Frame) -> None:
+    """Write the joint's stiffness below the joint, over a gauge from 0 to the most that the springs give."""
+    left, top, width, height = _GAUGE
+    canvas.text("joint stiffness", (left, top - 12), 11, _MUTED)
+    canvas.text(f"{frame.joint_stiffness:.1f} N m/rad", (left + width, top - 12), 12, _FOREARM, align=1.0, bold=True)
+    share = min(frame.joint_stiffness / frame.max_stiffness, 1.0)
+    for end, color in ((width, _GRID), (max(share * width, height), _FOREARM)):
+        canvas.box((left, top, end, height), color, 0.5 * height)
 
 
 def _paint_strip(canvas: _Canvas, frame: Frame, history: Sequence[Frame]) -> None:

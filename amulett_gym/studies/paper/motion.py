@@ -10,7 +10,6 @@ import numpy as np
 
 from amulett_gym.evaluation.signals import acting, force_feedback
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.kernel import joint_stiffness
 from amulett_gym.simulation.trajectory import record
 from amulett_gym.studies.paper.reproduction import (
     MEASUREMENT_TIME,
@@ -172,16 +171,11 @@ def _step_metrics(profile: Profile, configuration: str, eq6: str) -> dict[str, f
     """Return what the paper's step shows, nothing if the device fails."""
     simulation = start(profile, configuration, [paper_step(profile, configuration, eq6)], eq6)
     ticks = round((START + MEASUREMENT_TIME) / simulation.control_period)
-    stiffnesses: list[float] = []
-
-    def feel(_: int) -> None:
-        stiffnesses.append(joint_stiffness(simulation.parameters[0], simulation.scenarios[0], simulation.states[0], 0))
-
-    path = record(simulation, ticks, before_tick=feel)
+    path = record(simulation, ticks)
     if path["failure"][-1]:
         return {}
     first = round(START / path.control_period)
-    stiffness = np.array(stiffnesses)  # before each tick, so that the last row has none
+    stiffness = path["joint_stiffness"][:-1]
     error = np.degrees(path["setpoint"] - path["angle"])[:-1]
     after = error[first:]
     peak = int(np.argmin(after))
