@@ -235,6 +235,11 @@ class Profile(Group):
         return self.name if self.base is None or self.name in profile_names() else self.base
 
 
+def is_shipped(profile: Profile) -> bool:
+    """Return whether a profile is one of the shipped ones, unchanged."""
+    return profile.name in profile_names() and profile == load_profile(profile.name)
+
+
 def profile_names() -> list[str]:
     """Return the names of the shipped profiles."""
     folder = resources.files("amulett_gym") / "profiles"

@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym import ENV_IDS
     from amulett_gym.cli.bench import machine
     from amulett_gym.cli.own_policies import with_zips
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.reporting.document import check_document
     from amulett_gym.studies.benchmark.claims import check_claims
@@ -58,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     profile = load_profile_of(description, recipes)
     named = with_zips(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
+    print_remarks(device_remarks(profile))
     words = _command(arguments)
     evidence = run_benchmark(
         description,

@@ -38,9 +38,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Validate; whatever is wrong is an error that names the key."""
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.profile import Profile
+
     found = validate(arguments.file)
+    remarks = device_remarks(found.content) if isinstance(found.content, Profile) else []
+    print_remarks(remarks)
     if arguments.json:
-        content = {"kind": found.kind, "name": found.name, "content": found.content}
+        content = {"kind": found.kind, "name": found.name, "remarks": remarks, "content": found.content}
         print(json.dumps(content, indent=2, allow_nan=False, default=_plain))
     elif arguments.show:
         print(f"# {found.name}, valid: {found.kind}")

@@ -57,12 +57,15 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     import gymnasium as gym
 
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.laws.contenders import parse_contender
     from amulett_gym.profile import load_profile
 
     contender = parse_contender(arguments.policy)
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
+    remarks = device_remarks(protocol.profile, [arguments.policy])
+    print_remarks(remarks)
     keywords = protocol.keywords(contender)
     steps = keywords.pop("max_episode_steps") if arguments.steps is None else arguments.steps
     env = gym.make(protocol.env_id, **{**keywords, "max_episode_steps": steps})
@@ -89,7 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
         env.close()
     if arguments.json:
         about = {key: getattr(arguments, key) for key in ("policy", "suite", "split", "seed", "scenario")}
-        content = {**about, "profile": protocol.profile.name, "episodes": played, "video": written}
+        about |= {"profile": protocol.profile.name, "remarks": remarks}
+        content = {**about, "episodes": played, "video": written}
         print(json.dumps(content, indent=2, allow_nan=False))
     elif written is not None:
         print(f"wrote {path}: {written['frames']} frames, {written['seconds']:.1f} s")

@@ -49,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.metrics import UNITS
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.profile import load_profile
     from amulett_gym.simulation.trajectory import write_csv
@@ -57,6 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     protocol = Protocol(
         profile, arguments.suite, arguments.split, episodes=1, seed=arguments.seed, duration=arguments.duration
     )
+    remarks = device_remarks(profile, [arguments.law])
+    print_remarks(remarks)
     episode = record_episode(arguments.law, protocol, arguments.scenario)
     if arguments.out is not None:
         write_csv(episode.trajectory, arguments.out)
@@ -74,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             "failure": episode.failure,
             "metrics": metrics,
             "units": {name: UNITS[name] for name in metrics},
+            "remarks": remarks,
             "scenario": episode.scenario.model_dump(),
         }
         print(json.dumps(content, indent=2, allow_nan=False))

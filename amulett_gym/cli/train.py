@@ -49,6 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     import json
     from dataclasses import asdict
 
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.profile import load_profile
+
     finished = False
     progress = sys.stderr.isatty()
     if arguments.resume is not None:
@@ -62,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
+        print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tuple(config.env.tension_range)))
         command = ["amulett", *sys.argv[1:]]
         result = load_learning("training").train(
             config, arguments.out, progress=progress, command=command, overwrite=arguments.overwrite

@@ -57,13 +57,17 @@ def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[st
         For a scenario of that family: as the mixed suite draws it, or else as the family's own suite does. None: for
         any scenario of the suite.
     """
-    by_suite = _frozen()["divisors"]
-    owner = profile.root if profile.root in by_suite else "testbed"
+    by_suite, owner = _frozen()["divisors"], divisors_owner(profile)
     in_mixed: dict[str, dict[str, float]] = _frozen()["divisors_in_mixed"][owner]
     if suite == "mixed" and family in in_mixed:
         return in_mixed[family]
     found: dict[str, float] = by_suite[owner][family or suite]
     return found
+
+
+def divisors_owner(profile: Profile) -> str:
+    """Return the name of the shipped profile whose divisors charge a profile."""
+    return profile.root if profile.root in _frozen()["divisors"] else "testbed"
 
 
 def default_weights(suite: str) -> dict[str, float]:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym import __version__
-from amulett_gym.envs.reward import COST_CAP, default_weights, divisors
+from amulett_gym.envs.reward import COST_CAP, default_weights, divisors, divisors_owner
 from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.evaluation.metrics import METRICS, UNITS
-from amulett_gym.evaluation.runner import YARDSTICK, Results, divisors_owner, labels
+from amulett_gym.evaluation.runner import YARDSTICK, Results, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
 from amulett_gym.reporting.table import Table, csv_text
 from amulett_gym.reporting.words import EQUAL, span

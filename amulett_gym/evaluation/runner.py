@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.reward import prices
+from amulett_gym.envs.reward import COST_TERMS, prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
+from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import CONSTANT, Contender, Own, constant_tension, contender_names, parse_contender
 from amulett_gym.laws.policies import load_policy
-from amulett_gym.profile import Profile, load_profile, profile_names
+from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
 YARDSTICK = "eq6"
@@ -264,6 +265,10 @@ def evaluate(
                 run.values["push_deflection"] = pushed.values["push_deflection"]
                 results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
+            cost = run.values["cost"].mean()
+            if contender.name == YARDSTICK and not is_shipped(protocol.profile) and cost > 0.0:
+                shares = (f"{term} {run.values[f'cost_{term}'].mean() / cost:.1%}" for term in COST_TERMS)
+                remarks.append(f"{YARDSTICK}'s cost on the {protocol.profile.name} is {cost:.3g}: {', '.join(shares)}")
             results.failures[contender.name] = run.failures
             if acts_from_outside(contender):
                 results.schedules[contender.name] = run.schedule
@@ -309,21 +314,6 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
     return f"was trained {'; '.join(places)}" if places else ""
 
 
-def divisors_differ(profile: Profile) -> str:
-    """Say whose divisors charge a profile that has none of its own, else an empty string."""
-    if profile.name in profile_names() and profile == load_profile(profile.name):
-        return ""
-    return (
-        f"costs on the {profile.name} are divided by what {YARDSTICK} pays on the {divisors_owner(profile)}, "
-        f"so {YARDSTICK}'s own need not be about 1"
-    )
-
-
-def divisors_owner(profile: Profile) -> str:
-    """Return the name of the shipped profile whose divisors charge a profile."""
-    return profile.root if profile.root in profile_names() else "testbed"
-
-
 def _short(name: str) -> str:
     parts = [part for part in Path(name).parts if part not in ("best", "last", "/", ".", "..")]
     return parts[-1] if parts else name
@@ -358,7 +348,7 @@ def _remarks(protocol: Protocol, contenders: Sequence[Contender]) -> list[str]:
         for contender in contenders
         if (difference := training_differs(contender, protocol))
     ]
-    return [*found, *filter(None, [divisors_differ(protocol.profile)])]
+    return found + device_remarks(protocol.profile, label)
 
 
 @dataclass(frozen=True)

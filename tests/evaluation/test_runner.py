@@ -20,7 +20,9 @@ from amulett_gym.evaluation.comparison import in_words, summarise, table, verdic
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS, failure_cost
 from amulett_gym.evaluation.page import write_report
+from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
+from amulett_gym.profile import load_profile
 from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.storage.provenance import COMMAND
 from amulett_gym.tasks.suites import families_of
@@ -96,12 +98,16 @@ def test_a_policy_that_is_listed_twice_runs_once(bundle):
 def test_a_policy_from_elsewhere_is_told_apart(bundle):
     assert evaluate([bundle], episodes=1, duration=0.12).remarks == []
     strange = {"base": "testbed", "name": "mine", "loop": {"offset_deg": 25.0}}
-    results = evaluate([bundle], suite="reach", profile=strange, episodes=1, duration=0.12, env_id="Amulett/Tension-v0")
+    results = evaluate([bundle], suite="reach", profile=strange, episodes=1, duration=0.6, env_id="Amulett/Tension-v0")
     assert results.remarks == [
         "mine was trained on the testbed, not the mine; for steps, not reach; "
         "in Amulett/Scaling-v0, not Amulett/Tension-v0",
-        "costs on the mine are divided by what eq6 pays on the testbed, so eq6's own need not be about 1",
+        *device_remarks(load_profile(strange)),
+        results.remarks[-1],
     ]
+    cost = results.values["eq6"]["cost"].mean()
+    shares = ", ".join(f"{term} {results.values['eq6'][f'cost_{term}'].mean() / cost:.1%}" for term in DEFAULT_WEIGHTS)
+    assert results.remarks[-1] == f"eq6's cost on the mine is {cost:.3g}: {shares}"
     assert all(remark in in_words(summarise(results)) for remark in results.remarks)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym import __version__
 from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.evaluation.statistics import (
@@ -100,6 +101,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "machine": machine,
         "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},
         "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
+        "remarks": device_remarks(evidence.profile, evidence.entries),
         "units": {metric: UNITS[metric] for metric in METRICS},
         "best_learned": best,
         "best_by_hand": hand,

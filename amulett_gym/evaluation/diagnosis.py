@@ -1,0 +1,175 @@
+"""Whether a device of one's own can be controlled: a few short movements, and what is wrong with how they go.
+
+Holds over the workspace and a step each way, at the nominal tension and at the end of the tension range, all at once:
+14 arms for 6 s, less than a tenth of a second of computing. What counts is how the arm rests in the last 2 s.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.action import TENSION_RANGE
+from amulett_gym.errors import AmulettError
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import FAILURES
+from amulett_gym.tasks.scenario import Move, Scenario, pack
+from amulett_gym.tasks.suites import WORKSPACE_DEG
+
+SECONDS, RESTS = 6.0, 2.0
+"""Length of the movements, and of the rest at their end that is judged [s]."""
+
+MOST_SWITCHES = 1.0
+"""Agonist switches a second of a resting arm; a resting arm needs none, and the shipped devices make none."""
+
+MOST_SWING = 2.0
+"""Peak to peak of a resting joint but for a steady drift [deg], half the paper's error margin of +-2 deg; shipped
+devices: up to 0.7."""
+
+MOST_ERROR = 2.0
+"""Mean error of a resting joint [deg], the paper's error margin; shipped devices: up to 0.13."""
+
+MOST_SATURATED = 0.05
+"""Share of the rest in which a spring is at the end of its table or a drive at its limit; shipped devices: none."""
+
+MOST_TENSION_ERROR = 0.1
+"""Mean error of the antagonist's true tension at rest, as a share of its setpoint; shipped devices: up to 0.02."""
+
+MOST_BELOW_FLOOR = 0.25
+"""Share of the tension range that the sensors cannot see; on the testbed it is 0.09, from 4 to 5 N."""
+
+Values = NDArray[np.float64]
+
+
+class Finding(NamedTuple):
+    """Something wrong with a device: its kind, the number that says so, and a sentence with that number."""
+
+    kind: str
+    number: float
+    text: str
+
+
+def diagnose(profile: Profile, tension_range: tuple[float, float] = TENSION_RANGE) -> list[Finding]:
+    """Play a few short movements on a device and return what is wrong with it.
+
+    Parameters
+    ----------
+    profile : Profile
+    tension_range : tuple of float
+        Tension setpoint at action -1 and +1 [N]; its upper end is played, and the nominal tension.
+
+    Returns
+    -------
+    list of Finding
+        At most one of each kind, from the movement that shows it most: ``force floor`` [N], ``cannot start`` [deg, the
+        posture], ``fails`` [s, when], ``chatters`` [1/s], ``oscillates`` [deg], ``cannot hold`` [deg], ``spring end``
+        and ``drive limit`` [share of the rest], ``tension`` [N]. Empty for a device on which the loop works.
+    """
+    low, high = tension_range
+    findings = []
+    floor = profile.sensors.force_floor
+    if (floor - low) / (high - low) > MOST_BELOW_FLOOR:
+        text = f"tensions below sensors.force_floor, {floor:g} N, are not trusted; the range to choose from begins at"
+        findings.append(Finding("force floor", floor, f"{text} {low:g} N"))
+    movements: list[tuple[str, float]] = []
+    rows: list[NDArray[np.void]] = []
+    for tension in (profile.variable_stiffness.nominal_tension, high):
+        for name, scenario in _movements(len(rows)):
+            row = pack(scenario, profile)
+            try:
+                Simulation(profile, 1).reset(row)
+            except AmulettError as error:
+                if not any(finding.kind == "cannot start" for finding in findings):
+                    reason = str(error).partition(" ")[2].partition(" ")[2]  # without "scenario 0"
+                    findings.append(
+                        Finding("cannot start", scenario.initial_angle_deg, f"{name} cannot begin: it {reason}")
+                    )
+                continue
+            movements.append((name, tension))
+            rows.append(row)
+    return findings + (_judge(_play(profile, np.concatenate(rows), movements), movements) if rows else [])
+
+
+def _movements(seed: int) -> list[tuple[str, Scenario]]:
+    """Return the movements in words and as scenarios, with noise seeds from `seed` on."""
+    low, high = WORKSPACE_DEG
+    ends = low + (high - low) / 6, high - (high - low) / 6
+    found: list[tuple[str, Scenario]] = []
+    for angle in np.linspace(low, high, 5):
+        scenario = Scenario(initial_angle_deg=float(angle), noise_seed=seed + len(found))
+        found.append((f"a hold at {angle:g} deg", scenario))
+    for begin, end in (ends, ends[::-1]):
+        move = Move(time=0.5, angle_deg=end)
+        scenario = Scenario(initial_angle_deg=begin, moves=[move], noise_seed=seed + len(found))
+        found.append((f"a step from {begin:g} to {end:g} deg", scenario))
+    return found
+
+
+def _play(profile: Profile, rows: NDArray[np.void], movements: list[tuple[str, float]]) -> dict[str, Values]:
+    """Play the movements and return what their judges look at, one value each."""
+    simulation = Simulation(profile, len(rows))
+    simulation.reset(rows)
+    tensions = np.array([tension for _, tension in movements])
+    simulation.command_tension(tensions)
+    period = simulation.control_period
+    ticks = round(RESTS / period)
+    simulation.advance(round(SECONDS / period) - ticks)
+    switches = simulation.read("switch_count")
+    limit = simulation.parameters["command_limit"][0]
+    angle, tension = np.empty((ticks, len(rows))), np.empty((ticks, len(rows)))
+    spring, drive = np.zeros(len(rows)), np.zeros(len(rows))
+    for tick in range(ticks):
+        simulation.advance(1)
+        biceps, triceps = simulation.read("force_biceps"), simulation.read("force_triceps")
+        angle[tick] = np.degrees(simulation.read("angle"))
+        tension[tick] = np.where(simulation.read("agonist") > 0, triceps, biceps)
+        spring += np.maximum(biceps, triceps) > 0.999 * simulation.max_force
+        commands = np.abs([simulation.read(f"command_{name}") for name in ("biceps", "triceps")])
+        drive += commands.max(axis=0) > 0.999 * limit
+    return {
+        "failure": simulation.read("failure"),
+        "time": simulation.read("tick") * period,
+        "switches": (simulation.read("switch_count") - switches) / RESTS,
+        "swing": np.ptp(angle - np.linspace(angle[0], angle[-1], ticks), axis=0),
+        "error": np.abs(angle.mean(axis=0) - np.degrees(simulation.read("setpoint"))),
+        "spring": spring / ticks,
+        "drive": drive / ticks,
+        "tension": tension.mean(axis=0),
+        "tension_error": np.abs(tension.mean(axis=0) - tensions) / tensions,
+    }
+
+
+def _judge(played: dict[str, Values], movements: list[tuple[str, float]]) -> list[Finding]:
+    """Return the findings that the movements show, each with the movement that shows it most."""
+    found = []
+    failed = np.flatnonzero(played["failure"])
+    if failed.size:
+        first = failed[np.argmin(played["time"][failed])]
+        reason, seconds = FAILURES[int(played["failure"][first])], float(played["time"][first])
+        text = f"{_where(movements, first)} the device fails after {seconds:.2g} s: {reason}"
+        found.append(Finding("fails", seconds, text))
+    for kind, name, most, sentence in (
+        ("chatters", "switches", MOST_SWITCHES, "the agonist of the resting arm switches {:.1f} times a second"),
+        ("oscillates", "swing", MOST_SWING, "the resting joint swings by {:.1f} deg, peak to peak"),
+        ("cannot hold", "error", MOST_ERROR, "the joint rests {:.1f} deg from its setpoint"),
+        ("spring end", "spring", MOST_SATURATED, "a spring is at the end of its table for {:.0%} of the rest"),
+        ("drive limit", "drive", MOST_SATURATED, "a drive is at command_limit_deg for {:.0%} of the rest"),
+        ("tension", "tension_error", MOST_TENSION_ERROR, "the antagonist's tension comes to {:.1f} N"),
+    ):
+        values = np.where(played["failure"] == 0, played[name], 0.0)
+        worst = int(np.argmax(values))
+        if values[worst] > most:
+            number = float(played["tension" if kind == "tension" else name][worst])
+            text = f"{_where(movements, worst)} {sentence.format(number)}"
+            allowed = f"{most:.0%}" if most < 1.0 else f"{most:g}"
+            kept = "within" if kind == "tension" else "at most"
+            found.append(Finding(kind, number, f"{text} (a sound loop: {kept} {allowed})"))
+    return found
+
+
+def _where(movements: list[tuple[str, float]], index: int) -> str:
+    name, tension = movements[index]
+    return f"in {name}, at {tension:g} N,"

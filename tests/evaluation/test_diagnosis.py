@@ -1,0 +1,77 @@
+"""What is said of a device of one's own: a few short movements find each fault, and none on a sound device."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from helpers import PROFILES, device
+
+from amulett_gym.cli import main
+from amulett_gym.evaluation.diagnosis import diagnose
+from amulett_gym.evaluation.remarks import device_remarks
+from amulett_gym.profile import load_profile
+
+MY_DEVICE = Path(__file__).parents[2] / "configs" / "my_device.yaml"
+STIFF = {"name": "stiff", "base": "testbed", "spring": {"stiffness": 250_000.0}}
+
+
+@pytest.mark.parametrize("profile", [*PROFILES, MY_DEVICE], ids=str)
+def test_a_sound_device_gives_no_finding(profile):
+    assert diagnose(load_profile(profile)) == []
+
+
+@pytest.mark.parametrize(
+    ("groups", "kind", "least", "most", "words"),
+    [
+        ({"spring": {"stiffness": 250_000.0}}, "chatters", 2, 100, "the agonist of the resting arm switches"),
+        ({"loop": {"tension": {"kp": 20.0, "ki": 400.0}}}, "oscillates", 2, 10, "the resting joint swings by"),
+        ({"plant": {"orientation": "vertical"}}, "cannot hold", 5, 30, "a hold at 90 deg, at 15 N, the joint rests"),
+        ({"plant": {"orientation": "vertical"}}, "spring end", 0.9, 1, "a spring is at the end of its table for 100%"),
+        ({"drives": {"command_limit_deg": 200.0}}, "drive limit", 0.9, 1, "a drive is at command_limit_deg"),
+        ({"drives": {"command_limit_deg": 200.0}}, "cannot start", 60, 70, "67.5 deg cannot begin: it may start with"),
+        ({"spring": {"stiffness": 5000.0}}, "tension", 11, 12, "at 15 N, the antagonist's tension comes to 11.2 N"),
+        ({"sensors": {"force_floor": 9.0}}, "force floor", 9, 9, "below sensors.force_floor, 9 N, are not trusted"),
+        ({"plant": {"velocity_limit_deg": 20.0}}, "fails", 0, 6, "the device fails after .* s: joint velocity limit"),
+    ],
+)
+def test_each_fault_is_found_with_its_number(groups, kind, least, most, words):
+    (finding,) = [finding for finding in diagnose(device("testbed", **groups)) if finding.kind == kind]
+    assert least <= finding.number <= most
+    assert re.search(words, finding.text)
+
+
+def test_the_end_of_the_tension_range_is_played():
+    profile = device("testbed", plant={"orientation": "vertical"})
+    assert diagnose(profile, (4.0, 10.0)) == []
+    assert "cannot hold" in [finding.kind for finding in diagnose(profile, (4.0, 15.0))]
+
+
+def test_remarks_name_borrowed_divisors_and_parameters_and_what_was_found():
+    assert device_remarks(load_profile("testbed"), ["parametric"]) == []
+    divisors, tuned, *found = device_remarks(
+        load_profile(STIFF), ["eq6", "eq6-tuned", "parametric:steps", "constant:5"]
+    )
+    assert "costs on the stiff are divided by what eq6 costs on the testbed" in divisors
+    assert tuned == "eq6-tuned, parametric:steps act with the parameters tuned on the testbed, not on the stiff"
+    assert any("the agonist of the resting arm switches" in remark for remark in found)
+    assert not any("tuned" in remark for remark in device_remarks(load_profile(STIFF), ["eq6"]))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["config", "validate", "{file}", "--json"],
+        ["simulate", "--law", "eq6-tuned", "--profile", "{file}", "--duration", "0.1", "--json"],
+        ["play", "eq6-tuned", "--profile", "{file}", "--steps", "1", "--video", "{folder}/a.png", "--json"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_commands_warn_of_a_device_of_ones_own_once(command, tmp_path, capsys):
+    path = tmp_path / "stiff.yaml"
+    path.write_text(json.dumps(STIFF))
+    assert main([word.format(file=path, folder=tmp_path) for word in command]) == 0
+    out, err = capsys.readouterr()
+    names = [] if command[0] == "config" else ["eq6-tuned"]
+    assert json.loads(out)["remarks"] == device_remarks(load_profile(path), names)
+    assert err.count("the agonist of the resting arm switches") == 1
