@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -69,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
     _check(arguments)
     from amulett_gym.reporting.document import check_document, update_document
+    from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.speed import document as performance
 
     asked = [name for name in performance.SECTIONS if _asked(arguments, name)]
@@ -114,20 +114,6 @@ def run(arguments: argparse.Namespace) -> int:
         update_document(arguments.doc, texts)
         _say(quiet, f"Renewed: {arguments.doc}")
     return 130 if interrupted else 0
-
-
-def machine() -> str:
-    """Say what was measured on: processor, cores, Python and numba."""
-    import platform
-    from importlib.metadata import version
-
-    names = [platform.machine()]
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")][:1] or names
-    except OSError:
-        pass
-    return f"{names[0]}, {os.cpu_count()} cores, Python {platform.python_version()}, numba {version('numba')}."
 
 
 def yardstick() -> Any:

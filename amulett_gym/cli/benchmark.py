@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from functools import partial
+
+from amulett_gym.cli.output import add_json, print_json
 
 HELP = "run the benchmark: train what is missing, judge all on all suites, and check the claims; resumes by itself"
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
@@ -22,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--config", metavar="FILE", help="description in YAML (default: that of configs/benchmark.yaml, in code)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="few suites, scenarios and seeds, short training: a few minutes"
+        "--quick",
+        action="store_true",
+        help="show that all works, in a few minutes: few suites, scenarios and seeds, short training, no claim judged",
     )
     parser.add_argument(
         "--runs",
@@ -34,20 +39,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_trust(parser)
     parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
+    add_json(parser, "the content of benchmark.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what is not done yet, print claims and ranking, and write the files."""
     from amulett_gym import ENV_IDS
-    from amulett_gym.cli.bench import machine
     from amulett_gym.cli.own_policies import with_zips
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.reporting.document import check_document
+    from amulett_gym.reporting.progress import say
+    from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
     from amulett_gym.studies.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
     from amulett_gym.studies.benchmark.document import MARKS, write_document
-    from amulett_gym.studies.benchmark.page import PAGE, in_words, write_benchmark
+    from amulett_gym.studies.benchmark.page import PAGE, in_words, judged, write_benchmark
     from amulett_gym.studies.benchmark.results import content
     from amulett_gym.studies.benchmark.stages import run_benchmark
 
@@ -61,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
     print_remarks(device_remarks(profile))
     words = _command(arguments)
+    report = partial(print, file=sys.stderr, flush=True) if arguments.json else say
     evidence = run_benchmark(
         description,
         arguments.out,
@@ -68,28 +76,23 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.runs,
         own,
         [*words, "--out", arguments.out],
-        say=_say,
-        progress=sys.stderr.isatty(),
+        say=report,
+        progress=True,
     )
-    print("Drawing intervals and figures ...", flush=True)
-    found = content(evidence, shlex.join(words), machine())
+    report("Drawing intervals and figures ...")
+    found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
     figures = write_benchmark(evidence, found, claims, arguments.out)
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
-        print(f"Renewed: {arguments.doc}")
+        report(f"Renewed: {arguments.doc}")
+    if arguments.json:
+        print_json(judged(found, claims))
+        return 0
     print(f"\n{in_words(found, claims)}\n")
     lost = ", and the scenarios that are lost most clearly" if found["worst"] else ""
     print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{lost}.")
     return 0
-
-
-def _say(line: str) -> None:
-    """Print a line, above the progress bars if there are any."""
-    from tqdm import tqdm
-
-    tqdm.write(line)
-    sys.stdout.flush()
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:

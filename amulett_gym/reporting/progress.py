@@ -16,6 +16,12 @@ _LARGE = 10_000
 """Totals from here on are shown as thousands and millions."""
 
 
+def say(text: str) -> None:
+    """Print a line on stdout, above the bars if there are any."""
+    with tqdm.external_write_mode():
+        print(text, flush=True)
+
+
 class Progress:
     """Shows how much of some work is done, and an estimate of the time that the rest takes.
 
@@ -56,11 +62,6 @@ class Progress:
         if now >= self._due:
             self._due = now + BETWEEN
             print(self._line(now - self._started, note), file=sys.stderr, flush=True)
-
-    def say(self, text: str) -> None:
-        """Print a line on stdout, above the bar."""
-        with tqdm.external_write_mode():
-            print(text, flush=True)
 
     def close(self) -> None:
         """End it; may be called again."""

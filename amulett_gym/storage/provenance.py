@@ -5,6 +5,7 @@ A command that fills a folder leaves them there in ``command.json``; `amulett re
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
@@ -45,6 +46,17 @@ class Provenance(BaseModel):
     seeds: list[int] = Field(default=[], description="that the results depend on")
     versions: dict[str, str] = Field(description="package -> version")
     git_revision: str | None = Field(description="of the checkout, -dirty if edited; null: installed from a wheel")
+
+
+def machine() -> str:
+    """Return in words what this process runs on: processor, cores, Python and numba."""
+    names = [platform.machine()]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")][:1] or names
+    except OSError:
+        pass
+    return f"{names[0]}, {os.cpu_count()} cores, Python {platform.python_version()}, numba {version('numba')}."
 
 
 def write_provenance(

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from amulett_gym.reporting import progress
-from amulett_gym.reporting.progress import Progress
+from amulett_gym.reporting.progress import Progress, say
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def test_a_terminal_gets_a_bar(monkeypatch, capsys):
     monkeypatch.setattr(progress, "FIRST", 0.0)
     with Progress(10, "evaluate", "steps") as shown:
         shown.update(4, "eq6")
-        shown.say("a result")
+        say("a result")
     output, bar = capsys.readouterr()
     assert output == "a result\n"
     assert "\revaluate" in bar and "4/10" in bar

@@ -108,6 +108,11 @@ class Effort:
     height: float = 1.5
     seed: int = 0
 
+    @property
+    def rounds(self) -> int:
+        """Number of rounds of a block of scenarios."""
+        return sum(stage.rounds for stage in self.stages)
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -145,7 +150,7 @@ def clairvoyant(
     laws: Sequence[str] = (),
     folder: str | Path | None = None,
     block: int = 25,
-    report: Callable[[int, int], None] = lambda done, count: None,
+    report: Callable[[int], object] = lambda rounds: None,
 ) -> Reference:
     """Search for each scenario's best schedule.
 
@@ -162,7 +167,7 @@ def clairvoyant(
     block : int
         Scenarios that are searched at once, and kept in one file.
     report : callable
-        Called with the number of scenarios that are done, and that of all.
+        Called with a number of rounds when they are done; those of a block that was kept count, too.
 
     Raises
     ------
@@ -175,8 +180,7 @@ def clairvoyant(
     for first in range(0, count, block):
         scenarios = np.arange(first, min(first + block, count))
         own = {name: actions[scenarios] for name, actions in schedules.items()}
-        found.append(_found(trials, scenarios, own, effort, folder))
-        report(int(scenarios[-1]) + 1, count)
+        found.append(_found(trials, scenarios, own, effort, folder, report))
     shares = np.array([part.costs.size for part in found]) / count
     return Reference(
         costs=np.concatenate([part.costs for part in found]),
@@ -205,7 +209,13 @@ def replay(trials: Trials, actions: Actions) -> Values:
     return _cost(trials, np.arange(len(actions)), actions)
 
 
-def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort) -> Reference:
+def improve(
+    trials: Trials,
+    scenarios: Devices,
+    starts: dict[str, Actions],
+    effort: Effort,
+    report: Callable[[int], object] = lambda rounds: None,
+) -> Reference:
     """Search for the best schedules of some scenarios, whose starts have the shape (len(scenarios), steps)."""
     rng = np.random.default_rng(effort.seed)
     names, donors = list(starts), np.array(list(starts.values()))
@@ -228,6 +238,7 @@ def improve(trials: Trials, scenarios: Devices, starts: dict[str, Actions], effo
         for _ in range(stage.rounds):
             episodes += len(order) * _round(trials, state, stage, effort.candidates, rng)
             curve.append([episodes, state.costs().reshape(shape).min(axis=0).mean()])
+            report(1)
     costs = state.costs().reshape(shape)
     best = costs.argmin(axis=0)
     actions = state.actions.reshape(*shape, -1)[best, np.arange(scenarios.size)].astype(np.float32)
@@ -389,11 +400,16 @@ def _followed(trials: Trials, name: str) -> Actions:
 
 
 def _found(
-    trials: Trials, scenarios: Devices, starts: dict[str, Actions], effort: Effort, folder: str | Path | None
+    trials: Trials,
+    scenarios: Devices,
+    starts: dict[str, Actions],
+    effort: Effort,
+    folder: str | Path | None,
+    report: Callable[[int], object],
 ) -> Reference:
     """Read what was found for these scenarios, or search for it and keep it."""
     if folder is None:
-        return improve(trials, scenarios, starts, effort)
+        return improve(trials, scenarios, starts, effort, report)
     protocol = trials.protocol
     path = Path(folder) / protocol.profile.name
     path /= f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
@@ -407,9 +423,10 @@ def _found(
         )
         if not np.allclose(_cost(trials, scenarios, found.actions), found.costs, rtol=1e-9):
             raise ValueError("they cost something else in this version of the simulation")
+        report(effort.rounds)
         return found
 
-    return kept(path, inputs, lambda: improve(trials, scenarios, starts, effort), _pack, unpack)
+    return kept(path, inputs, lambda: improve(trials, scenarios, starts, effort, report), _pack, unpack)
 
 
 def _pack(found: Reference) -> dict[str, Any]:

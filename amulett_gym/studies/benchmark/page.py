@@ -73,7 +73,7 @@ def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], fol
     folder = Path(folder)
     write_csv(found, claims, folder / TABLES)
     write_worst(evidence, found, folder)
-    write_json(folder / RESULTS, {**found, "claims": as_plain(claims), "verdict": verdict(found, claims)})
+    write_json(folder / RESULTS, judged(found, claims))
     with after_results(f"{RESULTS} and {TABLES} in {folder}"):
         from amulett_gym.reporting.style import save_figures
         from amulett_gym.studies.benchmark.figures import draw
@@ -82,6 +82,11 @@ def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], fol
         save_figures(figures, folder / FIGURES)
         write_text(folder / PAGE, render(found, claims, figures))
     return figures
+
+
+def judged(found: Content, claims: list[Claim]) -> Content:
+    """Return the content of ``benchmark.json``: what was measured, with claims and verdict."""
+    return {**found, "claims": as_plain(claims), "verdict": verdict(found, claims)}
 
 
 def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure]) -> str:
@@ -107,7 +112,7 @@ def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure
 
 
 def verdict(found: Content, claims: Sequence[Claim]) -> str:
-    """Say in a few sentences how the learned entry stands, and how many claims hold."""
+    """Return in a few sentences how the learned entry stands, and how many claims hold or why none is judged."""
     place = f"{found['description']['headline']}/held-out"
     results, best, hand = found["results"][place], found["best_learned"], found["best_by_hand"]
     scenarios = f"{found['description']['episodes']} held-out scenarios of {found['description']['headline']}"
@@ -115,13 +120,20 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
     if best is None:
         return f"Nothing was learned. The best hand-tuned law, {hand}, has {costs} of eq. 6's cost in {scenarios}."
     seeds = len(found["entries"][best]["seeds"])
-    judged = [claim for claim in claims if claim.holds is not None]
-    failed = [f"{claim.about}: {claim.claim}" for claim in judged if not claim.holds]
     text = (
         f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, has "
         f"{with_interval(results[best]['ratio'][YARDSTICK])} of eq. 6's cost in {scenarios}; the best hand-tuned law, "
-        f"{hand}, has {costs}. {len(judged) - len(failed)} of {len(judged)} claims hold."
+        f"{hand}, has {costs}."
     )
+    if found.get("quick"):
+        steps = max(run["steps"] for run in found["training"][best]["runs"].values())
+        return (
+            f"{text} This was a quick run, which shows that all works and no more: {found['description']['episodes']} "
+            f"scenarios for each suite and {steps:,} training steps for each seed. No claim is judged by it."
+        )
+    judged = [claim for claim in claims if claim.holds is not None]
+    failed = [f"{claim.about}: {claim.claim}" for claim in judged if not claim.holds]
+    text += f" {len(judged) - len(failed)} of {len(judged)} claims hold."
     if failed:
         text += f" Not: {'; '.join(failed[:4])}{'; ...' if len(failed) > 4 else ''}."
     return text

@@ -71,16 +71,20 @@ def check_starts(description: Benchmark) -> None:
             raise AmulettError(f"clairvoyant.starts names '{name}', which acts inside the loop and has no schedule")
 
 
-def blocks(description: Benchmark) -> int:
-    """Return how many blocks of scenarios are searched, by all searches together."""
-    settings = description.clairvoyant
+def rounds(description: Benchmark) -> int:
+    """Return the number of rounds of all searches together."""
+    settings, effort = description.clairvoyant, _effort(description)
     headline = settings.scenarios.get(description.headline, 0)
-    counts = [*settings.scenarios.values(), min(settings.check, headline), headline if settings.draws else 0]
-    return sum(-(-count // BLOCK) for count in counts)
+    searches = [(count, effort) for count in settings.scenarios.values()]
+    searches += [(min(settings.check, headline), _longer(effort, 2.0)), (headline if settings.draws else 0, effort)]
+    return sum(-(-count // BLOCK) * effort.rounds for count, effort in searches)
 
 
 def search(
-    description: Benchmark, protocol: Protocol, folder: Path, advance: Callable[[str], Any] = lambda what: None
+    description: Benchmark,
+    protocol: Protocol,
+    folder: Path,
+    report: Callable[[int, str], object] = lambda rounds, what: None,
 ) -> Searched:
     """Search for the best schedules of a suite's first held-out scenarios, or read what was found.
 
@@ -91,22 +95,22 @@ def search(
         From `protocols`.
     folder : Path
         Of the benchmark.
-    advance : callable
-        Called with what is searched for after every block of scenarios.
+    report : callable
+        Called with a number of rounds when they are done, and with what is searched for.
 
     Raises
     ------
     AmulettError
         If a file is damaged.
     """
-    settings, effort = description.clairvoyant, _longer(Effort(), description.clairvoyant.effort)
+    settings, effort = description.clairvoyant, _effort(description)
     threads = min(os.cpu_count() or 1, MOST_THREADS)
     trials = Trials(protocol, threads=threads)
     others = trials.redrawn(REDRAWS, FIRST_REDRAW)
 
     def find(what: str, trials: Trials, effort: Effort) -> Reference:
         label = f"{what} on {protocol.suite}"
-        return clairvoyant(trials, effort, settings.starts, folder / what, BLOCK, lambda done, count: advance(label))
+        return clairvoyant(trials, effort, settings.starts, folder / what, BLOCK, lambda rounds: report(rounds, label))
 
     def judged(actions: NDArray[np.float32]) -> Run:
         return play_alone(protocol, Own("schedules", act=_Schedules(actions)))
@@ -144,6 +148,10 @@ class _Schedules:
     def __call__(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         self._step += 1
         return self._actions[:, self._step - 1, None]
+
+
+def _effort(description: Benchmark) -> Effort:
+    return _longer(Effort(), description.clairvoyant.effort)
 
 
 def _longer(effort: Effort, factor: float) -> Effort:

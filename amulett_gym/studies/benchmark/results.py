@@ -78,14 +78,16 @@ TUNED_EQ6, TUNED_LAW, POSITION_ONLY = "eq6-tuned", "parametric", "position-only"
 """Contenders that claims are about."""
 
 
-def content(evidence: Evidence, command: str | None = None, machine: str | None = None) -> Content:
+def content(evidence: Evidence, command: str | None = None, machine: str | None = None, quick: bool = False) -> Content:
     """Turn what was measured into the content of ``benchmark.json``; a number that does not exist is None.
 
     Parameters
     ----------
     evidence : Evidence
     command, machine : str, optional
-        What made it, and on what; to be told.
+        What made it, and on what; to be reported.
+    quick : bool
+        Whether it is the small benchmark that shows that all works: claims are not judged by it.
     """
     description = evidence.description
     best = description.best_learned if description.learned else None
@@ -97,6 +99,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "description": description.model_dump(mode="json"),
         "hashes": {**evidence.hashes, "suites_version": SUITES_VERSION, "frozen_prices": PRICES_SHA256},
         "seeds": dict(evidence.overlap),
+        **({"quick": True} if quick else {}),
         "command": command,
         "machine": machine,
         "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},

@@ -15,6 +15,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import Profile
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_text
@@ -155,7 +156,7 @@ def run_benchmark(
     say : callable
         Called with a line when something has happened.
     progress : bool
-        Draw progress bars on stderr.
+        Show progress on stderr.
 
     Raises
     ------
@@ -208,41 +209,31 @@ def _work(
     say: Say,
     progress: bool,
 ) -> Evidence:
-    from tqdm import tqdm
-
     places, folder = description.places(), out / EPISODES
-    members = sum(len(entry.members) for entry in laws) + len(needed)
     constants = [entry for entry in laws if entry.kind == "constant"]
-    total = (
-        len(description.suites) * len(constants) + len(needed) + len(places) * members + reference.blocks(description)
-    )
-    with tqdm(total=total, unit="job", disable=not progress, desc="benchmark") as bar:
-
-        def advance(what: str) -> None:
-            bar.set_postfix_str(what[-40:])
-            bar.update()
-
-        tried: dict[str, dict[str, float]] = {}
+    tried: dict[str, dict[str, float]] = {}
+    with Progress(len(description.suites) * len(constants), "constants on train", "runs", progress) as bar:
         for suite in description.suites:
             there = replace(protocol, suite=suite, split="train")
             tried[suite] = {}
             for entry in constants:
                 run = played(folder, entry.file_labels()[0], there, entry.members[0])
                 tried[suite][entry.name] = float(run.values["cost"].mean())
-                advance(f"{entry.name} on {suite}, train")
+                bar.update(note=f"{entry.name} on {suite}")
 
-        def trained(run: TrainingRun) -> None:
-            result = outcome(run)
-            say(
-                f"{run.name}: {result['steps']:,} steps in {result['seconds']:.0f} s, validation cost "
-                f"{result['best_cost']:.4f}"
-            )
-            advance(run.name)
+    def trained(run: TrainingRun) -> None:
+        result = outcome(run)
+        say(
+            f"{run.name}: {result['steps']:,} steps in {result['seconds']:.0f} s, validation cost "
+            f"{result['best_cost']:.4f}"
+        )
 
-        train_missing(needed, trained, progress)
-        entries = [*laws, *_learned(description, needed)]
-        results: dict[tuple[str, str], dict[str, Played]] = {}
-        schedules: dict[str, list[Schedule]] = {}
+    train_missing(needed, trained, progress)
+    entries = [*laws, *_learned(description, needed)]
+    results: dict[tuple[str, str], dict[str, Played]] = {}
+    schedules: dict[str, list[Schedule]] = {}
+    total = len(places) * sum(len(entry.members) for entry in entries)
+    with Progress(total, "contenders", "runs", progress) as bar:
         for suite, split in places:
             there, kept = replace(protocol, suite=suite, split=split), (suite, split) == (protocol.suite, "held-out")
             results[suite, split] = {}
@@ -250,14 +241,15 @@ def _work(
                 done = []
                 for label, member in zip(entry.file_labels(), entry.members, strict=True):
                     done.append(played(folder, label, there, member, keep_schedule=kept and entry.kind != "constant"))
-                    advance(f"{label} on {suite}, {split}")
+                    bar.update(note=f"{label} on {suite}, {split}")
                 results[suite, split][entry.name] = Played.of(done)
                 if kept and done[0].schedule.error.size:
                     schedules[entry.name] = [run.schedule for run in done]
             say(f"{suite}, {split}: {len(entries)} contenders on {there.episodes} scenarios")
-        searched = {}
+    searched = {}
+    with Progress(reference.rounds(description), "reference search", "rounds", progress) as bar:
         for suite, there in reference.protocols(description, protocol).items():
-            searched[suite] = reference.search(description, there, out, advance)
+            searched[suite] = reference.search(description, there, out, bar.update)
             foreseen = searched[suite].foresight
             for name, found in (("clairvoyant", searched[suite]), ("foresight", foreseen)):
                 if found is not None:

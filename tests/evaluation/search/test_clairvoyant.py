@@ -100,13 +100,15 @@ def test_the_same_seed_finds_the_same_and_another_one_something_else(trials, fou
 
 
 def test_what_was_found_is_kept_until_something_changes(trials, found, tmp_path, monkeypatch):
-    first = clairvoyant(trials, EFFORT, folder=tmp_path, block=2)
+    rounds, rounds_again = [], []
+    first = clairvoyant(trials, EFFORT, folder=tmp_path, block=2, report=rounds.append)
     assert len(list(tmp_path.rglob("*.npz"))) == 2
     searched = []
     improve = module.improve
     monkeypatch.setattr(module, "improve", lambda *given: searched.append(given[1].tolist()) or improve(*given))
-    again = clairvoyant(trials, EFFORT, folder=tmp_path, block=2)
+    again = clairvoyant(trials, EFFORT, folder=tmp_path, block=2, report=rounds_again.append)
     assert not searched
+    assert rounds == [1] * 2 * EFFORT.rounds and rounds_again == [EFFORT.rounds] * 2
     assert again.costs.tolist() == first.costs.tolist()
     assert again.curve.tolist() == first.curve.tolist()
     assert list(again.starts) == list(found.starts)

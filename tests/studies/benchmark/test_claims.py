@@ -5,6 +5,7 @@ import copy
 import pytest
 
 from amulett_gym.studies.benchmark.claims import PAPER_METRICS, check_claims
+from amulett_gym.studies.benchmark.page import verdict
 
 
 def estimate(mean, low=None, high=None):
@@ -128,3 +129,19 @@ def test_what_was_not_measured_is_open_and_not_held(found):
 
 def test_without_anything_learned_nothing_is_claimed(found):
     assert check_claims({**found, "best_learned": None}) == []
+
+
+def test_a_quick_run_judges_no_claim_and_says_on_what_it_stands(found):
+    found["description"]["episodes"] = 20
+    found["entries"]["ppo"]["seeds"] = [0, 1]
+    for run in found["training"]["ppo"]["runs"].values():
+        run["steps"] = 131_072
+    results = found["results"]["mixed/held-out"]
+    results["parametric"] = {"ratio": {"eq6": estimate(0.7)}}
+    found["best_by_hand"] = "parametric"
+    assert "claims hold" in verdict(found, check_claims(found))
+    found["quick"] = True
+    assert check_claims(found) == []
+    text = verdict(found, [])
+    assert "20 scenarios for each suite and 131,072 training steps for each seed. No claim is judged" in text
+    assert "claims hold" not in text

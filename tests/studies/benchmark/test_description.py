@@ -46,7 +46,7 @@ def test_the_quick_one_is_a_small_one_of_the_same_make():
     small = quick(whole)
     assert set(small.suites) < set(whole.suites) and small.headline == whole.headline
     assert small.episodes < whole.episodes and not small.ablations
-    assert small.contenders == whole.contenders and small.constants == whole.constants
+    assert small.contenders == whole.contenders and set(small.constants) < set(whole.constants)
     ((name, entry),) = small.learned.items()
     assert name == whole.best_learned and len(entry.seeds) == 2
     assert entry.set[: len(whole.learned[name].set)] == whole.learned[name].set

@@ -25,6 +25,7 @@ from amulett_gym.evaluation.search.clairvoyant import start_schedules
 from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.laws.contenders import Own, parse_contender
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.provenance import read_provenance
 from amulett_gym.studies.benchmark import episodes, frozen, reference, runs, stages
 from amulett_gym.studies.benchmark.claims import check_claims
@@ -201,6 +202,24 @@ def test_finished_work_is_not_done_again(done, tmp_path, monkeypatch):
     monkeypatch.setattr(runs, "train_run", refuse)
     evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
     assert len(evidence.entries["ppo"].members) == 2
+
+
+def test_every_stage_shows_what_is_done_and_what_is_left(done, monkeypatch):
+    shown = {}
+
+    class Recorded(Progress):
+        def __init__(self, total, what, *given):
+            super().__init__(total, what, *given)
+            shown[what] = [0, total]
+            self.counter = shown[what]
+
+        def update(self, count=1, note=""):
+            self.counter[0] += count
+
+    monkeypatch.setattr(stages, "Progress", Recorded)
+    run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+    assert set(shown) == {"constants on train", "contenders", "reference search"}
+    assert all(count == total > 0 for count, total in shown.values())
 
 
 def test_schedules_of_another_simulation_are_searched_for_again(tmp_path):

@@ -1,0 +1,26 @@
+"""What commands print for other programs: one JSON document on stdout, and nothing else there."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from typing import Any
+
+
+def add_json(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add `--json`, which prints `content` instead of what people read."""
+    parser.add_argument("--json", action="store_true", help=f"print {content} as JSON, and nothing else")
+
+
+def print_json(content: Any) -> None:
+    """Print plain data as one JSON document; a number that is not finite is null."""
+    print(json.dumps(_finite(content), indent=2, allow_nan=False, default=str), flush=True)
+
+
+def _finite(tree: Any) -> Any:
+    if isinstance(tree, dict):
+        return {key: _finite(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_finite(item) for item in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
