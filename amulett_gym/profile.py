@@ -13,10 +13,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.settings import Group, Sourced, describe, merge
+from amulett_gym.settings import Group, Sourced, describe, merge, to_plain
+from amulett_gym.storage.curve import Curve, read_curve
 from amulett_gym.storage.safe_yaml import read_yaml
 
 Positive = Annotated[float, Field(gt=0)]
@@ -63,7 +64,7 @@ class Plant(Sourced):
 
 
 class Spring(Sourced):
-    """The non-linear spring assembly in each string (Figure 5a), or a measured curve in its place."""
+    """The non-linear spring assembly in each string (Figure 5a), or a measured curve instead."""
 
     stiffness: float = Field(ge=1e-3, le=1e7, description="stiffness of each of the two linear springs [N/m]")
     half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
@@ -71,9 +72,14 @@ class Spring(Sourced):
     max_deflection: float = Field(
         ge=1e-6, le=10, description="string deflection at which the table ends [m]; force is held beyond"
     )
-    measured_curve: str | None = Field(
-        default=None, description="CSV file that replaces the geometric model (see model.spring.read_curve)"
+    measured_curve: Curve | None = Field(
+        default=None, description="replaces the geometric model: a CSV file (see storage.curve), kept by its content"
     )
+
+    @field_validator("measured_curve", mode="before")
+    @classmethod
+    def _read_curve(cls, curve: Any) -> Any:
+        return read_curve(curve) if isinstance(curve, str) else curve
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Spring:
@@ -231,8 +237,20 @@ class Profile(Group):
 
     @property
     def root(self) -> str:
-        """Name of the shipped profile behind this one; its reward divisors apply."""
-        return self.name if self.base is None or self.name in profile_names() else self.base
+        """Name of the shipped profile behind this one, whose reward divisors apply; that of the device if none is.
+
+        It is the base, unless there is more of the shipped profile that this one is named after: what was changed from
+        a copy of the testbed's content is based on the testbed, which itself is based on the simulation.
+        """
+        common = {name: self._groups_of(name) for name in profile_names() if name in (self.base, self.name)}
+        if self.base is not None and common.get(self.name, 0) <= common.get(self.base, 0):
+            return self.base
+        return self.name if self.name not in common or common[self.name] else f"{self.name} (own)"
+
+    def _groups_of(self, shipped: str) -> int:
+        """Return how many groups are those of a shipped profile."""
+        other = load_profile(shipped)
+        return sum(getattr(self, name) == group for name, group in other if isinstance(group, Sourced))
 
 
 def is_shipped(profile: Profile) -> bool:
@@ -267,38 +285,52 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
     if isinstance(profile, Profile):
         return profile
     if isinstance(profile, Mapping):
-        return _validate(profile, "profile")
-    if str(profile) in profile_names():
-        return _validate(_shipped(str(profile)), f"profile '{profile}'")
+        return _validate(to_plain(profile), "profile", "by the caller")
     if not isinstance(profile, str | Path):
         raise AmulettError(f"profile is {profile!r}; it has to be a name, a YAML file or a mapping")
-    path = Path(profile)
-    if path.suffix not in (".yaml", ".yml"):
+    if str(profile) in profile_names():
+        return _shipped(str(profile))
+    if Path(profile).suffix.lower() not in (".yaml", ".yml"):
         raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
+    path = Path(profile)
     content = read_yaml(path, "profile")
-    measured = content.get("spring", {}).get("measured_curve") if isinstance(content.get("spring"), dict) else None
-    if isinstance(measured, str):  # relative to the file that names it, not to where the user happens to be
-        content["spring"]["measured_curve"] = str(path.parent / measured)
-    return _validate(content, f"profile '{path}'")
+    spring = content.get("spring")
+    if isinstance(spring, dict) and isinstance(spring.get("measured_curve"), str):
+        # Relative to the file that names it, not to the working folder.
+        spring["measured_curve"] = str(path.parent / spring["measured_curve"])
+    return _validate(content, f"profile '{path}'", f"in {path.name}")
 
 
-@cache  # reading YAML takes longer than simulating a step response; nobody changes what is returned
-def _shipped(name: str) -> dict[str, Any]:
+@cache  # reading YAML takes longer than simulating a step response; all of it is frozen
+def _shipped(name: str) -> Profile:
+    return _validate(_content(name), f"profile '{name}'")
+
+
+@cache
+def _content(name: str) -> dict[str, Any]:
     with resources.as_file(resources.files("amulett_gym") / "profiles" / f"{name}.yaml") as path:
         return read_yaml(path, "profile")
 
 
-def _resolve_base(content: Mapping[str, Any]) -> dict[str, Any]:
+def _resolve_base(content: Mapping[str, Any], given: str) -> dict[str, Any]:
     base = content.get("base")
     if base is None:
         return dict(content)
     if base not in profile_names():
         raise unknown("base profile", str(base), profile_names())
-    return merge(_resolve_base(_shipped(base)), content)
+    below = _resolve_base(_content(base), "")
+    merged = merge(below, content)
+    for name, changes in content.items():  # the base's sources are those of its own values
+        group, old = merged[name], below.get(name)
+        if isinstance(changes, Mapping) and isinstance(old, Mapping) and isinstance(group.get("sources"), Mapping):
+            changed = {key for key in old.get("sources", ()) if group.get(key) != old.get(key)}
+            changed -= set(changes.get("sources", ()))
+            group["sources"] = {**group["sources"], **dict.fromkeys(changed, f"given: {given}")}
+    return merged
 
 
-def _validate(content: Mapping[str, Any], what: str) -> Profile:
+def _validate(content: Mapping[str, Any], what: str, given: str = "") -> Profile:
     try:
-        return Profile.model_validate(_resolve_base(content))
+        return Profile.model_validate(_resolve_base(content, given))
     except ValidationError as error:
         raise describe(error, Profile, what) from error

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from amulett_gym.errors import AmulettError, nearest
 
-SOURCES = ("paper", "datasheet", "identified", "assumed")
+SOURCES = ("paper", "datasheet", "identified", "assumed", "given")
 _MOST_ERRORS = 10
 _MOST_SHOWN = 100
 
@@ -38,7 +38,7 @@ class Group(BaseModel):
 
 
 class Sourced(Group):
-    """A group whose values can name where they come from: `paper`, `datasheet`, `identified` or `assumed`."""
+    """A group whose values can name where they come from: one of `SOURCES`, and an explanation."""
 
     sources: dict[str, str] = Field(default_factory=dict, description="key -> '<source>: explanation'")
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
 import yaml
 
+from amulett_gym.envs.reward import divisors
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.settings import SOURCES, Sourced, merge
+from amulett_gym.storage.curve import Curve
 
 
 def test_every_value_of_a_shipped_profile_names_its_source(profile):
@@ -41,7 +44,61 @@ def test_measured_curve_is_found_beside_the_profile(tmp_path: Path):
     (tmp_path / "curve.csv").write_text("deflection_m,force_N\n0,0\n0.003,4\n0.006,12\n")
     file = tmp_path / "mine.yaml"
     file.write_text("name: mine\nbase: testbed\nspring: {measured_curve: curve.csv}\n")
-    assert load_profile(file).spring.measured_curve == str(tmp_path / "curve.csv")
+    curve = Curve(deflection_m=[0, 0.003, 0.006], force_N=[0, 4, 12])
+    assert load_profile(file).spring.measured_curve == curve
+    assert load_profile(str(file)).spring.measured_curve == curve
+    in_python = {"name": "mine", "base": "testbed", "spring": {"measured_curve": tmp_path / "curve.csv"}}
+    assert load_profile(in_python).spring.measured_curve == curve
+
+
+def test_a_name_alone_does_not_give_a_devices_divisors():
+    simulation, testbed = load_profile("simulation"), load_profile("testbed")
+    assert (simulation.root, testbed.root) == ("simulation", "testbed")
+    named = load_profile({"name": "testbed", "base": "simulation"})
+    assert named.root == "simulation"
+    assert divisors(named, "steps") == divisors(simulation, "steps") != divisors(testbed, "steps")
+    assert load_profile({"name": "simulation", "base": "testbed"}).root == "testbed"
+    assert load_profile({"name": "x", "base": "testbed", "drives": {"lag": 0.2}}).root == "testbed"
+    # What was changed in a copy of the testbed's content is based on the testbed, though its 'base' is the simulation.
+    copy = merge(testbed.model_dump(), {"drives": {"lag": 0.2}})
+    assert load_profile(copy).root == "testbed"
+    assert testbed.model_copy(update={"description": "mine"}).root == "testbed"
+    # Without a base: all of the content is its own.
+    own = {name: {**getattr(simulation, name).model_dump(), "sources": {}} for name in GROUPS}
+    assert load_profile({"name": "simulation", **own}).root == "simulation (own)"
+    assert load_profile({"name": "mine", **own}).root == "mine"
+
+
+GROUPS = [name for name, group in load_profile("simulation") if isinstance(group, Sourced)]
+
+
+def test_a_changed_value_does_not_keep_the_source_of_the_bases(tmp_path: Path):
+    testbed = load_profile("testbed").drives
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"name: mine\nbase: testbed\ndrives: {{lag: 0.2, rate_limit_deg: {testbed.rate_limit_deg}}}\n")
+    mine = load_profile(file)
+    assert mine.drives.sources == {**testbed.sources, "lag": "given: in mine.yaml"}  # the rate is what the source says
+    assert load_profile(mine.model_dump()) == mine
+    content = {"name": "mine", "base": "testbed", "loop": {"position": {"kp": 0.5}}}
+    assert load_profile(content).loop.sources["position"] == "given: by the caller"
+    content["loop"]["sources"] = {"position": "assumed: by hand"}
+    assert load_profile(content).loop.sources["position"] == "assumed: by hand"
+    assert load_profile("testbed").loop.sources["position"].startswith(("assumed", "identified", "paper"))
+
+
+def test_files_are_known_by_their_suffix_in_any_case(tmp_path: Path):
+    for name in ("P.YAML", "p.Yml"):
+        (tmp_path / name).write_text("{name: mine, base: testbed}")
+        assert load_profile(tmp_path / name).name == "mine"
+
+
+def test_a_profile_is_the_same_from_a_name_a_path_a_mapping_or_itself():
+    testbed = load_profile("testbed")
+    for profile in (Path("testbed"), testbed, testbed.model_dump(), MappingProxyType(testbed.model_dump())):
+        assert load_profile(profile) == testbed
+    for wrong in (3, None, b"testbed", ["testbed"]):
+        with pytest.raises(AmulettError, match="it has to be a name, a YAML file or a mapping"):
+            load_profile(wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,9 @@ table's end the force is held.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +27,8 @@ from scipy.interpolate import PchipInterpolator
 from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.profile import Spring
-from amulett_gym.storage.reading import read_text
 
 CELLS = 256
-CURVE_COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
-_MOST = {"deflection_m": 10.0, "force_N": 1e6, "spring_deflection_m": 10.0}
-_LEAST_RISE = 1e-9  # [m]: far below what anybody measures, and far above where slopes overflow
-_MAX_CURVE_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -105,64 +97,14 @@ def assembly_curve(spring: Spring, deflection: NDArray[np.float64]) -> tuple[NDA
     return 2 * spring.stiffness * deflection * (1 - spring.free_length / length), length - spring.half_width
 
 
-def read_curve(path: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Read a measured force-deflection curve.
-
-    Parameters
-    ----------
-    path : str or Path
-        CSV file (comma or semicolon) with a header and the columns ``deflection_m``, ``force_N`` and optionally
-        ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection itself). A
-        curve that starts above zero is joined to the origin. Average repeated and noisy measurements first.
-
-    Returns
-    -------
-    deflection, force, spring_deflection : ndarray
-        [m], [N], [m]; each starts at 0. Deflections rise strictly; the force never falls.
-
-    Raises
-    ------
-    AmulettError
-        If the file is unreadable or empty, a column is missing, a cell is no finite number, a value is negative, a
-        deflection rises by less than a nanometre or a force falls, or a value is out of its range (10 m, 1e6 N).
-    """
-    text = read_text(path, "measured spring curve", _MAX_CURVE_BYTES)
-    delimiter = ";" if ";" in text.partition("\n")[0] else ","
-    try:
-        header, *rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if row] or [[]]
-    except csv.Error as error:
-        raise AmulettError(f"measured spring curve '{path}' is not valid CSV: {error}") from error
-    if not rows:
-        raise AmulettError(f"measured spring curve '{path}' is empty; it needs a header and at least 3 rows")
-    missing = [column for column in CURVE_COLUMNS[:2] if column not in header]
-    if missing:
-        has = ", ".join(header)[:200]
-        raise AmulettError(f"measured spring curve '{path}' has no column {missing}; it has {has}")
-    columns = [_column(rows, header, name, path) for name in CURVE_COLUMNS if name in header]
-    starts = {name: float(column[0]) for name, column in zip(CURVE_COLUMNS, columns, strict=False)}
-    if all(start > 0 for start in starts.values()):
-        columns = [np.insert(column, 0, 0.0) for column in columns]
-    elif any(starts.values()):
-        raise AmulettError(f"measured spring curve '{path}' starts at {starts}; all of them have to be 0, or all above")
-    if columns[1][-1] <= 0:
-        raise AmulettError(f"measured spring curve '{path}', column 'force_N' has no force above 0")
-    for name, column in zip(CURVE_COLUMNS, columns, strict=False):
-        step = np.diff(column)
-        wrong = step < (0.0 if name == "force_N" else _LEAST_RISE)
-        if wrong.any():
-            row = int(np.argmax(wrong)) + 1
-            raise AmulettError(
-                f"measured spring curve '{path}', column '{name}' has to rise from row to row; {column[row]} follows "
-                f"{column[row - 1]}"
-            )
-    return columns[0], columns[1], columns[-1] if len(columns) == 3 else columns[0]
-
-
 def build_tables(spring: Spring) -> SpringTables:
     """Build the look-up tables of a spring assembly: from its measured curve if it has one, else from its geometry."""
     if spring.measured_curve is None:
         return _geometric_tables(spring.stiffness, spring.half_width, spring.free_length, spring.max_deflection)
-    measured, measured_force, measured_spring = read_curve(spring.measured_curve)
+    curve = spring.measured_curve
+    columns = (curve.deflection_m, curve.force_N, curve.spring_deflection_m or curve.deflection_m)
+    start = [0.0] if curve.deflection_m[0] > 0.0 else []
+    measured, measured_force, measured_spring = (np.array(start + column) for column in columns)
     deflection = np.linspace(0.0, measured[-1], CELLS + 1)
     return _tables(
         deflection,
@@ -240,18 +182,3 @@ def _coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return PCHIP coefficients (constant term first) over cells of width 1."""
     pchip = PchipInterpolator(np.arange(values.size, dtype=float), values)
     return np.ascontiguousarray(pchip.c[::-1].T)
-
-
-def _column(rows: list[list[str]], header: list[str], name: str, path: str | Path) -> NDArray[np.float64]:
-    what, index, most = f"measured spring curve '{path}', column '{name}'", header.index(name), _MOST[name]
-    try:
-        values = np.array([float(row[index]) for row in rows])
-    except (IndexError, ValueError) as error:
-        raise AmulettError(f"{what}: every cell has to be a number") from error
-    if values.size < 3 or not np.isfinite(values).all():
-        raise AmulettError(f"{what}: at least 3 finite numbers are needed")
-    if values[0] < 0.0:
-        raise AmulettError(f"{what} starts at {values[0]}; it has to be >= 0")
-    if values.max() > most:
-        raise AmulettError(f"{what} reaches {values.max()}; it has to be at most {most:g}")
-    return values

@@ -36,9 +36,9 @@ from amulett_gym.laws.bundle import (
     Manifest,
     read_bundle,
 )
-from amulett_gym.model.spring import read_curve
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
+from amulett_gym.storage.curve import read_curve
 from amulett_gym.storage.provenance import Provenance, read_provenance, versions
 from amulett_gym.storage.reading import read_arrays, read_json, read_text
 from amulett_gym.storage.safe_yaml import parse_yaml
@@ -103,7 +103,7 @@ KINDS = {
             "curve.csv",
             b"deflection_m,force_N,spring_deflection_m\n0,0,0\n0.002,1.5,0.001\n0.004,4.5,0.002\n0.006,12,0.004\n",
             read_curve,
-            list,
+            lambda curve: curve.model_dump().values(),
         ),
         Kind("identification.json", json.dumps(shipped()).encode(), read_own_study, lambda study: [study.folder]),
         Kind(
@@ -259,7 +259,7 @@ import resource, sys
 from pathlib import Path
 from amulett_gym.profile import load_profile
 from amulett_gym.errors import AmulettError
-from amulett_gym.model.spring import read_curve
+from amulett_gym.storage.curve import read_curve
 from amulett_gym.tasks.scenario import load_scenario
 from amulett_agents.config import load_train_config
 

@@ -1,0 +1,102 @@
+"""Measured curves: what is no curve is refused by file, row and column."""
+
+import json
+
+import pytest
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.profile import load_profile
+from amulett_gym.storage.curve import MOST_POINTS, Curve, read_curve
+
+BAD_CURVES = {
+    "nothing at all": ("", "is empty"),
+    "a header only": ("deflection_m,force_N\n", "'deflection_m'.*at least 3 items"),
+    "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", r"no column \['force_N'\]"),
+    "too short": ("deflection_m,force_N\n0,0\n1,1\n", "'deflection_m'.*at least 3 items"),
+    "too long": (
+        "deflection_m,force_N\n" + "\n".join(f"{k}e-6,{k}" for k in range(MOST_POINTS + 1)),
+        "'deflection_m'.*at most 1000 items",
+    ),
+    "a force that falls": (
+        "deflection_m,force_N\n0,0\n1,5\n2,4\n",
+        "'force_N' has to rise from row to row; 4.0 follows 5.0",
+    ),
+    "a deflection twice": (
+        "deflection_m,force_N\n0,0\n1,5\n1,6\n",
+        "'deflection_m' has to rise from row to row; 1.0 follows 1.0",
+    ),
+    "a preload": ("deflection_m,force_N\n0,1\n1,5\n2,6\n", "starts at .*'force_N': 1.0.*have to be 0, or all above"),
+    "no force at all": ("deflection_m,force_N\n0,0\n1,0\n2,0\n", "no force above 0"),
+    "below zero": ("deflection_m,force_N\n-1,0\n1,5\n2,6\n", "'deflection_m' starts at -1.0"),
+    "beyond the range": ("deflection_m,force_N\n0,0\n1,1\n2,2e6\n", "'force_N' reaches 2000000.0"),
+    "an endless field": ("deflection_m,force_N\n0," + "1" * 200_000 + "\n", "is not valid CSV: row 2"),
+    "an open quote": ('deflection_m,force_N\n0,0\n1,"1\n', "is not valid CSV: row 3"),
+    "not a number": ("deflection_m,force_N\n0,0\n1,nan\n2,4\n", "row 3, column 'force_N': 'nan' is no finite number"),
+    "infinity": ("deflection_m,force_N\n0,0\n1,1\n2,inf\n", "row 4, column 'force_N': 'inf'"),
+    "text": ("deflection_m,force_N\n0,0\n1,much\n2,4\n", "row 3, column 'force_N': 'much' is no finite number"),
+    "a decimal comma": ("deflection_m;force_N\n0;0\n0,1;1\n", "row 3, column 'deflection_m': '0,1'"),
+    "a short row": ("deflection_m,force_N\n0,0\n1\n2,4\n", "row 3 has 1 cells, the header has 2"),
+    "a long row": ("deflection_m,force_N\n0,0\n\n0.002,1,100\n0.004,9\n", "row 4 has 3 cells, the header has 2"),
+    "a column twice": (
+        "deflection_m,force_N,force_N\n0,0,0\n1,1,2\n2,4,5\n",
+        "row 1 names the column 'force_N' 2 times",
+    ),
+    "a bad third column": (
+        "deflection_m,force_N,spring_deflection_m\n0,0,0\n1,1,\n2,4,1\n",
+        "row 3, column 'spring_deflection_m': '' is no",
+    ),
+}
+
+
+def test_curves_of_spreadsheets_and_with_plateaus_are_read(tmp_path):
+    path = tmp_path / "curve.csv"
+    path.write_text("\ufeffdeflection_m;force_N\n0.001;1\n0.002;4\n0.003;4\n", encoding="utf-8")
+    curve = read_curve(path)
+    assert curve == Curve(deflection_m=[0.001, 0.002, 0.003], force_N=[1.0, 4.0, 4.0])
+
+
+def test_other_columns_and_empty_rows_are_left_out(tmp_path):
+    path = tmp_path / "curve.csv"
+    path.write_text("remark, force_N ,deflection_m\nrest,0,0\n,,\n,1,0.002\n\nend,4,0.004\n,,\n")
+    assert read_curve(path) == Curve(deflection_m=[0.0, 0.002, 0.004], force_N=[0.0, 1.0, 4.0])
+
+
+def test_columns_of_other_lengths_are_refused():
+    with pytest.raises(ValueError, match="'force_N' has 2 values, 'deflection_m' has 3"):
+        Curve(deflection_m=[0, 1, 2], force_N=[0, 1])
+
+
+@pytest.mark.parametrize("name", BAD_CURVES)
+def test_a_profile_with_a_bad_curve_is_refused_when_it_is_loaded(name, tmp_path):
+    (tmp_path / "curve.csv").write_text(BAD_CURVES[name][0])
+    (tmp_path / "own.yaml").write_text("{name: own, base: testbed, spring: {measured_curve: curve.csv}}")
+    with pytest.raises(AmulettError, match=BAD_CURVES[name][1]) as error:
+        load_profile(tmp_path / "own.yaml")
+    assert "own.yaml" in str(error.value) and "spring.measured_curve" in str(error.value)
+
+
+def test_a_profile_keeps_its_curve_by_content(tmp_path):
+    curve = tmp_path / "curve.csv"
+    curve.write_text("deflection_m,force_N\n0.001,2\n0.002,5\n0.004,10\n")
+    profile = load_profile({"name": "own", "base": "testbed", "spring": {"measured_curve": curve}})
+    curve.unlink()
+    content = json.loads(profile.model_dump_json())
+    assert content["spring"]["measured_curve"]["force_N"] == [2.0, 5.0, 10.0]
+    assert load_profile(content) == profile
+    with pytest.raises(AmulettError, match=r"spring\.measured_curve.*cannot read .*curve\.csv"):
+        load_profile({"name": "own", "base": "testbed", "spring": {"measured_curve": str(curve)}})
+
+
+@pytest.mark.parametrize("name", BAD_CURVES)
+def test_bad_curve_is_refused_by_file_and_column(name, tmp_path):
+    content, message = BAD_CURVES[name]
+    path = tmp_path / "curve.csv"
+    path.write_text(content)
+    with pytest.raises(AmulettError, match=message) as error:
+        read_curve(path)
+    assert str(path) in str(error.value)
+
+
+def test_curve_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(AmulettError, match=r"cannot read measured spring curve '.*none\.csv': No such file"):
+        read_curve(tmp_path / "none.csv")
