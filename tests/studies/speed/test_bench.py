@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +19,7 @@ from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import update_document
 from amulett_gym.studies.speed import document as performance
-from amulett_gym.studies.speed import peers, scale
+from amulett_gym.studies.speed import peers, scale, sections
 from amulett_gym.studies.speed.document import SECTIONS, section_marks, tables
 from amulett_gym.studies.speed.rates import Speed, kernel, race, ratios
 
@@ -38,9 +39,8 @@ def brief(monkeypatch):
 
 
 def test_kernel_and_environments_are_written_as_json(brief, tmp_path, capsys):
-    path = tmp_path / "bench.json"
-    assert main([*QUICK, "--json", str(path)]) == 0
-    data = json.loads(path.read_text())
+    assert main([*QUICK, "--out", str(tmp_path)]) == 0
+    data = json.loads((tmp_path / "bench.json").read_text())
     assert set(data["kernel_ticks_per_s"]) == {"simulation", "testbed"}
     assert data["vector_steps_per_s"] == data["environments"]["vector of 4, testbed"]["steps_per_s"] > 0
     assert data["single_step_us"] == pytest.approx(1e6 / data["environments"]["single, testbed"]["steps_per_s"])
@@ -48,9 +48,19 @@ def test_kernel_and_environments_are_written_as_json(brief, tmp_path, capsys):
     assert "CartPole-v1, vector of 4" in capsys.readouterr().out
 
 
-def test_a_dash_prints_json_and_nothing_else(brief, capsys):
-    assert main([*QUICK, "--peers", "--json", "-"]) == 0
+def test_json_is_printed_and_nothing_else(brief, capsys):
+    assert main([*QUICK, "--peers", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["peers"]["Gymnasium Pendulum"]["steps_per_s"] > 0
+
+
+def test_a_file_after_json_is_deprecated_and_still_written(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sections.MEASURE, "speed", lambda settings, data, recipe: data.update(devices=3))
+    path = tmp_path / "bench.json"
+    for words, printed in ((str(path), "Written"), ("-", '{\n  "devices": 3\n}')):
+        assert main(["bench", "--json", words]) == 0
+        output, note = capsys.readouterr()
+        assert output.startswith(printed) and "--json FILE is deprecated" in note
+    assert json.loads(path.read_text()) == {"devices": 3}
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -64,7 +74,7 @@ def test_c_ticks_beside_the_kernels(brief, tmp_path):
 def test_without_a_compiler_c_is_refused_before_anything_is_measured(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(AmulettError, match="--c: no C compiler found"):
-        bench.yardstick()
+        sections.prepare("c", sections.Settings())
 
 
 @pytest.mark.parametrize(
@@ -82,12 +92,11 @@ def test_without_a_compiler_c_is_refused_before_anything_is_measured(monkeypatch
         (["--ppo", "--seeds", "3"], "--seeds changes nothing here: it is read by --time-to-beat"),
         (["--ppo", "--limit", "3"], "--limit changes nothing here"),
         (["--ppo", "--simulated", "60"], "--simulated changes nothing here: it is read by --scale"),
-        (["--ppo", "--out", "figures"], "--out changes nothing here"),
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_measured(words, message, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(bench, "_MEASURE", {})
+    monkeypatch.setattr(sections, "MEASURE", {})
     assert main(["bench", *words]) == 2
     assert message in capsys.readouterr().err
 
@@ -105,7 +114,7 @@ def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
         data["scale"] = {"memory_per_device": MEMORY | {"resident": None}}
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(bench._MEASURE, "scale", interrupted)
+    monkeypatch.setitem(sections.MEASURE, "scale", interrupted)
     document = shutil.copy(DOCUMENT, tmp_path / "performance.md")
     words = ["--scale", "--peers", "--json", str(tmp_path / "bench.json"), "--doc", str(document)]
     assert main([*QUICK, *words]) == 130
@@ -212,9 +221,9 @@ def test_scale_measures_memory_sizes_and_the_long_run(brief, monkeypatch, long_r
     monkeypatch.setattr(scale, "memory_per_device", lambda seed: MEMORY)
     monkeypatch.setattr(scale, "long_run", lambda **keywords: long_run)
     monkeypatch.setattr(scale, "SIZES", (1, 8))
-    assert main([*QUICK, "--scale", "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0
-    assert set(json.loads((tmp_path / "b.json").read_text())["scale"]["device_step_ns"]) == {"1", "8"}
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"scale.png", "hour.png"}
+    assert main([*QUICK, "--scale", "--out", str(tmp_path / "figures")]) == 0
+    assert set(json.loads((tmp_path / "figures" / "bench.json").read_text())["scale"]["device_step_ns"]) == {"1", "8"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"bench.json", "scale.png", "hour.png"}
 
 
 # --- tables
@@ -367,20 +376,19 @@ def test_a_run_ends_at_its_limit(recipe, clock):
 def test_ppo_has_the_recipe_of_training_and_time_to_beat_its_own():
     from amulett_agents.config import SPRINT, TrainConfig, load_train_config
 
-    arguments = SimpleNamespace(config=None, overrides=["seed=3"])
-    assert bench._recipe(arguments, "ppo") == TrainConfig(seed=3)
-    assert (
-        bench._recipe(arguments, "time-to-beat") == load_train_config(None, [*SPRINT, "seed=3"]) != TrainConfig(seed=3)
-    )
-    arguments.config = DOCUMENT.parent.parent / "configs" / "ppo.yaml"
-    assert bench._recipe(arguments, "time-to-beat") == TrainConfig(seed=3)
+    given = sections.Settings(overrides=["seed=3"])
+    assert sections.prepare("ppo", given) == TrainConfig(seed=3)
+    sprint = load_train_config(None, [*SPRINT, "seed=3"])
+    assert sections.prepare("time-to-beat", given) == sprint != TrainConfig(seed=3)
+    named = replace(given, config=str(DOCUMENT.parent.parent / "configs" / "ppo.yaml"))
+    assert sections.prepare("time-to-beat", named) == TrainConfig(seed=3)
 
 
 def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, recipe, tmp_path, monkeypatch):
-    monkeypatch.setattr(bench, "_recipe", lambda arguments, section: recipe)
+    monkeypatch.setattr(sections, "prepare", lambda section, settings: recipe)
     words = ["--ppo", "--time-to-beat", "--seeds", "2", "--limit", "2"]
-    assert main([*QUICK, *words, "--json", str(tmp_path / "b.json"), "--out", str(tmp_path / "figures")]) == 0
-    data = json.loads((tmp_path / "b.json").read_text())
+    assert main([*QUICK, *words, "--out", str(tmp_path / "figures")]) == 0
+    data = json.loads((tmp_path / "figures" / "bench.json").read_text())
     assert len(data["time_to_beat_s"]) == len(data["time_to_beat_lower_s"]) == 2
     assert data["time_to_beat"]["initial_tension"] == 9.5
     assert data["time_to_beat"]["recipe"]["env"]["tension_range"] == [4.0, 15.0]
@@ -389,7 +397,7 @@ def test_the_command_beats_from_the_middle_of_the_environments_tensions(brief, r
 
 
 def test_targets_that_cannot_be_written_are_refused_before_anything_is_measured(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(bench._MEASURE, "speed", lambda *_: pytest.fail("measured"))
+    monkeypatch.setitem(sections.MEASURE, "speed", lambda *_: pytest.fail("measured"))
     unmarked = tmp_path / "unmarked.md"
     unmarked.write_text("# Mine\n")
     for words, message in (
@@ -406,8 +414,8 @@ def test_an_error_in_a_late_section_keeps_the_early_ones(tmp_path, monkeypatch):
     def fails(*_):
         raise AmulettError("no")
 
-    monkeypatch.setitem(bench._MEASURE, "speed", lambda arguments, data, config: data.update(devices=3))
-    monkeypatch.setitem(bench._MEASURE, "scale", fails)
+    monkeypatch.setitem(sections.MEASURE, "speed", lambda arguments, data, config: data.update(devices=3))
+    monkeypatch.setitem(sections.MEASURE, "scale", fails)
     monkeypatch.setattr(performance, "tables", lambda section, data: [])
     out = tmp_path / "bench.json"
     assert main(["bench", "--scale", "--json", str(out)]) == 2
