@@ -50,7 +50,15 @@ class Metric:
     @property
     def heading(self) -> str:
         """Name and unit, such as ``"position ISE [deg2 s]"``."""
-        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+        return self._with_unit(self.name)
+
+    @property
+    def paper_heading(self) -> str:
+        """The paper's name and the unit."""
+        return self._with_unit(self.paper_name or self.name)
+
+    def _with_unit(self, name: str) -> str:
+        return name if self.unit == "1" else f"{name} [{self.unit}]"
 
     def text(self, value: float | None) -> str:
         """Return a value as it is shown; a dash if there is none."""

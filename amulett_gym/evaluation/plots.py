@@ -8,56 +8,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.evaluation.metrics import COSTS
+from amulett_gym.evaluation.metrics import COSTS, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
 from amulett_gym.profile import VariableStiffness
-from amulett_gym.reporting.style import (
-    BICEPS,
-    BLACK,
-    BLUE,
-    BROWN,
-    GREEN,
-    GREY,
-    INDIGO,
-    JOINT,
-    OLIVE,
-    ORANGE,
-    PRINT_WIDTH,
-    PURPLE,
-    RED,
-    SETPOINT,
-    SKY,
-    TRICEPS,
-    WIDTH,
-    Figure,
-    FuncFormatter,
-    Line2D,
-    MaxNLocator,
-    Patch,
-    reach,
-    styled,
-)
+from amulett_gym.reporting import style
+from amulett_gym.reporting.style import Figure, Line2D, MaxNLocator, Patch
 from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.simulation.trajectory import Trajectory
 
-_STRINGS = {"biceps": (BICEPS, (0, (4, 1))), "triceps": (TRICEPS, "-")}
+_STRINGS = {"biceps": (style.BICEPS, (0, (4, 1))), "triceps": (style.TRICEPS, "-")}
 """String -> colour, and the line style that tells it apart in grey."""
 
-_FIXED_COLOURS = {"eq6": BLACK, "eq6-printed": GREY}
-_LAW_COLOURS = (BLUE, GREEN, PURPLE, SKY, INDIGO, OLIVE, BROWN, ORANGE)
+_FIXED_COLOURS = {"eq6": style.BLACK, "eq6-printed": style.GREY}
+_LAW_COLOURS = (style.BLUE, style.GREEN, style.PURPLE, style.SKY, style.INDIGO, style.OLIVE, style.BROWN, style.ORANGE)
 _LEARNED_COLOURS = ("#D62718", "#8C1020", "#F0708A")
 """Of learned policies; no law ever has one of these."""
 _MARKERS = "osD^vPXh<>p"
-_TERM_COLOURS = dict(zip(COSTS, (BLUE, ORANGE, GREEN, PURPLE, RED), strict=True))
+_TERM_COLOURS = dict(zip(COSTS, (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.RED), strict=True))
 _PHASES = {
-    1: ("joint moves towards the setpoint", INDIGO),
+    1: ("joint moves towards the setpoint", style.INDIGO),
     0: ("joint stands", "#4FA3A5"),
     -1: ("joint moves away from the setpoint", "#C29A00"),
 }
@@ -76,7 +53,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     }
 
 
-@styled
+@style.styled
 def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     """Draw one episode: joint angle, string tensions, joint stiffness, drive commands, and external torques if any.
 
@@ -92,14 +69,14 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     }
     torques = {name: torque for name, torque in torques.items() if np.any(torque != 0.0)}
     heights = [3.0, 3.0, 1.7, 2.4] + [1.4] * bool(torques)
-    figure = Figure(figsize=(7.2, 1.0 + 0.72 * sum(heights)), layout="constrained")
+    figure = style.new_figure(1.0 + 0.72 * sum(heights), 7.2)
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     angle, tension, stiffness, command = axes[:4]
 
     angle.plot(
-        time, np.degrees(trajectory["setpoint"]), color=SETPOINT, linestyle="--", linewidth=1.0, label="setpoint"
+        time, np.degrees(trajectory["setpoint"]), color=style.SETPOINT, linestyle="--", linewidth=1.0, label="setpoint"
     )
-    angle.plot(time, np.degrees(trajectory["angle"]), color=JOINT, label="joint angle")
+    angle.plot(time, np.degrees(trajectory["angle"]), color=style.JOINT, label="joint angle")
     angle.set_ylabel("joint angle [deg]")
 
     for string, (colour, _) in _STRINGS.items():
@@ -111,7 +88,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     tension.plot(
         time,
         trajectory["tension_setpoint"],
-        color=SETPOINT,
+        color=style.SETPOINT,
         linestyle="--",
         linewidth=1.0,
         drawstyle="steps-pre",
@@ -119,19 +96,19 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     )
     tension.set_ylabel("string tension [N]")
     tension.set_ylim(bottom=0.0)
-    stiffness.plot(time, trajectory["joint_stiffness"], color=JOINT, label="of both strings")
+    stiffness.plot(time, trajectory["joint_stiffness"], color=style.JOINT, label="of both strings")
     stiffness.set_ylabel("joint stiffness\n[N m/rad]")
     stiffness.set_ylim(bottom=0.0)
     command.set_ylabel("drive command [deg]")
     shaded = _shade_triceps(axes, time, trajectory["agonist"])
-    for (name, torque), style in zip(torques.items(), ("-", "--"), strict=False):
-        axes[4].plot(time, torque, color=GREY, linestyle=style, drawstyle="steps-pre", label=f"{name} torque")
+    for (name, torque), dashes in zip(torques.items(), ("-", "--"), strict=False):
+        axes[4].plot(time, torque, color=style.GREY, linestyle=dashes, drawstyle="steps-pre", label=f"{name} torque")
         axes[4].set_ylabel("torque [N m]")
     for panel in axes:
         handles, names = panel.get_legend_handles_labels()
         if panel is angle and shaded:
             handles, names = [*handles, shaded], [*names, "triceps is agonist"]
-        panel.legend(handles, names, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        style.legend_beside(panel, handles=handles, labels=names)
     figure.align_ylabels(axes)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
@@ -140,7 +117,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     return figure
 
 
-@styled
+@style.styled
 def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
     """Draw what several contenders do in the same scenario, each as one curve in every panel.
 
@@ -151,7 +128,7 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
     title : str
     """
     label, colour = labels(list(trajectories)), colours(list(trajectories))
-    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    figure = style.new_figure(6.4, 7.2)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.4, 1.9])
     for name, trajectory in trajectories.items():
         time = trajectory["time"]
@@ -160,13 +137,13 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
             panel.plot(time, values, color=colour[name], linewidth=1.1, label=label[name])
     longest = max(trajectories.values(), key=len)
     time, setpoint = longest["time"], np.degrees(longest["setpoint"])
-    axes[0].plot(time, setpoint, color=GREY, linestyle="--", linewidth=1.0, label="setpoint")
+    axes[0].plot(time, setpoint, color=style.GREY, linestyle="--", linewidth=1.0, label="setpoint")
     texts = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
     for panel, text in zip(axes, texts, strict=True):
         panel.set_ylabel(text)
     for panel in axes[1:]:
         panel.set_ylim(bottom=0.0)
-    axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    style.legend_beside(axes[0])
     figure.align_ylabels(axes)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
@@ -175,7 +152,7 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
     return figure
 
 
-@styled
+@style.styled
 def step_response_figure(
     trajectories: Mapping[str, Trajectory], title: str = "", colour: Mapping[str, str] | None = None
 ) -> Figure:
@@ -193,7 +170,7 @@ def step_response_figure(
     label, colour = labels(names), colours(names) if colour is None else colour
     columns = min(len(names), 3)
     rows = math.ceil(len(names) / columns)
-    figure = Figure(figsize=(WIDTH, 0.8 + 3.8 * rows), layout="constrained")
+    figure = style.new_figure(0.8 + 3.8 * rows)
     grid = figure.subplots(3 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2, 1.6] * rows)
     reference = trajectories.get(YARDSTICK)
     angles = np.degrees(
@@ -210,12 +187,12 @@ def step_response_figure(
         trajectory = trajectories[name]
         time = trajectory["time"]
         angle.set_title(label[name], color=colour[name], fontweight="bold")
-        angle.plot(time, np.degrees(trajectory["setpoint"]), color=SETPOINT, linestyle="--", linewidth=0.9)
+        angle.plot(time, np.degrees(trajectory["setpoint"]), color=style.SETPOINT, linestyle="--", linewidth=0.9)
         if reference is not None and name != YARDSTICK:
             angle.plot(reference["time"], np.degrees(reference["angle"]), color="#b5b5b5", linewidth=1.1)
         angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
         tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
-        tension.plot(time, trajectory["tension_setpoint"], color=SETPOINT, linestyle="--", linewidth=0.9)
+        tension.plot(time, trajectory["tension_setpoint"], color=style.SETPOINT, linestyle="--", linewidth=0.9)
         stiffness.plot(time, trajectory["joint_stiffness"], color=colour[name], linewidth=1.0)
         angle.set_ylim(angles.min() - room, angles.max() + room)
         angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
@@ -234,17 +211,17 @@ def step_response_figure(
         for panel in grid[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]:
             panel.set_axis_off()
     handles = [
-        Line2D([], [], color=BLACK, label="contender"),
+        Line2D([], [], color=style.BLACK, label="contender"),
         Line2D([], [], color="#b5b5b5", label=f"{YARDSTICK}, for comparison"),
-        Line2D([], [], color=SETPOINT, linestyle="--", linewidth=0.9, label="setpoint"),
+        Line2D([], [], color=style.SETPOINT, linestyle="--", linewidth=0.9, label="setpoint"),
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    style.legend_below(figure, handles, ncols=3)
     if title:
         figure.suptitle(title, fontsize=10.5)
     return figure
 
 
-@styled
+@style.styled
 def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -> Figure:
     """Draw the tension that policies choose against the position error, over both readings of eq. 6.
 
@@ -260,46 +237,36 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
     """
     names = [name for name, schedule in schedules.items() if np.ptp(schedule.tension) > 0.01] or list(schedules)
     label = labels(names)
-    columns = min(max(len(names), 1), 3)
-    rows = max(math.ceil(len(names) / columns), 1)
-    figure = Figure(figsize=(WIDTH, 1.1 + 2.9 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    reach = max([float(np.percentile(schedules[name].error, 99.8)) for name in names], default=0.0)
-    reach = min(max(reach, 1.3 * law.error_offset_deg), 90.0)
-    for k, panel in enumerate(grid.flat):
-        if k >= max(len(names), 1):
-            panel.set_axis_off()
-            continue
-        if k < len(names):
-            panel.set_title(label[names[k]], fontweight="bold")
-            if is_bundle(names[k]):
-                for bound in schedules[names[k]].tension_range:
+    figure, panels = style.panel_grid(max(len(names), 1), 3, 1.1, 2.9, sharex=True, sharey=True)
+    widest = max([float(np.percentile(schedules[name].error, 99.8)) for name in names], default=0.0)
+    widest = min(max(widest, 1.3 * law.error_offset_deg), 90.0)
+    for panel, name in zip_longest(panels, names):
+        if name is not None:
+            panel.set_title(label[name], fontweight="bold")
+            if is_bundle(name):
+                for bound in schedules[name].tension_range:
                     panel.axhline(bound, color=_LEARNED_COLOURS[0], linewidth=0.8, alpha=0.5, zorder=1)
-            _draw_schedule(panel, schedules[names[k]])
-        _draw_eq6(panel, law, reach)
-        if k % columns == 0:
-            panel.set_ylabel("tension setpoint [N]")
-        if k + columns >= len(names):
-            panel.set_xlabel("|position error| [deg]")
-            panel.tick_params(labelbottom=True)
-    grid[0, 0].set_xlim(0.0, reach)
+            _draw_schedule(panel, schedules[name])
+        _draw_eq6(panel, law, widest)
+    style.label_outer(panels, "|position error| [deg]", "tension setpoint [N]")
+    panels[0].set_xlim(0.0, widest)
     tops = [schedules[name].tension_range[1] for name in names if is_bundle(name)]
     highest = max([law.nominal_tension, *tops, *[float(schedules[name].tension.max()) for name in names]])
-    grid[0, 0].set_ylim(0.0, 1.06 * highest)
+    panels[0].set_ylim(0.0, 1.06 * highest)
     handles = [
-        Line2D([], [], color=BLACK, label="eq. 6, text"),
-        Line2D([], [], color=BLACK, linestyle=":", label="eq. 6, as printed"),
-        Line2D([], [], color=GREY, linestyle="", marker="o", markersize=2.5, label="an agent step"),
+        Line2D([], [], color=style.BLACK, label="eq. 6, text"),
+        Line2D([], [], color=style.BLACK, linestyle=":", label="eq. 6, as printed"),
+        Line2D([], [], color=style.GREY, linestyle="", marker="o", markersize=2.5, label="an agent step"),
         *[Line2D([], [], color=colour, linewidth=2.2, label=f"{text}, median") for text, colour in _PHASES.values()],
     ]
     if tops:
         text = "ends of the policy's action range"
         handles.append(Line2D([], [], color=_LEARNED_COLOURS[0], linewidth=0.8, alpha=0.5, label=text))
-    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    style.legend_below(figure, handles, ncols=3)
     return figure
 
 
-@styled
+@style.styled
 def cost_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw each contender's mean cost as a bar of its terms, with the interval of the whole.
 
@@ -311,8 +278,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
     policies = summary["policies"]
     names = list(policies)
     label = labels(names)
-    figure = Figure(figsize=(WIDTH, 1.5 + 0.36 * len(names)), layout="constrained")
-    panel = figure.subplots()
+    figure, panel = style.one_panel(1.5 + 0.36 * len(names))
     # A failure costs as much as hundreds of episodes; it must not squeeze the others into a line.
     sound = [policies[name]["cost"] for name in names if not policies[name]["failed"]["mean"]]
     shown = sound or [policies[name]["cost"] for name in names]
@@ -328,24 +294,21 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
         cost = policies[name]["cost"]
         inside = cost["mean"] <= end
         if inside:
-            panel.errorbar(cost["mean"], row, xerr=reach(cost), color=BLACK, capsize=3, linewidth=1.1)
+            panel.errorbar(cost["mean"], row, xerr=style.reach(cost), color=style.BLACK, capsize=3, linewidth=1.1)
         texts = (pretty(number(cost["mean"])) + ("" if inside else " ▶"), span(cost["ratio_to_eq6"]))
         for text, column in zip(texts, _COLUMNS, strict=True):
             panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
     for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
-        panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=GREY)
-    panel.axvline(policies[YARDSTICK]["cost"]["mean"], color=BLACK, linestyle=":", linewidth=1.0)
+        panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=style.GREY)
+    panel.axvline(policies[YARDSTICK]["cost"]["mean"], color=style.BLACK, linestyle=":", linewidth=1.0)
     panel.set_xlim(0.0, end)
-    panel.set_ylim(-0.6, len(names) - 0.4)
-    panel.set_yticks(rows, [label[name] for name in names])
-    panel.tick_params(axis="y", length=0)
-    panel.grid(False, axis="y")
+    style.name_rows(panel, [label[name] for name in names])
     panel.set_xlabel("mean cost of an episode [1]; dotted: eq. 6")
     figure.legend(loc="outside upper center", ncols=len(COSTS))
     return figure
 
 
-@styled
+@style.styled
 def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw position ISE against both drives' effort, as ratios to eq. 6 with their intervals: lower left is better.
 
@@ -356,46 +319,30 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """
     policies = summary["policies"]
     label, colour = labels(list(policies)), colours(list(policies))
-    figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-    panel = figure.subplots()
-    panel.axhline(1.0, color=GREY, linewidth=0.8)
-    panel.axvline(1.0, color=GREY, linewidth=0.8)
+    figure, panel = style.one_panel(4.6)
+    panel.axhline(1.0, color=style.GREY, linewidth=0.8)
+    panel.axvline(1.0, color=style.GREY, linewidth=0.8)
     efforts = []
     for k, (name, metrics) in enumerate(policies.items()):
         position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", "effort"))
         if position["mean"] is None or effort["mean"] is None:
             continue
         efforts.append(effort["mean"])
-        panel.errorbar(
-            position["mean"],
-            effort["mean"],
-            xerr=reach(position),
-            yerr=reach(effort),
-            color=colour[name],
-            marker=_MARKERS[k % len(_MARKERS)],
-            markersize=7,
-            markeredgecolor="white",
-            markeredgewidth=0.6,
-            linewidth=0.0,
-            elinewidth=1.1,
-            capsize=2,
-        )
-        panel.plot([], [], color=colour[name], marker=_MARKERS[k % len(_MARKERS)], linewidth=0, label=label[name])
+        style.draw_dot(panel, position, effort, colour[name], _MARKERS[k % len(_MARKERS)], label[name], capsize=2)
     if efforts and 0 < 10 * min(efforts) < max(efforts):
         panel.set_yscale("log")
         for which in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
-            which(FuncFormatter(lambda value, _: f"{value:g}"))
-    paid = policies[YARDSTICK]
-    panel.set_xlabel(f"position ISE, in units of {YARDSTICK}'s {pretty(number(paid['position_ise']['mean']))} deg² s")
-    panel.set_ylabel(
-        f"effort of both drives, in units of\n{YARDSTICK}'s {pretty(number(paid['effort']['mean']))} deg²/s"
-    )
-    panel.annotate("better", (0.03, 0.04), (0.11, 0.13), xycoords="axes fraction", color=GREY, arrowprops=_ARROW)
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+            which(style.PLAIN)
+    for put, key in ((panel.set_xlabel, "position_ise"), (panel.set_ylabel, "effort")):
+        metric = METRICS[key]
+        one = pretty(f"{metric.text(policies[YARDSTICK][key]['mean'])} {metric.unit}")
+        put(f"{metric.name}, in units of {YARDSTICK}'s {one}")
+    panel.annotate("better", (0.03, 0.04), (0.11, 0.13), xycoords="axes fraction", color=style.GREY, arrowprops=_ARROW)
+    style.legend_beside(panel)
     return figure
 
 
-@styled
+@style.styled
 def curves_figure(
     x: NDArray[Any],
     curves: Mapping[str, NDArray[Any]],
@@ -415,28 +362,27 @@ def curves_figure(
     marks : mapping of float to str, optional
         Abscissae at which the first curve gets a point, and what is written beside it.
     """
-    figure = Figure(figsize=(PRINT_WIDTH, 3.0), layout="constrained")
-    panel = figure.subplots()
-    styles = zip(curves.items(), ((BLUE, "-", 2.0), (RED, "--", 1.3), (GREY, ":", 1.3)), strict=False)
-    for (name, values), (colour, style, width) in styles:
-        panel.plot(x, values, color=colour, linestyle=style, linewidth=width, label=name)
+    figure, panel = style.one_panel(3.0, style.PRINT_WIDTH)
+    styles = zip(curves.items(), ((style.BLUE, "-", 2.0), (style.RED, "--", 1.3), (style.GREY, ":", 1.3)), strict=False)
+    for (name, values), (colour, dashes, width) in styles:
+        panel.plot(x, values, color=colour, linestyle=dashes, linewidth=width, label=name)
     first = next(iter(curves.values()))
     panel.margins(y=0.08)
     panel.set_xlim(x[0], x[-1])
     middle = 0.5 * sum(panel.get_ylim())
     for mark, text in (marks or {}).items():
         height = float(np.interp(mark, x, first))
-        panel.plot(mark, height, color=BLUE, marker="o", markersize=6, markeredgecolor="white", zorder=5)
+        panel.plot(mark, height, color=style.BLUE, marker="o", markersize=6, markeredgecolor="white", zorder=5)
         # Away from the nearer end of the axis, so that the text stays inside.
         side, edge = (1.0, "bottom") if height < middle else (-1.0, "top")
         panel.annotate(text, (mark, height), (11.0, 5.0 * side), textcoords="offset points", va=edge, fontsize=8.5)
     panel.set_xlabel(x_label)
     panel.set_ylabel(y_label)
-    figure.legend(loc="outside lower center", ncols=len(curves))
+    style.legend_below(figure, panel.lines, ncols=len(curves))
     return figure
 
 
-@styled
+@style.styled
 def force_estimation_figure(
     deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float, below: str
 ) -> Figure:
@@ -457,19 +403,21 @@ def force_estimation_figure(
     below : str
         What becomes of those, for the legend.
     """
-    figure = Figure(figsize=(PRINT_WIDTH, 4.0), layout="constrained")
+    figure = style.new_figure(4.0, style.PRINT_WIDTH)
     grid = figure.add_gridspec(2, 2)
     curve, error, relative = (figure.add_subplot(place) for place in (grid[:, 0], grid[0, 1], grid[1, 1]))
     drawn = slice(None, None, max(force.size // 100, 1))
-    curve.plot(deflection[drawn], estimate[drawn, 0], color=RED, marker="o", markersize=3.2, linewidth=0)
-    curve.plot(deflection, force, color=BLACK)
-    error.plot(force[drawn], (estimate[:, 0] - force)[drawn], color=RED, marker="o", markersize=2.4, linewidth=0)
+    dots: dict[str, Any] = {"color": style.RED, "marker": "o", "linewidth": 0}
+    dots["label"] = "estimate from a single reading"
+    curve.plot(deflection[drawn], estimate[drawn, 0], markersize=3.2, **dots)
+    curve.plot(deflection, force, color=style.BLACK, label="true force")
+    error.plot(force[drawn], (estimate[:, 0] - force)[drawn], markersize=2.4, **dots)
     for bound in (rms, -rms):
-        error.plot(force, bound, color=BLUE, linewidth=1.1)
-    relative.plot(force, 100.0 * rms / force, color=BLUE, linewidth=1.1)
+        error.plot(force, bound, color=style.BLUE, linewidth=1.1, label="rms error of all readings")
+    relative.plot(force, 100.0 * rms / force, color=style.BLUE, linewidth=1.1)
     relative.set_yscale("log")
     relative.set_ylim(top=200.0)
-    relative.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    relative.yaxis.set_major_formatter(style.PLAIN)
     curve.axhspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
     for panel in (error, relative):
         panel.axvspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
@@ -483,13 +431,8 @@ def force_estimation_figure(
     relative.set_ylabel("error / true force [%]")
     relative.set_xlabel("true string force [N]")
     figure.align_ylabels([error, relative])
-    handles = [
-        Line2D([], [], color=BLACK, label="true force"),
-        Line2D([], [], color=RED, marker="o", markersize=3.2, linewidth=0, label="estimate from a single reading"),
-        Line2D([], [], color=BLUE, linewidth=1.1, label="rms error of all readings"),
-        Patch(color="#ececec", label=below),
-    ]
-    figure.legend(handles=handles[: 4 if floor > 0.0 else 3], loc="outside lower center", ncols=2)
+    floors = [Patch(color="#ececec", label=below)] if floor > 0.0 else []
+    style.legend_below(figure, [*reversed(curve.lines), error.lines[-1], *floors], ncols=2)
     return figure
 
 
@@ -519,7 +462,7 @@ class Tracked:
     without: Sequence[Trajectory] = ()
 
 
-@styled
+@style.styled
 def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_margin: float) -> Figure:
     """Draw joint angle and fed-back force with their setpoints and error margins, as in Figures 7-9.
 
@@ -534,7 +477,7 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
     tension_margin : float
         Of the force's setpoint, a fraction of it.
     """
-    figure = Figure(figsize=(PRINT_WIDTH, 4.6), layout="constrained")
+    figure = style.new_figure(4.6, style.PRINT_WIDTH)
     grid = figure.subplots(2, len(columns), sharex="col", sharey="row", squeeze=False)
     for (angle, tension), column in zip(grid.T, columns, strict=True):
         trajectory = column.trajectory
@@ -542,21 +485,20 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
         angle.set_title(column.title)
         setpoint = np.degrees(trajectory["setpoint"])
         _draw_setpoint(angle, time, setpoint, setpoint - position_margin, setpoint + position_margin)
-        angle.plot(time, np.degrees(trajectory["measured_angle"]), color=BLUE, label="joint angle")
+        angle.plot(time, np.degrees(trajectory["measured_angle"]), color=style.BLUE, label="joint angle")
         for other in column.without:
-            degrees = np.degrees(other["measured_angle"])
-            angle.plot(other["time"], degrees, color=RED, linestyle=":", linewidth=1.2, label="without that switch")
+            dots = {"color": style.RED, "linestyle": ":", "linewidth": 1.2}
+            angle.plot(other["time"], np.degrees(other["measured_angle"]), label="without that switch", **dots)
         setpoint = acting(trajectory, "tension_setpoint")
         _draw_setpoint(tension, time, setpoint, (1.0 - tension_margin) * setpoint, (1.0 + tension_margin) * setpoint)
         if column.true_force is not None:
-            tension.plot(time, column.true_force, color=INDIGO, linewidth=0.8, label="true force", zorder=1.8)
+            tension.plot(time, column.true_force, color=style.INDIGO, linewidth=0.8, label="true force", zorder=1.8)
         _draw_feedback(tension, trajectory, column.shows_switches)
         if column.shows_switches:
             for moment in time[switch_rows(trajectory)]:
+                dots = {"color": style.GREY, "linestyle": (0, (1, 1)), "linewidth": 0.8, "zorder": 1}
                 for panel in (angle, tension):
-                    panel.axvline(
-                        moment, color=GREY, linestyle=_DOTS, linewidth=0.8, zorder=1, label="switch of the agonist"
-                    )
+                    panel.axvline(moment, label="switch of the agonist", **dots)
         angle.set_xlim(column.span or (time[0], time[-1]))
         angle.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 5, 10], prune="upper"))
         tension.set_xlabel("time [s]")
@@ -564,16 +506,12 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
     true = any(column.true_force is not None for column in columns)
     grid[1, 0].set_ylabel("string force [N]" if true else "estimated force [N]")
     figure.align_ylabels(grid[:, 0])
-    handles: dict[str, Any] = {}
-    for panel in grid.flat:
-        handles |= dict(zip(*reversed(panel.get_legend_handles_labels()), strict=True))
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4)
+    style.legend_below(figure, [line for panel in grid.flat for line in panel.lines], ncols=4)
     return figure
 
 
 _COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
-_DOTS = (0, (1, 1))
-_ARROW = {"arrowstyle": "->", "color": GREY}
+_ARROW = {"arrowstyle": "->", "color": style.GREY}
 
 
 def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:
@@ -593,10 +531,10 @@ def _antagonist_tension(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def _draw_setpoint(panel: Any, time: NDArray[Any], setpoint: NDArray[Any], *margins: NDArray[Any]) -> None:
-    panel.plot(time, setpoint, color=BLACK, linewidth=1.0, drawstyle="steps-post", label="setpoint")
+    panel.plot(time, setpoint, color=style.BLACK, linewidth=1.0, drawstyle="steps-post", label="setpoint")
     for margin in margins:
         panel.plot(
-            time, margin, color=BLACK, linestyle="--", linewidth=0.7, drawstyle="steps-post", label="error margin"
+            time, margin, color=style.BLACK, linestyle="--", linewidth=0.7, drawstyle="steps-post", label="error margin"
         )
 
 
@@ -604,23 +542,23 @@ def _draw_feedback(panel: Any, trajectory: Trajectory, both: bool) -> None:
     """Draw the force that is fed back, in the colour of its string, and thin those that are not if `both` is true."""
     time, acting_agonist, feedback = trajectory["time"], acting(trajectory, "agonist"), force_feedback(trajectory)
     for agonist, string in ANTAGONIST.items():
-        colour, style = _STRINGS[string]
+        colour, dashes = _STRINGS[string]
         fed_back = acting_agonist == agonist
         if fed_back.any():
             force = np.where(fed_back, feedback, np.nan)
             label = f"{string}, fed back" if both else f"{string}' string, estimated"
-            panel.plot(time, force, color=colour, linestyle=style, label=label)
+            panel.plot(time, force, color=colour, linestyle=dashes, label=label)
         if both:
             force = trajectory[f"estimate_{string}"]
             panel.plot(time, force, color=colour, linewidth=0.6, zorder=1.5, label=f"{string}, not fed back")
 
 
-def _draw_eq6(panel: Any, law: VariableStiffness, reach: float) -> None:
-    errors = np.linspace(0.0, reach, 200)
+def _draw_eq6(panel: Any, law: VariableStiffness, end: float) -> None:
+    errors = np.linspace(0.0, end, 200)
     nominal, minimum, offset = law.nominal_tension, law.minimum_tension, law.error_offset_deg
-    for factor, style in ((scaling_factor, "-"), (scaling_factor_printed, ":")):
+    for factor, dashes in ((scaling_factor, "-"), (scaling_factor_printed, ":")):
         tensions = [factor(error, nominal, minimum, offset) * nominal for error in errors]
-        panel.plot(errors, tensions, color=BLACK, linestyle=style, linewidth=1.3, zorder=4)
+        panel.plot(errors, tensions, color=style.BLACK, linestyle=dashes, linewidth=1.3, zorder=4)
 
 
 def _draw_schedule(panel: Any, schedule: Schedule) -> None:

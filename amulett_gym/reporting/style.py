@@ -13,12 +13,12 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager
 from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import atomic_path
@@ -48,14 +48,13 @@ def _import_matplotlib() -> None:
 _import_matplotlib()
 
 import matplotlib as mpl  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.patches import Patch  # noqa: E402
 from matplotlib.ticker import FuncFormatter, MaxNLocator  # noqa: E402
 
-__all__ = ["Axes", "Figure", "FuncFormatter", "Line2D", "MaxNLocator", "Patch", "figure_svg", "save_figure", "styled"]
+__all__ = ["Figure", "FuncFormatter", "Line2D", "MaxNLocator", "Patch", "figure_svg", "save_figure", "styled"]
 
 BLACK, GREY = "#000000", "#7a7a7a"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"
@@ -94,6 +93,8 @@ _SETTINGS = {key: value for key, value in mpl.rcParamsDefault.items() if key != 
 """All of matplotlib's settings, its own defaults among them: none is left to the user's."""
 
 P = ParamSpec("P")
+Estimate = Mapping[str, float | None]
+"""``"mean"``, ``"low"`` and ``"high"``; None: there is no such number."""
 
 
 @contextmanager
@@ -138,9 +139,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
         _write(figure, temporary, kind)
 
 
-def save_figures(figures: Mapping[str, Figure], folder: Path, prefix: str = "") -> list[Path]:
+def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     """Write figures as PNG into a folder, by their names, and return the files."""
-    paths = [folder / f"{prefix}{name}.png" for name in figures]
+    paths = [folder / f"{name}.png" for name in figures]
     for path, figure in zip(paths, figures.values(), strict=True):
         save_figure(figure, path)
     return paths
@@ -171,7 +172,87 @@ def _write(figure: Figure, target: Path | io.StringIO, kind: str) -> None:
         figure.savefig(target, format=kind, backend=backend, metadata=metadata)
 
 
-def reach(estimate: Mapping[str, float | None]) -> list[list[float]] | None:
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """Return an empty figure, whose panels are laid out when it is drawn; sizes in inches."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def one_panel(height: float, width: float = WIDTH) -> tuple[Figure, Any]:
+    """Return a figure and its only panel."""
+    figure = new_figure(height, width)
+    return figure, figure.subplots()
+
+
+def panel_grid(count: int, columns: int, margin: float, height: float, **sharing: Any) -> tuple[Figure, list[Any]]:
+    """Return a figure and its panels, row by row.
+
+    Parameters
+    ----------
+    count : int
+        Number of panels.
+    columns : int
+        Most panels in a row.
+    margin, height : float
+        Of the figure without panels, and of a panel [in].
+    **sharing
+        ``sharex``, ``sharey``.
+    """
+    columns = min(count, columns)
+    rows = -(-count // columns)
+    figure = new_figure(margin + rows * height)
+    grid = figure.subplots(rows, columns, squeeze=False, **sharing)
+    for panel in grid.flat[count:]:
+        panel.set_axis_off()
+    return figure, list(grid.flat[:count])
+
+
+def draw_dot(
+    panel: Any, x: Estimate, y: Estimate | float, colour: str, marker: str, label: str = "", **keywords: Any
+) -> None:
+    """Draw a point with the intervals of its coordinates; `label` goes into the legend, without them."""
+    across, up = x["mean"], y["mean"] if isinstance(y, Mapping) else y
+    bars = {"xerr": reach(x), "yerr": reach(y) if isinstance(y, Mapping) else None}
+    shape = {"markersize": 7, "elinewidth": 1.1, "markeredgecolor": "white", "markeredgewidth": 0.6} | keywords
+    panel.errorbar(across, up, **bars, color=colour, marker=marker, linewidth=0.0, **shape)
+    if label:
+        panel.plot([], [], color=colour, marker=marker, linewidth=0.0, label=label)
+
+
+def name_rows(panel: Any, names: Sequence[str]) -> None:
+    """Let the rows of a panel of bars or dots be contenders: the first one on top, at the highest y."""
+    panel.set_yticks(range(len(names)), list(reversed(names)))
+    panel.set_ylim(-0.6, len(names) - 0.4)
+    panel.tick_params(axis="y", length=0)
+    panel.grid(False, axis="y")
+
+
+def legend_beside(panel: Any, **keywords: Any) -> None:
+    """Put the legend to the right of a panel; keywords as of `Axes.legend`."""
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **keywords)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any], ncols: int) -> None:
+    """Put a legend below all panels: one entry for each label of the handles."""
+    labelled = {handle.get_label(): handle for handle in handles if not handle.get_label().startswith("_")}
+    figure.legend(handles=list(labelled.values()), loc="outside lower center", ncols=ncols)
+
+
+def label_outer(panels: Sequence[Any], x_label: str, y_label: str) -> None:
+    """Label the axes of a grid's panels with no panel below or to the left of them."""
+    for k, panel in enumerate(panels):
+        columns = panel.get_subplotspec().get_gridspec().ncols
+        if k % columns == 0:
+            panel.set_ylabel(y_label)
+        if k + columns >= len(panels):
+            panel.set_xlabel(x_label)
+            panel.tick_params(labelbottom=True)
+
+
+PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
+"""Ticks without exponents, on logarithmic axes too."""
+
+
+def reach(estimate: Estimate) -> list[list[float]] | None:
     """Return how far an interval reaches below and above its mean, for `Axes.errorbar`; None without an interval."""
     middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
     if middle is None or low is None or high is None:

@@ -58,7 +58,7 @@ class Table:
             Most characters of a line. Longer words and numbers are not cut.
         """
         blocks = ["\n".join(self._block(columns, width)) for columns in self._blocks(width)]
-        parts = [_fill(self.title, width), "\n\n".join(blocks), _fill(self.note, width)]
+        parts = [fill(self.title, width), "\n\n".join(blocks), fill(self.note, width)]
         return "\n".join(part for part in parts if part)
 
     def markdown(self) -> str:
@@ -177,7 +177,8 @@ def _joined(template: str, items: Iterable[Iterable[str]]) -> Markup:
     return Markup("").join(Markup(template).format(*item) for item in items)
 
 
-def _fill(text: str, width: int) -> str:
+def fill(text: str, width: int = TEXT_WIDTH) -> str:
+    """Return a text wrapped between words; lines of it stay apart."""
     return "\n".join("\n".join(_wrap(line, width)) for line in text.splitlines())
 
 

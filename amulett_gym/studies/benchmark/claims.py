@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_EQ6, TUNED_LAW, Content
@@ -21,13 +22,7 @@ SEED_SHARE = 0.9
 MOST_SECONDS = 300.0
 """Of one training."""
 
-PAPER_METRICS = {
-    "settling_time": "rise time (last entry)",
-    "position_ise": "position ISE",
-    "tension_ise": "tension ISE",
-    "isav_biceps": "ISAV of the biceps' drive",
-    "isav_triceps": "ISAV of the triceps' drive",
-}
+PAPER_METRICS = ("settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps")
 """Metrics of the paper's Tables 2-5, as the reproduction reads them."""
 
 
@@ -46,7 +41,7 @@ class Claim:
     low, high : float or None
         Its 95 % interval, if it has one.
     holds : bool or None
-        None where it was not measured, or is told without having been claimed.
+        None where it was not measured, or is reported without a claim.
     note : str
     """
 
@@ -68,13 +63,8 @@ def check_claims(found: Content) -> list[Claim]:
     best = found["best_learned"]
     if best is None or found.get("quick"):
         return []
-    return [
-        *_on_held_out(found, best),
-        *_on_shares(found, best),
-        *_on_shifted(found, best),
-        *_on_paper_step(found, best),
-        *_on_seeds(found, best),
-    ]
+    parts = (_on_held_out, _on_shares, _on_shifted, _on_paper_step, _on_seeds)
+    return [claim for part in parts for claim in part(found, best)]
 
 
 def as_plain(claims: list[Claim]) -> list[Content]:
@@ -83,89 +73,76 @@ def as_plain(claims: list[Claim]) -> list[Content]:
 
 
 def _on_held_out(found: Content, best: str) -> list[Claim]:
-    place = f"{found['description']['headline']}/held-out"
-    results = found["results"][place]
-    mine = results[best]
-    about = place.replace("/", ", ")
-    claims = [
-        _claim(
-            about,
-            f"combined cost at most {COST_SHARE} of eq. 6's (text)",
-            mine["ratio"][YARDSTICK],
-            lambda mean, low, high: mean <= COST_SHARE,
-            _beside_references(found, best),
-        )
-    ]
-    overall = found["constants"]["overall"]
-    for other, name in (
-        (overall, f"the best constant overall ({overall})"),
-        (TUNED_EQ6, "tuned eq. 6"),
-        (TUNED_LAW, "the tuned richer law"),
-    ):
-        claims.append(_claim(about, f"costs less than {name}", mine["ratio"].get(other), _below_one, "ratio of costs"))
+    headline, overall = found["description"]["headline"], found["constants"]["overall"]
+    about, results = f"{headline}, held-out", found["results"][f"{headline}/held-out"]
+    mine, failures = results[best], results[best]["failures"]
     fewest = min(
         results[name]["failures"]["count"] / results[name]["failures"]["total"]
         for name, entry in found["entries"].items()
         if entry["kind"] not in ("ablation", "reference") and name != best
     )
-    failures = mine["failures"]
     share = {"mean": failures["count"] / failures["total"], "low": failures["low"], "high": failures["high"]}
     note = f"{failures['count']} of {failures['total']} episodes; the fewest of any contender: {fewest:.2%}"
-    claims.append(
-        _claim(about, "no more failures than any contender", share, lambda mean, low, high: mean <= fewest, note)
-    )
-    for metric, name in (
-        ("position_ise", "position ISE"),
-        ("isav_biceps", "ISAV of the biceps' drive"),
-        ("isav_triceps", "ISAV of the triceps' drive"),
-    ):
-        ratio = mine["metrics"][metric]["ratio_to_eq6"]
-        claims.append(_claim(about, f"{name} below eq. 6's", ratio, lambda mean, low, high: mean < 1.0, "ratio"))
+    text = f"combined cost at most {COST_SHARE} of eq. 6's (text)"
+    beside = _beside_references(found, best)
+    claims = [
+        _claim(about, text, mine["ratio"][YARDSTICK], _at_most(COST_SHARE), beside),
+        *(
+            _claim(about, f"costs less than {name}", mine["ratio"].get(other), _below_one, "ratio of costs")
+            for other, name in (
+                (overall, f"the best constant overall ({overall})"),
+                (TUNED_EQ6, "tuned eq. 6"),
+                (TUNED_LAW, "the tuned richer law"),
+            )
+        ),
+        _claim(about, "no more failures than any contender", share, _at_most(fewest), note),
+    ]
+    for key in ("position_ise", "isav_biceps", "isav_triceps"):
+        ratio, text = mine["metrics"][key]["ratio_to_eq6"], f"{METRICS[key].name} below eq. 6's"
+        claims.append(_claim(about, text, ratio, lambda mean, low, high: mean < 1.0, "ratio"))
     if POSITION_ONLY in mine["ratio"]:
-        note = "ratio of costs; told, not claimed: it has other gains and no tension loop"
+        note = "ratio of costs; reported, no claim: it has other gains and no tension loop"
         claims.append(_claim(about, "beside position control alone", mine["ratio"][POSITION_ONLY], None, note))
     return claims
 
 
 def _beside_references(found: Content, best: str) -> str:
-    """Say what the references cost of eq. 6's, and what the learned entry does in the same scenarios."""
+    """Return the references' shares of eq. 6's cost, and that of the learned entry in the same scenarios."""
     references, headline = found["references"], found["description"]["headline"]
-    told = []
+    parts = []
     for kind in SEARCHED:
         goal = references[kind].get(headline)
         if goal is not None:
             beside = f"; {best} there {goal['entries_to_eq6'][best]['mean']:.3f}"
-            told.append(f"{kind} {goal['ratio_to_eq6']['mean']:.3f} (in {goal['scenarios']} scenarios{beside})")
-    told += [f"{name} {goal['ratio_to_eq6']['mean']:.3f}" for name, goal in references["causal"].items()]
-    return f"ratio of costs; references: {', '.join(told)}" if told else "ratio of costs"
+            parts.append(f"{kind} {goal['ratio_to_eq6']['mean']:.3f} (in {goal['scenarios']} scenarios{beside})")
+    parts += [f"{name} {goal['ratio_to_eq6']['mean']:.3f}" for name, goal in references["causal"].items()]
+    return f"ratio of costs; references: {', '.join(parts)}" if parts else "ratio of costs"
 
 
 def _on_shares(found: Content, best: str) -> list[Claim]:
     references, headline = found["references"], found["description"]["headline"]
-    goals = [("the clairvoyant reference", references["clairvoyant"].get(headline))]
-    goals += [(f"the causal reference ({name})", causal) for name, causal in references["causal"].items()]
+    goals = {"the clairvoyant reference": references["clairvoyant"].get(headline)}
+    goals |= {f"the causal reference ({name})": causal for name, causal in references["causal"].items()}
     if not references["causal"]:
-        goals.append(("the causal reference", None))
-    about, way = f"{headline}, held-out", f"the way from the best law by hand ({references['from']}) to"
+        goals["the causal reference"] = None
+    about, way = f"{headline}, held-out", f"the way from the best hand-tuned law ({references['from']}) to"
     claims = [
-        _claim(
-            about,
-            f"half of {way} {name}; an aim",
-            None if goal is None else goal["share_from_hand"][best],
-            lambda mean, low, high: mean >= HALF,
-            _way(goal, best),
-        )
-        for name, goal in goals
+        _claim(about, f"half of {way} {name}; an aim", _share(goal, best), _at_least_half, _way(goal, best))
+        for name, goal in goals.items()
     ]
     foreseen = references["foresight"].get(headline)
     if foreseen is not None:
-        told = f"how much of {way} the foresight reference; told, not claimed"
-        claims.append(_claim(about, told, foreseen["share_from_hand"][best], None, _way(foreseen, best)))
+        text = f"how much of {way} the foresight reference; reported, no claim"
+        claims.append(_claim(about, text, _share(foreseen, best), None, _way(foreseen, best)))
     return claims
 
 
+def _share(goal: Content | None, best: str) -> Number | None:
+    return None if goal is None else goal["share_from_hand"][best]
+
+
 def _way(goal: Content | None, best: str) -> str:
-    """Say what a share of the way stands on, or why there is none."""
+    """Return on how many scenarios a share of the way stands, or why there is none."""
     if goal is None:
         return "no such reference here"
     if goal["share_from_hand"][best]["mean"] is None:
@@ -177,68 +154,53 @@ def _on_shifted(found: Content, best: str) -> list[Claim]:
     headline, overall = found["description"]["headline"], found["constants"]["overall"]
     results = found["results"].get(f"{headline}/shifted")
     mine = {} if results is None else results[best]["ratio"]
-    about = f"{headline}, shifted"
     return [
-        _claim(about, "costs less than eq. 6", mine.get(YARDSTICK), _below_one, "ratio of costs"),
-        _claim(
-            about,
-            f"costs less than the best constant overall ({overall})",
-            mine.get(overall),
-            _below_one,
-            "ratio of costs",
-        ),
+        _claim(f"{headline}, shifted", f"costs less than {name}", mine.get(other), _below_one, "ratio of costs")
+        for other, name in ((YARDSTICK, "eq. 6"), (overall, f"the best constant overall ({overall})"))
     ]
 
 
 def _on_paper_step(found: Content, best: str) -> list[Claim]:
     results = found["results"].get(f"{PAPER_STEP}/held-out")
-
-    def fits(mean: float, low: float | None, high: float | None) -> bool:
-        return mean <= TRADE or (low is not None and low <= 1.0)
-
-    return [
-        _claim(
-            PAPER_STEP,
-            f"{name} no worse than eq. 6's by more than 2 % or its interval",
-            None if results is None else results[best]["metrics"][metric]["ratio_to_eq6"],
-            fits,
-            "ratio",
-        )
-        for metric, name in PAPER_METRICS.items()
-    ]
+    claims = []
+    for key in PAPER_METRICS:
+        name = METRICS[key].paper_name or METRICS[key].name
+        ratio = None if results is None else results[best]["metrics"][key]["ratio_to_eq6"]
+        text = f"{name} no worse than eq. 6's by more than 2 % or its interval"
+        claims.append(_claim(PAPER_STEP, text, ratio, _about_one, "ratio"))
+    return claims
 
 
 def _on_seeds(found: Content, best: str) -> list[Claim]:
     mine = found["results"][f"{found['description']['headline']}/held-out"][best]
     ratios = mine["seed_ratios"].get(TUNED_LAW)
-    better = sum(ratio < 1.0 for ratio in ratios or ())
-    runs = found["training"][best]["runs"].values()
-    longest = max(run["seconds"] for run in runs)
+    longest = max(run["seconds"] for run in found["training"][best]["runs"].values())
     wanted = f"{SEED_SHARE * 10:.0f} of 10 training seeds beat the tuned richer law"
-    return [
-        Claim(
-            "training",
-            wanted,
-            None if ratios is None else better,
-            None,
-            None,
-            None if ratios is None else better >= SEED_SHARE * len(ratios),
-            "not compared" if ratios is None else f"{better} of {len(ratios)} seeds",
-        ),
-        Claim(
-            "training",
-            f"one training takes at most {MOST_SECONDS / 60:.0f} minutes on 2 cores",
-            longest,
-            None,
-            None,
-            longest <= MOST_SECONDS,
-            "seconds, the longest of all seeds, on the machine that trained",
-        ),
-    ]
+    if ratios is None:
+        seeds = Claim("training", wanted, None, None, None, None, "not compared")
+    else:
+        better = sum(ratio < 1.0 for ratio in ratios)
+        note = f"{better} of {len(ratios)} seeds"
+        seeds = Claim("training", wanted, better, None, None, better >= SEED_SHARE * len(ratios), note)
+    text = f"one training takes at most {MOST_SECONDS / 60:.0f} minutes on 2 cores"
+    note = "seconds, the longest of all seeds, on the machine that trained"
+    return [seeds, Claim("training", text, longest, None, None, longest <= MOST_SECONDS, note)]
 
 
 def _below_one(mean: float, low: float | None, high: float | None) -> bool:
     return high is not None and high < 1.0
+
+
+def _about_one(mean: float, low: float | None, high: float | None) -> bool:
+    return mean <= TRADE or (low is not None and low <= 1.0)
+
+
+def _at_least_half(mean: float, low: float | None, high: float | None) -> bool:
+    return mean >= HALF
+
+
+def _at_most(most: float) -> Judge:
+    return lambda mean, low, high: bool(mean <= most)
 
 
 def _claim(about: str, claim: str, number: Number | None, judge: Judge | None, note: str = "") -> Claim:

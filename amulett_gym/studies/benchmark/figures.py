@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -12,16 +13,18 @@ from numpy.typing import NDArray
 from amulett_gym.control.variable_stiffness import scaling_factor
 from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.episode import record_episode
+from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
-from amulett_gym.laws.contenders import CONSTANT, constant_tension
+from amulett_gym.laws.contenders import constant_tension
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, FuncFormatter
-from amulett_gym.reporting.words import number, pretty
+from amulett_gym.reporting.words import pretty
 from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
 from amulett_gym.studies.benchmark.runs import learning_curve
 from amulett_gym.studies.benchmark.stages import Evidence
+from amulett_gym.studies.benchmark.tables import is_main, label
 
 _LAWS = {
     YARDSTICK: (style.BLACK, "o"),
@@ -35,6 +38,7 @@ _LEARNED = (("#D62718", "P"), ("#F0708A", "X"), ("#8C1020", "*"), ("#E8A090", "d
 _REFERENCES = ((style.ORANGE, "^"), ("#B8860B", "^"))
 _ABLATION = ("#c9a0a0", ".")
 _BEST_CONSTANT = (style.BLUE, "o")
+_SUITES = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
 
 SPEED_LIMIT = 120.0
 """Largest joint rate that the law is drawn for [deg/s]."""
@@ -71,108 +75,73 @@ def draw(evidence: Evidence, found: Content) -> dict[str, Figure]:
 
 def styles(found: Content) -> dict[str, tuple[str, str]]:
     """Return a colour and a marker for each entry: eq. 6 is black, what was learned is red."""
-    given: dict[str, tuple[str, str]] = {}
-    counts = dict.fromkeys(("law", "learned", "reference"), 0)
-    palettes = {"law": _OTHER_LAWS, "learned": _LEARNED, "reference": _REFERENCES}
-    for name, entry in found["entries"].items():
-        kind = "law" if entry["kind"] == "own" else entry["kind"]
-        if name in _LAWS:
-            given[name] = _LAWS[name]
-        elif kind == "constant":
-            given[name] = _BEST_CONSTANT
-        elif kind == "ablation":
-            given[name] = _ABLATION
-        else:
-            given[name] = palettes[kind][counts[kind] % len(palettes[kind])]
-            counts[kind] += 1
-    return given
+    laws, constants, ablations = cycle(_OTHER_LAWS), cycle([_BEST_CONSTANT]), cycle([_ABLATION])
+    palettes = {"law": laws, "own": laws, "constant": constants, "ablation": ablations}
+    palettes |= {"learned": cycle(_LEARNED), "reference": cycle(_REFERENCES)}
+    return {name: _LAWS.get(name) or next(palettes[entry["kind"]]) for name, entry in found["entries"].items()}
 
 
 @style.styled
 def score_figure(found: Content) -> Figure:
     """Draw each entry's score on every suite that was searched: 0 is the best constant overall, 1 the clairvoyant."""
     clairvoyant = found["references"]["clairvoyant"]
-    rows = {
-        suite: {name: score for name, score in goal["score"].items() if _is_shown(found, name)}
-        for suite, goal in clairvoyant.items()
-    }
-    titles = {suite: f"{suite} ({goal['scenarios']})" for suite, goal in clairvoyant.items()}
-    label = "score: 0 is the best constant overall, 1 the clairvoyant reference"
-    return _dots(found, rows, titles, label, (-1.5, 1.2), {0.0: style.BLUE, 1.0: style.ORANGE})
+    rows = {f"{suite} ({goal['scenarios']})": goal["score"] for suite, goal in clairvoyant.items()}
+    x_label = "score: 0 is the best constant overall, 1 the clairvoyant reference"
+    return _dots(found, rows, x_label, (-1.5, 1.2), {0.0: style.BLUE, 1.0: style.ORANGE})
 
 
 @style.styled
 def ratio_figure(found: Content) -> Figure:
     """Draw each entry's cost as a share of eq. 6's, on every suite and split."""
-    rows, titles = {}, {}
-    for place, results in found["results"].items():
-        rows[place] = {
-            name: numbers["ratio"][YARDSTICK]
-            for name, numbers in results.items()
-            if name != YARDSTICK and _is_shown(found, name)
-        }
-        titles[place] = place.replace("/", ", ")
-    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.2, 1.6), {1.0: style.BLACK})
+    rows = {
+        place.replace("/", ", "): {name: numbers["ratio"][YARDSTICK] for name, numbers in results.items()}
+        for place, results in found["results"].items()
+    }
+    return _ratios(found, rows, (0.2, 1.6))
+
+
+@style.styled
+def families_figure(found: Content) -> Figure:
+    """Draw each entry's share of eq. 6's cost in each family of the headline suite, held-out."""
+    rows = {f"{name} ({entry['scenarios']})": entry["ratio_to_eq6"] for name, entry in found["families"].items()}
+    return _ratios(found, rows, (0.0, 1.8))
+
+
+def _ratios(found: Content, rows: dict[str, dict[str, Any]], limits: tuple[float, float]) -> Figure:
+    others = {title: {name: row[name] for name in row if name != YARDSTICK} for title, row in rows.items()}
+    return _dots(found, others, "cost as a share of eq. 6's", limits, {1.0: style.BLACK})
 
 
 def _dots(
     found: Content,
     rows: Mapping[str, Mapping[str, Any]],
-    titles: Mapping[str, str],
-    label: str,
+    x_label: str,
     limits: tuple[float, float],
     marks: Mapping[float, str],
 ) -> Figure:
-    """Draw a panel for each place with a dot and its interval for each entry; what lies beyond is an arrow."""
+    """Draw a panel for each row with a dot and its interval for each main entry; what lies beyond is an arrow."""
     looks = styles(found)
-    names = [name for name in found["entries"] if any(name in entries for entries in rows.values())]
-    columns = min(3, len(rows))
-    lines = -(-len(rows) // columns)
-    figure = Figure(figsize=(style.WIDTH, 1.1 + lines * (0.55 + 0.2 * len(names))), layout="constrained")
-    grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-    for k, panel in enumerate(grid.flat):
-        if k >= len(rows):
-            panel.set_axis_off()
-            continue
-        place = list(rows)[k]
-        panel.set_title(titles[place])
+    names = [name for name in found["entries"] if is_main(found, name) and any(name in row for row in rows.values())]
+    figure, panels = style.panel_grid(len(rows), 3, 1.1, 0.55 + 0.2 * len(names), sharex=True, sharey=True)
+    for k, (panel, (title, estimates)) in enumerate(zip(panels, rows.items(), strict=True)):
+        panel.set_title(title)
         for mark, colour in marks.items():
             panel.axvline(mark, color=colour, linewidth=0.9)
         for row, name in enumerate(reversed(names)):
-            estimate = rows[place].get(name)
+            estimate = estimates.get(name)
             if estimate is None or estimate["mean"] is None:
                 continue
-            colour, marker = looks[name]
-            middle = estimate["mean"]
-            if not limits[0] <= middle <= limits[1]:
-                side = limits[0] if middle < limits[0] else limits[1]
-                text = f"◀ {middle:.2g}" if middle < limits[0] else f"{middle:.2g} ▶"
-                panel.annotate(
-                    text,
-                    (side, row),
-                    color=colour,
-                    va="center",
-                    ha="left" if middle < limits[0] else "right",
-                    fontsize=7,
-                )
+            (colour, marker), middle, (least, most) = looks[name], estimate["mean"], limits
+            if least <= middle <= most:
+                style.draw_dot(panel, estimate, row, colour, marker, markersize=5.5, elinewidth=1.2, markeredgewidth=0)
                 continue
-            panel.errorbar(
-                middle,
-                row,
-                xerr=style.reach(estimate),
-                color=colour,
-                marker=marker,
-                markersize=5.5,
-                linewidth=0,
-                elinewidth=1.2,
-            )
-        panel.set_yticks(range(len(names)), [_label(found, name) for name in reversed(names)])
-        panel.set_ylim(-0.6, len(names) - 0.4)
+            side, where, text = (least, "left", "◀ {:.2g}") if middle < least else (most, "right", "{:.2g} ▶")
+            panel.annotate(text.format(middle), (side, row), color=colour, va="center", ha=where, fontsize=7)
+        style.name_rows(panel, [label(found, name) for name in names])
         panel.set_xlim(*limits)
-        panel.grid(False, axis="y")
-        panel.tick_params(axis="y", length=0, labelleft=k % columns == 0)
+        panel.tick_params(axis="y", labelleft=k % 3 == 0)
         panel.tick_params(axis="x", labelbottom=True)
-    figure.supxlabel(label, fontsize=9.0)
+    figure.supxlabel(x_label, fontsize=9.0)
     return figure
 
 
@@ -180,73 +149,54 @@ def _dots(
 def pareto_figure(found: Content) -> Figure:
     """Draw position ISE against both drives' ISAV, and contact torque against push deflection, as ratios to eq. 6's."""
     headline = f"{found['description']['headline']}/held-out"
-    pairs = [
-        (("position_ise", headline, "position ISE"), ("effort", headline, "ISAV of both drives, without the jump"))
-    ]
+    pairs = [(("position_ise", headline), ("effort", headline))]
     if {"contact/held-out", "hold-push/held-out"} <= set(found["results"]):
-        torque = "contact_peak", "contact/held-out", "peak contact torque on contact"
-        pairs.append((torque, ("push_deflection", "hold-push/held-out", "push deflection on hold-push")))
+        pairs.append((("contact_peak", "contact/held-out"), ("push_deflection", "hold-push/held-out")))
     looks = styles(found)
-    figure = Figure(figsize=(style.WIDTH, 4.9), layout="constrained")
-    for panel, axes in zip(figure.subplots(1, len(pairs), squeeze=False)[0], pairs, strict=True):
+    figure, panels = style.panel_grid(len(pairs), 2, 0.0, 4.9)
+    for panel, axes in zip(panels, pairs, strict=True):
         constants = []
         panel.axhline(1.0, color=style.GREY, linewidth=0.7)
         panel.axvline(1.0, color=style.GREY, linewidth=0.7)
         for name, entry in found["entries"].items():
-            across, up = (_to_eq6(found, place, name, metric) for metric, place, _ in axes)
+            across, up = (_to_eq6(found, place, name, metric) for metric, place in axes)
             if across["mean"] is None or up["mean"] is None:
                 continue
             if entry["kind"] == "constant":
                 constants.append((constant_tension(name), across["mean"], up["mean"]))
-            if not _is_shown(found, name):
+            if not is_main(found, name):
                 continue
-            colour, marker = looks[name]
-            panel.errorbar(
-                across["mean"],
-                up["mean"],
-                xerr=style.reach(across),
-                yerr=style.reach(up),
-                color=colour,
-                marker=marker,
-                markersize=7,
-                markeredgecolor="white",
-                markeredgewidth=0.6,
-                linewidth=0,
-                elinewidth=1.1,
-                zorder=4,
-            )
-            panel.plot([], [], color=colour, marker=marker, linewidth=0, label=_label(found, name))
+            style.draw_dot(panel, across, up, *looks[name], label(found, name), zorder=4)
         line = np.array(sorted(constants))
         panel.plot(line[:, 1], line[:, 2], color=style.BLUE, linewidth=0.9, marker=".", markersize=4, alpha=0.8)
         for tension, x, y in line[:: max(len(line) // 4, 1)]:
             panel.annotate(f"{tension:g} N", (x, y), (4, 4), textcoords="offset points", fontsize=7, color=style.BLUE)
-        for put, (metric, place, title) in zip((panel.set_xlabel, panel.set_ylabel), axes, strict=True):
-            paid = found["results"][place][YARDSTICK]["metrics"][metric]["mean"]
-            put(f"{title},\nin units of eq. 6's {pretty(number(paid))} {_unit(found['units'][metric])}")
+        for put, (key, place) in zip((panel.set_xlabel, panel.set_ylabel), axes, strict=True):
+            metric, suite = METRICS[key], "" if place == headline else f" on {place.split('/')[0]}"
+            one = pretty(f"{metric.text(found['results'][place][YARDSTICK]['metrics'][key]['mean'])} {metric.unit}")
+            put(f"{metric.name}{suite},\nin units of eq. 6's {one}")
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=5)
     return figure
 
 
 def _to_eq6(found: Content, place: str, name: str, metric: str) -> Mapping[str, Any]:
-    """Return a metric's ratio to eq. 6's; of a constant that is told no more of, without an interval."""
+    """Return a metric's ratio to eq. 6's, without an interval for a constant of which there is only the mean."""
     numbers = found["results"][place][name]["metrics"][metric]
     if "ratio_to_eq6" in numbers:
         return dict(numbers["ratio_to_eq6"])
-    paid = found["results"][place][YARDSTICK]["metrics"][metric]["mean"]
-    return {"mean": numbers["mean"] / paid if paid else None, "low": None, "high": None}
+    one = found["results"][place][YARDSTICK]["metrics"][metric]["mean"]
+    return {"mean": numbers["mean"] / one if one else None, "low": None, "high": None}
 
 
 @style.styled
 def constants_figure(found: Content) -> Figure:
     """Draw what each constant costs on each suite's split `train`, its least marked."""
-    figure = Figure(figsize=(style.WIDTH, 3.7), layout="constrained")
-    panel = figure.subplots()
-    palette = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
+    figure, panel = style.one_panel(3.7)
     for k, (suite, costs) in enumerate(found["constants"]["tried"].items()):
         tensions, means = [constant_tension(name) for name in costs], np.array(list(costs.values()))
-        colour, best = palette[k % len(palette)], int(means.argmin())
-        dashes = "-" if k < len(palette) else "--"
+        colour, best = _SUITES[k % len(_SUITES)], int(means.argmin())
+        dashes = "-" if k < len(_SUITES) else "--"
         panel.plot(
             tensions, means / means[best], color=colour, linestyle=dashes, label=f"{suite}: {tensions[best]:g} N"
         )
@@ -254,7 +204,7 @@ def constants_figure(found: Content) -> Figure:
     panel.set_ylim(0.97, min(max(panel.get_ylim()[1], 1.1), 2.0))
     panel.set_xlabel("constant tension setpoint [N]")
     panel.set_ylabel("cost, over the least\nof any constant on that suite")
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), title="suite: its best constant")
+    style.legend_beside(panel, title="suite: its best constant")
     return figure
 
 
@@ -269,26 +219,19 @@ def _curves(evidence: Evidence) -> dict[str, list[NDArray[np.float64]]]:
 
 @style.styled
 def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Content) -> Figure:
-    """Draw the validation costs of runs by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
+    """Draw training costs on validation by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
     looks = styles(found)
-    figure = Figure(figsize=(style.WIDTH, 4.2), layout="constrained")
-    grid = figure.subplots(1, 2, sharey=True)
+    figure, grid = style.panel_grid(2, 2, 0.0, 4.2, sharey=True)
     for name, runs in curves.items():
         for k, panel in enumerate(grid):
             for seed, run in enumerate(runs):
-                label = _label(found, name) if seed == 0 else None
-                panel.plot(run[:, k], run[:, 2], color=looks[name][0], linewidth=0.9, alpha=0.7, label=label)
+                text = label(found, name) if seed == 0 else None
+                panel.plot(run[:, k], run[:, 2], color=looks[name][0], linewidth=0.9, alpha=0.7, label=text)
     for law, cost in found["validation"].items():
         for panel in grid:
             panel.axhline(cost, color=looks[law][0], linewidth=1.0, linestyle=":")
-        grid[1].annotate(
-            _label(found, law),
-            (1.01, cost),
-            xycoords=("axes fraction", "data"),
-            va="center",
-            color=looks[law][0],
-            fontsize=8,
-        )
+        beside = {"xycoords": ("axes fraction", "data"), "va": "center", "fontsize": 8}
+        grid[1].annotate(label(found, law), (1.01, cost), color=looks[law][0], **beside)
     costs = np.concatenate([run[:, 2] for runs in curves.values() for run in runs])
     lines = list(found["validation"].values())
     top = max([float(np.percentile(costs, 90)), *lines])
@@ -298,7 +241,7 @@ def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Cont
     grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1e6:g}"))
     grid[0].set_xlabel("agent steps [million]")
     grid[1].set_xlabel("wall clock [s]")
-    grid[0].set_ylabel("cost on the validation scenarios (minus the return)")
+    grid[0].set_ylabel("training cost on the validation\nscenarios (minus the return)")
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=6)
     return figure
 
@@ -328,27 +271,17 @@ def velocity_figure(schedules: Mapping[str, Schedule], law: Any) -> Figure:
         for x in middles
     ]
     maps["eq. 6, text"] = np.repeat(np.array(eq6)[None], len(rates) - 1, axis=0)
-    lines = -(-len(maps) // 4)
-    columns = -(-len(maps) // lines)
     low = min(float(np.nanmin(values)) for values in maps.values())
     high = max(float(np.nanmax(values)) for values in maps.values())
-    figure = Figure(figsize=(style.WIDTH, 0.7 + 2.6 * lines), layout="constrained")
-    grid = figure.subplots(lines, columns, sharey=True, squeeze=False)
-    for k, panel in enumerate(grid.flat):
-        if k >= len(maps):
-            panel.set_axis_off()
-            continue
-        name = list(maps)[k]
-        panel.pcolormesh(errors, rates, maps[name], cmap="viridis", vmin=low, vmax=high, rasterized=True)
+    figure, panels = style.panel_grid(len(maps), -(-len(maps) // -(-len(maps) // 4)), 0.7, 2.6, sharey=True)
+    for panel, (name, tensions) in zip(panels, maps.items(), strict=True):
+        panel.pcolormesh(errors, rates, tensions, cmap="viridis", vmin=low, vmax=high, rasterized=True)
         panel.axhline(0.0, color="white", linewidth=0.7)
         panel.set_title(name)
         panel.grid(False)
         panel.set_facecolor("#ececec")
-        if k % columns == 0:
-            panel.set_ylabel("rate towards\nthe setpoint [deg/s]")
-        if k + columns >= len(maps):
-            panel.set_xlabel("|position error| [deg]")
-    figure.colorbar(grid[0, 0].collections[0], ax=grid, label="median tension setpoint [N]", shrink=0.9)
+    style.label_outer(panels, "|position error| [deg]", "rate towards\nthe setpoint [deg/s]")
+    figure.colorbar(panels[0].collections[0], ax=figure.axes, label="median tension setpoint [N]", shrink=0.9)
     return figure
 
 
@@ -378,12 +311,12 @@ def responses_figure(evidence: Evidence, found: Content) -> Figure:
 
 
 def worst_figure(evidence: Evidence, found: Content) -> Figure:
-    """Draw the scenario in which the learned policy loses most, with eq. 6, the best law by hand, and the policy."""
+    """Draw the scenario in which the learned policy loses most, with eq. 6, the best hand-tuned law, and the policy."""
     item = found["worst"][0]
     names = list(dict.fromkeys([YARDSTICK, found["best_by_hand"], found["best_learned"]]))
     protocol = replace(evidence.protocol, seed=item["seed"])
-    paid = f"{item['learned']:.2f} in the place of {item['by_hand']:.2f}"
-    title = f"{item['family']}, seed {item['seed']}: the learned policy pays {paid}"
+    costs = f"cost {item['learned']:.2f} of the learned policy, {item['by_hand']:.2f} of the best hand-tuned law"
+    title = f"{item['family']}, seed {item['seed']}: {costs}"
     return plots.step_response_figure(_trajectories(evidence, names, protocol), title, _colours(found))
 
 
@@ -407,24 +340,19 @@ def _colours(found: Content) -> dict[str, str]:
 def resting_figure(found: Content) -> Figure:
     """Draw how stiff every contender rests and how far pushes deflect it: a slack arm must not win."""
     headline = f"{found['description']['headline']}/held-out"
-    panels = [("resting_stiffness", headline, "resting stiffness")]
     pushed = "hold-push/held-out" if "hold-push/held-out" in found["results"] else headline
-    panels.append(("push_deflection", pushed, f"push deflection on {pushed.split('/')[0]}"))
+    shown = (("resting_stiffness", headline), ("push_deflection", pushed))
     names = list(found["entries"])
     looks = styles(found)
-    figure = Figure(figsize=(style.WIDTH, 0.9 + 0.2 * len(names)), layout="constrained")
-    for panel, (metric, place, title) in zip(figure.subplots(1, 2, sharey=True), panels, strict=True):
+    figure, panels = style.panel_grid(2, 2, 0.0, 0.9 + 0.2 * len(names), sharey=True)
+    for panel, (key, place) in zip(panels, shown, strict=True):
         for row, name in enumerate(reversed(names)):
-            estimate = found["results"][place][name]["metrics"][metric]
+            estimate = found["results"][place][name]["metrics"][key]
             if estimate["mean"] is not None:
-                panel.barh(
-                    row, estimate["mean"], xerr=style.reach(estimate), height=0.62, color=looks[name][0], ecolor="#444"
-                )
-        panel.set_yticks(range(len(names)), [_label(found, name) for name in reversed(names)])
-        panel.set_ylim(-0.6, len(names) - 0.4)
-        panel.tick_params(axis="y", length=0)
-        panel.grid(False, axis="y")
-        panel.set_xlabel(f"{title} [{_unit(found['units'][metric])}]")
+                bar = {"height": 0.62, "color": looks[name][0], "ecolor": "#444"}
+                panel.barh(row, estimate["mean"], xerr=style.reach(estimate), **bar)
+        style.name_rows(panel, [label(found, name) for name in names])
+        panel.set_xlabel(f"{pretty(METRICS[key].heading)} on {place.split('/')[0]}")
     return figure
 
 
@@ -432,14 +360,13 @@ def resting_figure(found: Content) -> Figure:
 def profiles_figure(found: Content) -> Figure:
     """Draw which share of episodes costs at most so much: the more to the upper left, the better."""
     looks, profiles = styles(found), found["profiles"]
-    figure = Figure(figsize=(style.WIDTH, 4.0), layout="constrained")
-    panel = figure.subplots()
+    figure, panel = style.one_panel(4.0)
     costs = profiles["costs"]
     for name, shares in profiles.items():
         if name == "costs":
             continue
         colour = looks[name][0]
-        panel.plot(costs, [share["mean"] for share in shares], color=colour, label=_label(found, name))
+        panel.plot(costs, [share["mean"] for share in shares], color=colour, label=label(found, name))
         if found["entries"][name]["kind"] == "learned":
             low, high = ([share[key] for share in shares] for key in ("low", "high"))
             panel.fill_between(costs, low, high, color=colour, alpha=0.15, linewidth=0)
@@ -448,52 +375,21 @@ def profiles_figure(found: Content) -> Figure:
     panel.set_ylim(0.0, 1.0)
     panel.set_xlabel("cost of an episode")
     panel.set_ylabel("share of episodes\nthat cost at most that")
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    style.legend_beside(panel)
     return figure
-
-
-@style.styled
-def families_figure(found: Content) -> Figure:
-    """Draw each entry's share of eq. 6's cost in each family of the headline suite, held-out."""
-    rows = {
-        family: {
-            name: ratio for name, ratio in entry["ratio_to_eq6"].items() if name != YARDSTICK and _is_shown(found, name)
-        }
-        for family, entry in found["families"].items()
-    }
-    titles = {family: f"{family} ({entry['scenarios']})" for family, entry in found["families"].items()}
-    return _dots(found, rows, titles, "cost as a share of eq. 6's", (0.0, 1.8), {1.0: style.BLACK})
 
 
 @style.styled
 def search_figure(found: Content) -> Figure:
     """Draw how the clairvoyant search's mean cost fell with the episodes that it tried for each scenario."""
     clairvoyant = found["references"]["clairvoyant"]
-    figure = Figure(figsize=(style.WIDTH, 3.2), layout="constrained")
-    panel = figure.subplots()
-    palette = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
+    figure, panel = style.one_panel(3.2)
     for k, (suite, goal) in enumerate(clairvoyant.items()):
         curve = np.array(goal["curve"])
-        label = f"{suite} ({goal['scenarios']})"
-        panel.plot(curve[:, 0], curve[:, 1] / curve[-1, 1], color=palette[k % len(palette)], label=label)
+        text = f"{suite} ({goal['scenarios']})"
+        panel.plot(curve[:, 0], curve[:, 1] / curve[-1, 1], color=_SUITES[k % len(_SUITES)], label=text)
     panel.set_xlabel("episodes tried for each scenario")
     panel.set_ylabel("mean cost, over the last")
     panel.set_xlim(left=0.0)
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    style.legend_beside(panel)
     return figure
-
-
-def _is_shown(found: Content, name: str) -> bool:
-    kind = found["entries"][name]["kind"]
-    return kind not in ("constant", "ablation") or name == found["constants"]["overall"]
-
-
-def _label(found: Content, name: str) -> str:
-    if name.startswith(CONSTANT):
-        return f"{constant_tension(name):g} N, the best constant" if name == found["constants"]["overall"] else name
-    count = len(found["entries"][name]["seeds"])
-    return f"{name} ({count} seeds)" if count > 1 else name
-
-
-def _unit(unit: str) -> str:
-    return pretty(unit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from markupsafe import Markup
 
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.reporting.page import fill_page
-from amulett_gym.reporting.table import TEXT_WIDTH
+from amulett_gym.reporting.table import fill
 from amulett_gym.reporting.words import number, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
@@ -146,4 +145,4 @@ def in_words(found: Content, claims: Sequence[Claim]) -> str:
     if claims:
         table = made["claims"]
         shown = [replace(table, head=table.head[:5], rows=[row[:5] for row in table.rows], left=(0, 1)), *shown]
-    return "\n\n".join([*(table.text() for table in shown), textwrap.fill(verdict(found, claims), TEXT_WIDTH)])
+    return "\n\n".join([*(table.text() for table in shown), fill(verdict(found, claims))])

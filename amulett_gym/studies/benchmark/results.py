@@ -49,7 +49,7 @@ Values = NDArray[np.float64]
 SEARCHED = ("clairvoyant", "foresight")
 """References that are schedules, which a search finds."""
 
-METRICS = (
+REPORTED = (
     "position_ise",
     "effort",
     "isav_biceps",
@@ -105,7 +105,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},
         "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
         "remarks": device_remarks(evidence.profile, evidence.entries),
-        "units": {metric: UNITS[metric] for metric in METRICS},
+        "units": {metric: UNITS[metric] for metric in REPORTED},
         "best_learned": best,
         "best_by_hand": hand,
         "entries": {name: {"kind": entry.kind, "seeds": list(entry.seeds)} for name, entry in evidence.entries.items()},
@@ -181,7 +181,7 @@ def _numbers(
         "ratio": {other: plain(nested_ratio(cost, theirs[0], draws)) for other, theirs in others.items()},
         "failures": _failures(results[name]),
         "seeds": cost.mean(axis=1).tolist(),
-        "metrics": {metric: plain(nested_mean(values[metric], draws)) for metric in METRICS},
+        "metrics": {metric: plain(nested_mean(values[metric], draws)) for metric in REPORTED},
     }
     if not everything:
         return found

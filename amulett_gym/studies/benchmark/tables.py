@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,40 +26,26 @@ Estimate = Mapping[str, float | None]
 
 def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
     """Return all tables by name; those that nothing was measured for are left out."""
-    makers: dict[str, Callable[[Content], Table | None]] = {
-        "ranking": ranking,
-        "suites": by_suite,
-        "scores": scores,
-        "metrics": physical,
-        "paper_step": paper_step,
-        "constants": constants,
-        "seeds": by_seed,
-        "ablations": ablations,
-        "references": references,
-        "budgets": budgets,
-        "worst": worst,
+    made = {
+        "claims": claims_table(claims),
+        "ranking": ranking(found),
+        "suites": by_suite(found),
+        "scores": scores(found),
+        "metrics": physical(found),
+        "paper_step": paper_step(found),
+        "constants": constants(found),
+        "seeds": by_seed(found),
+        "ablations": ablations(found),
+        "references": references(found),
+        "budgets": budgets(found),
+        "worst": worst(found),
     }
-    made = {"claims": claims_table(claims)} if claims else {}
-    for name, make in makers.items():
-        table = make(found)
-        if table is not None:
-            made[name] = table
-    return made
+    return {name: table for name, table in made.items() if table.rows}
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:
     """Return what is claimed, what was measured, and whether it holds."""
-    rows = [
-        [
-            claim.about,
-            claim.claim,
-            number(claim.measured, 3),
-            interval(claim.low, claim.high),
-            HOLDS[claim.holds],
-            claim.note,
-        ]
-        for claim in claims
-    ]
+    rows = [[c.about, c.claim, number(c.measured), interval(c.low, c.high), HOLDS[c.holds], c.note] for c in claims]
     held, judged = sum(claim.holds is True for claim in claims), sum(claim.holds is not None for claim in claims)
     note = f"{held} of {judged} claims hold. A dash: not measured here, or reported without a claim."
     head = ("on", "claim", "measured", "95 %", "holds", "of what")
@@ -67,63 +53,53 @@ def claims_table(claims: Sequence[Claim]) -> Table:
 
 
 def ranking(found: Content) -> Table:
-    """Return all contenders on the headline suite, held-out, the cheapest first."""
-    place = f"{found['description']['headline']}/held-out"
-    results, overall = found["results"][place], found["constants"]["overall"]
-    names = sorted(_told(found, results), key=lambda name: results[name]["cost"]["mean"])
-    rows = [
-        [
-            label(found, name),
-            number(results[name]["cost"]["mean"]),
-            *(with_interval(results[name]["ratio"].get(other)) for other in (YARDSTICK, overall, TUNED_LAW)),
-            number(results[name]["iqm"]["mean"]),
-            number(results[name]["worst_decile"]["mean"]),
-            share(results[name]["better_than"].get(TUNED_LAW)),
-            f"{results[name]['failures']['count']} of {results[name]['failures']['total']}",
-            number(results[name]["metrics"]["resting_stiffness"]["mean"]),
-        ]
-        for name in names
-    ]
+    """Return all contenders on the headline suite, held-out, the lowest cost first."""
+    place, overall = _headline(found), found["constants"]["overall"]
+    rows = []
+    for name, numbers in sorted(_reported(found, place).items(), key=lambda item: item[1]["cost"]["mean"]):
+        better, failures = numbers["better_than"].get(TUNED_LAW), numbers["failures"]
+        rows.append(
+            [
+                label(found, name),
+                number(numbers["cost"]["mean"]),
+                *(with_interval(numbers["ratio"].get(other)) for other in (YARDSTICK, overall, TUNED_LAW)),
+                *(number(numbers[key]["mean"]) for key in ("iqm", "worst_decile")),
+                "-" if better is None or better["mean"] is None else f"{better['mean']:.0%}",
+                f"{failures['count']} of {failures['total']}",
+                number(numbers["metrics"]["resting_stiffness"]["mean"]),
+            ]
+        )
     head = (
         *("", "cost", "to eq. 6", "to the best constant", "to the tuned richer law", "IQM", "worst decile"),
-        *("P(better than it)", "failed", "rest [N m/rad]"),
+        *("P(better than it)", "failed", METRICS["resting_stiffness"].heading),
     )
     note = (
         "Ratios of costs in the same scenarios, with 95 % intervals over training seeds and scenarios. IQM: mean of "
-        "the middle half; worst decile: CVaR; P: probability to cost less than the tuned richer law in a scenario. "
+        "the middle half; worst decile: CVaR; P: probability of a lower cost than the tuned richer law in a scenario. "
         + _position_only(found)
     )
-    return Table(f"{place.replace('/', ', ')}: all contenders", head, rows, note)
+    return Table(f"{_words(place)}: all contenders", head, rows, note)
 
 
 def by_suite(found: Content) -> Table:
     """Return each entry's cost as a share of eq. 6's on every suite and split."""
-    places = list(found["results"])
-    names = [name for name in found["entries"] if _is_main(found, name) and name != YARDSTICK]
+    names = [name for name in found["entries"] if is_main(found, name) and name != YARDSTICK]
     rows = []
-    for place in places:
-        results, best = found["results"][place], found["constants"]["best"][place.split("/")[0]]
-        rows.append(
-            [
-                place.replace("/", ", "),
-                f"{best.removeprefix(CONSTANT)} N: {number(results[best]['ratio'][YARDSTICK]['mean'])}",
-                *(with_interval(results[name]["ratio"].get(YARDSTICK)) for name in names),
-            ]
-        )
+    for place, results in found["results"].items():
+        ratios, best = _to_eq6(results), found["constants"]["best"][place.split("/")[0]]
+        constant = f"{_tension(best)}: {number(ratios[best]['mean'])}"
+        rows.append([_words(place), constant, *(with_interval(ratios.get(name)) for name in names)])
     head = ("", "best constant there", *(label(found, name) for name in names))
     note = "Cost over that of eq. 6 (text) in the same scenarios. A suite's best constant is chosen on its split train."
     return Table("Cost as a share of eq. 6's, by suite and split", head, rows, note)
 
 
-def scores(found: Content) -> Table | None:
+def scores(found: Content) -> Table:
     """Return scores: 0 is the best constant overall, 1 the clairvoyant reference."""
-    clairvoyant = found["references"]["clairvoyant"]
-    if not clairvoyant:
-        return None
-    names = [name for name in found["entries"] if _is_main(found, name)]
+    names = [name for name in found["entries"] if is_main(found, name)]
     rows = [
         [f"{suite} ({goal['scenarios']})", *(with_interval(goal["score"].get(name)) for name in names)]
-        for suite, goal in clairvoyant.items()
+        for suite, goal in found["references"]["clairvoyant"].items()
     ]
     note = (
         "On the suite's first held-out scenarios, whose number is in brackets. 0: the best constant overall; 1: each "
@@ -138,89 +114,71 @@ def physical(found: Content) -> Table:
         *("position_ise", "isav_biceps", "isav_triceps", "effort", "contact_ise", "contact_peak", "push_deflection"),
         "resting_stiffness",
     )
-    place = f"{found['description']['headline']}/held-out"
     note = (
         "Means over all episodes; in brackets the ratio to eq. 6's. Effort is the ISAV of both drives without the "
         "setpoint's jump. Stiffness is not better or worse by itself."
     )
-    return _of_metrics(found, place, {key: METRICS[key].name for key in keys}, "physical metrics", note)
+    place = _headline(found)
+    head = ("", *(METRICS[key].heading for key in keys))
+    return Table(f"{_words(place)}: physical metrics", head, _metric_rows(found, place, keys), note)
 
 
-def paper_step(found: Content) -> Table | None:
-    """Return the metrics of the paper's Tables 2-5 on its step, or None if it was not played."""
-    place = f"{PAPER_STEP}/held-out"
-    if place not in found["results"]:
-        return None
-    keys = (*("rise_time", "settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps", "overshoot"),)
-    names = {key: METRICS[key].paper_name or METRICS[key].name for key in keys}
+def paper_step(found: Content) -> Table:
+    """Return the metrics of the paper's Tables 2-5 on its step."""
+    keys = ("rise_time", "settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps", "overshoot")
     note = "In brackets the ratio to eq. 6's. Episodes differ by sensor noise."
-    return _of_metrics(found, place, names, "", note)
+    head = ("", *(METRICS[key].paper_heading for key in keys))
+    return Table("The paper's step", head, _metric_rows(found, f"{PAPER_STEP}/held-out", keys), note)
 
 
 def constants(found: Content) -> Table:
     """Return what constants cost on each suite's split train."""
-    tried = found["constants"]["tried"]
+    tried, best = found["constants"]["tried"], found["constants"]["best"]
     names = list(next(iter(tried.values())))
-    rows = [
-        [
-            suite,
-            *(number(costs[name]) for name in names),
-            f"{found['constants']['best'][suite].removeprefix(CONSTANT)} N",
-        ]
-        for suite, costs in tried.items()
-    ]
-    head = ("", *(f"{name.removeprefix(CONSTANT)} N" for name in names), "best")
-    overall = found["constants"]["overall"].removeprefix(CONSTANT)
-    note = f"Mean cost on the split train, by which constants are chosen: overall, that is on the mix, {overall} N."
+    rows = [[suite, *(number(costs[name]) for name in names), _tension(best[suite])] for suite, costs in tried.items()]
+    overall = _tension(found["constants"]["overall"])
+    note = f"Mean cost on the split train, by which constants are chosen: overall, that is on the mix, {overall}."
+    head = ("", *map(_tension, names), "best")
     return Table("How the best constant differs between suites", head, rows, note)
 
 
-def by_seed(found: Content) -> Table | None:
+def by_seed(found: Content) -> Table:
     """Return what each training seed came to on the headline suite, held-out."""
-    results = found["results"][f"{found['description']['headline']}/held-out"]
     rows = []
-    for name, entry in found["entries"].items():
-        if entry["kind"] in ("learned", "reference"):
-            runs = found["training"][name]["runs"]
-            for k, seed in enumerate(entry["seeds"]):
-                run, ratios = runs[str(seed)], results[name]["seed_ratios"]
-                rows.append(
-                    [
-                        f"{name}, seed {seed}",
-                        number(results[name]["seeds"][k], 4),
-                        number(ratios[YARDSTICK][k], 4),
-                        number(ratios[TUNED_LAW][k], 4) if TUNED_LAW in ratios else "-",
-                        number(run["best_cost"], 4),
-                        f"{run['best_steps']:,}",
-                        f"{run['steps']:,}",
-                        f"{run['seconds']:.0f}",
-                    ]
-                )
+    for name, numbers in found["results"][_headline(found)].items():
+        ratios, missing = numbers.get("seed_ratios", {}), [None] * len(found["entries"][name]["seeds"])
+        if found["entries"][name]["kind"] not in ("learned", "reference"):
+            continue
+        for k, seed in enumerate(found["entries"][name]["seeds"]):
+            run = found["training"][name]["runs"][str(seed)]
+            against = (ratios.get(other, missing)[k] for other in (YARDSTICK, TUNED_LAW))
+            costs = (number(cost, 4) for cost in (numbers["seeds"][k], *against, run["best_cost"]))
+            steps = (f"{run[key]:,}" for key in ("best_steps", "steps"))
+            rows.append([f"{name}, seed {seed}", *costs, *steps, f"{run['seconds']:.0f}"])
     head = (
         *("", "cost", "to eq. 6", "to the tuned richer law", "training cost, validation", "steps of the best policy"),
         *("steps", "seconds"),
     )
-    return Table("Training seeds, one by one", head, rows) if rows else None
+    return Table("Training seeds, one by one", head, rows)
 
 
-def ablations(found: Content) -> Table | None:
-    """Return what the learned entry becomes without each reward term, or None if none was taken away."""
-    place = f"{found['description']['headline']}/held-out"
-    results = found["results"][place]
+def ablations(found: Content) -> Table:
+    """Return what the learned entry becomes without each reward term."""
+    place = _headline(found)
+    ratios, keys = _to_eq6(found["results"][place]), ("position_ise", "effort", "contact_ise")
     names = [name for name, entry in found["entries"].items() if entry["kind"] == "ablation"]
-    if not names:
-        return None
-    metrics = ("position_ise", "effort", "contact_ise")
     rows = [
-        [label(found, name), with_interval(results[name]["ratio"][YARDSTICK]), *_metric_cells(results[name], metrics)]
+        [label(found, name), with_interval(ratios[name]), *_metric_cells(found["results"][place][name], keys)]
         for name in (found["best_learned"], *names)
+        if names
     ]
+    head = ("", "cost to eq. 6", *(METRICS[key].heading for key in keys))
     note = "Trained again with one weight at zero, one seed each; judged by the same cost as all."
-    return Table("Without a reward term", ("", "cost to eq. 6", *(METRICS[key].heading for key in metrics)), rows, note)
+    return Table("Without a reward term", head, rows, note)
 
 
-def references(found: Content) -> Table | None:
-    """Return how far each reference lies below the best law by hand, and what speaks for the search."""
+def references(found: Content) -> Table:
+    """Return how far each reference lies below the best hand-tuned law, and what supports the search."""
     best, rows = found["best_learned"], []
     for kind in SEARCHED:
         for suite, goal in found["references"][kind].items():
@@ -230,7 +188,7 @@ def references(found: Content) -> Table | None:
                     f"{kind}, {suite} ({goal['scenarios']})",
                     number(goal["cost"], 4),
                     with_interval(goal["ratio_to_eq6"]),
-                    "-" if best is None else with_interval(goal["share_from_hand"][best]),
+                    with_interval(goal["share_from_hand"].get(best)),
                     number(goal["with_other_noise"], 4),
                     f"{goal['last_quarter']:.2%}",
                     " and ".join(number(cost, 4) for cost in goal["searches_alone"]),
@@ -242,47 +200,37 @@ def references(found: Content) -> Table | None:
         shares = with_interval(goal["ratio_to_eq6"]), with_interval(goal["share_from_hand"].get(best))
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     head = (
-        *(
-            "",
-            "cost",
-            "to eq. 6",
-            "share of the way" if best is None else f"share of the way, {best}",
-            "with other noise",
-        ),
-        "found in the last quarter",
-        *("searches alone", "second search finds", "beaten by an entry"),
+        *("", "cost", "to eq. 6", "share of the way" + ("" if best is None else f", {best}"), "with other noise"),
+        *("found in the last quarter", "searches alone", "second search finds", "beaten by an entry"),
     )
     note = (
-        f"The way is that from the best law by hand, {found['references']['from']}, to the reference. Searches are "
+        f"The way is that from the best hand-tuned law, {found['references']['from']}, to the reference. Searches are "
         "independent of what was learned. Clairvoyant: the best schedule of each scenario with all known; foresight: "
         "with all known but chance, judged during the search by other draws of the noise than the scenario's own. With "
-        "other noise: what the schedules cost when chance is drawn anew. Found in the last quarter: by how much the "
-        "search's mean cost fell then. Searches "
-        "alone: what each start came to without the other, in the noise that it was searched in. The second search has "
-        "another seed and twice as many "
-        "rounds; what counts is the better of both. Beaten: scenarios in which some entry costs less: one that "
-        "acts in the loop plays by other rules, another one shows that the search fell short, or that to answer "
-        "the noise is worth more than to foresee."
+        "other noise: the cost of the schedules when chance is drawn anew. Found in the last quarter: by how much the "
+        "search's mean cost fell then. Searches alone: the cost of each start without the other, in the noise that it "
+        "was searched in. The second search has another seed and twice as many rounds; the better of both counts. "
+        "Beaten: scenarios in which some entry has a lower cost. An entry that acts in the loop has other rules; any "
+        "other entry shows that the search fell short, or that answering the noise is worth more than foreseeing."
     )
-    return Table("References", head, rows, note) if rows else None
+    return Table("References", head, rows, note)
 
 
-def budgets(found: Content) -> Table | None:
+def budgets(found: Content) -> Table:
     """Return how many episodes were simulated for what was tuned and what was learned."""
     rows = []
     for name, entry in found["training"].items():
         if "runs" in entry:
             runs = entry["runs"].values()
-            episodes = sorted(run["episodes"] for run in runs)
-            times = sorted(run["seconds"] for run in runs)
-            rows.append([name, f"{episodes[-1]:,}", f"{len(times)}", f"{times[0]:.0f} to {times[-1]:.0f}"])
+            times, episodes = sorted(run["seconds"] for run in runs), max(run["episodes"] for run in runs)
+            rows.append([name, f"{episodes:,}", f"{len(times)}", f"{times[0]:.0f} to {times[-1]:.0f}"])
         else:
             rows.append([name, f"{entry['tuned_episodes']:,}", f"{len(entry['recipe']['seeds'])} starts together", "-"])
-    head = ("", "simulated episodes", "runs", "seconds")
-    return Table("What learning and tuning took", head, rows, "Episodes of one run, of all starts.") if rows else None
+    head, note = ("", "simulated episodes", "runs", "seconds"), "Episodes of one run, of all starts."
+    return Table("What learning and tuning took", head, rows, note)
 
 
-def worst(found: Content) -> Table | None:
+def worst(found: Content) -> Table:
     """Return the scenarios in which the learned policy loses most."""
     rows = [
         [
@@ -294,8 +242,8 @@ def worst(found: Content) -> Table | None:
         for item in found["worst"]
     ]
     head = ("", "learned", f"hand-tuned ({found['best_by_hand']})", "eq. 6", "loses", "scenario")
-    note = "Costs, of the learned entry the mean over its seeds. Replay: `amulett simulate --scenario FILE --law ...`."
-    return Table("Where the learned policy loses most", head, rows, note) if rows else None
+    note = "Costs; of the learned entry the mean over its seeds. Replay: `amulett simulate --scenario FILE --law ...`."
+    return Table("Where the learned policy loses most", head, rows, note)
 
 
 def write_csv(found: Content, claims: Sequence[Claim], folder: Path) -> list[Path]:
@@ -361,28 +309,46 @@ def _three(estimate: Estimate) -> tuple[float | None, float | None, float | None
     return estimate["mean"], estimate["low"], estimate["high"]
 
 
-def _of_metrics(found: Content, place: str, names: Mapping[str, str], title: str, note: str) -> Table:
-    """Return metrics of all entries on a suite and split, under the names that are given."""
-    results = found["results"][place]
-    rows = [[label(found, name), *_metric_cells(results[name], names)] for name in _told(found, results)]
-    head = ("", *(f"{name} [{found['units'][key]}]" for key, name in names.items()))
-    return Table(f"{place.replace('/', ', ')}: {title}" if title else "The paper's step", head, rows, note)
+def _metric_rows(found: Content, place: str, keys: Sequence[str]) -> list[list[str]]:
+    """Return metrics of all entries on a suite and split; nothing if it was not played."""
+    return [[label(found, name), *_metric_cells(numbers, keys)] for name, numbers in _reported(found, place).items()]
 
 
-def _metric_cells(numbers: Content, metrics: Iterable[str]) -> list[str]:
+def _metric_cells(numbers: Content, keys: Iterable[str]) -> list[str]:
     cells = []
-    for metric in metrics:
-        estimate = numbers["metrics"][metric]
-        over = estimate["ratio_to_eq6"]["mean"]
-        cells.append(number(estimate["mean"]) + ("" if over is None else f" ({number(over)})"))
+    for key in keys:
+        mean, over = numbers["metrics"][key]["mean"], numbers["metrics"][key]["ratio_to_eq6"]["mean"]
+        cells.append(number(mean) + ("" if over is None else f" ({number(over)})"))
     return cells
 
 
-def _told(found: Content, results: Content) -> list[str]:
-    return [name for name in results if "iqm" in results[name] and found["entries"][name]["kind"] != "ablation"]
+def _reported(found: Content, place: str) -> Content:
+    """Return what all but the ablations did on a suite and split, of which there is more than the cost."""
+    return {
+        name: numbers
+        for name, numbers in found["results"].get(place, {}).items()
+        if "iqm" in numbers and found["entries"][name]["kind"] != "ablation"
+    }
 
 
-def _is_main(found: Content, name: str) -> bool:
+def _headline(found: Content) -> str:
+    return f"{found['description']['headline']}/held-out"
+
+
+def _words(place: str) -> str:
+    return place.replace("/", ", ")
+
+
+def _to_eq6(results: Content) -> dict[str, Estimate]:
+    return {name: numbers["ratio"][YARDSTICK] for name, numbers in results.items()}
+
+
+def _tension(constant: str) -> str:
+    return f"{constant.removeprefix(CONSTANT)} N"
+
+
+def is_main(found: Content, name: str) -> bool:
+    """Return whether an entry is compared everywhere: no ablation, and of the constants only the best overall."""
     kind = found["entries"][name]["kind"]
     return kind not in ("constant", "ablation") or name == found["constants"]["overall"]
 
@@ -390,14 +356,9 @@ def _is_main(found: Content, name: str) -> bool:
 def label(found: Content, name: str) -> str:
     """Return what a table calls an entry: constants by their tension, what was learned with its number of seeds."""
     if name.startswith(CONSTANT):
-        return f"constant {name.removeprefix(CONSTANT)} N"
+        return f"constant {_tension(name)}"
     count = len(found["entries"][name]["seeds"])
     return f"{name} ({count} seeds)" if count > 1 else name
-
-
-def share(estimate: Estimate | None) -> str:
-    """Return a probability in percent."""
-    return "-" if estimate is None or estimate["mean"] is None else f"{estimate['mean']:.0%}"
 
 
 def _position_only(found: Content) -> str:

@@ -6,7 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.reporting.style import BLACK, BLUE, GREY, PRINT_WIDTH, RED, Figure, save_figures, styled
+from amulett_gym.reporting.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    PRINT_WIDTH,
+    RED,
+    Figure,
+    new_figure,
+    one_panel,
+    save_figures,
+    styled,
+)
 
 Data = Mapping[str, Any]
 
@@ -39,8 +50,7 @@ def draw(data: Data, folder: str | Path) -> list[Path]:
 def scale_figure(costs: Mapping[Any, Data]) -> Figure:
     """Draw what a device's step costs, by the number of devices; the spread of the turns is shaded."""
     sizes = [int(size) for size in costs]
-    figure = Figure(figsize=(PRINT_WIDTH, 3.0), layout="constrained")
-    panel = figure.subplots()
+    figure, panel = one_panel(3.0, PRINT_WIDTH)
     least, median, most = ([row[key] for row in costs.values()] for key in ("least", "median", "most"))
     panel.fill_between(sizes, least, most, color=BLUE, alpha=0.2, linewidth=0)
     panel.plot(sizes, median, color=BLUE, marker="o", markersize=4)
@@ -56,7 +66,7 @@ def scale_figure(costs: Mapping[Any, Data]) -> Figure:
 def long_run_figure(run: Data) -> Figure:
     """Draw speed and resident memory of a long run, slice by slice."""
     minutes = [run["simulated_s"] / 60 * (k + 1) / len(run["steps_per_s"]) for k in range(len(run["steps_per_s"]))]
-    figure = Figure(figsize=(PRINT_WIDTH, 3.6), layout="constrained")
+    figure = new_figure(3.6, PRINT_WIDTH)
     speed, memory = figure.subplots(2, 1, sharex=True)
     speed.plot(minutes, [rate / 1e6 for rate in run["steps_per_s"]], color=BLUE)
     speed.set_ylim(bottom=0)
@@ -73,8 +83,7 @@ def long_run_figure(run: Data) -> Figure:
 @styled
 def time_to_beat_figure(found: Data) -> Figure:
     """Draw each seed's cost on the validation scenarios by the wall clock, and the lines it has to cross."""
-    figure = Figure(figsize=(PRINT_WIDTH, 3.4), layout="constrained")
-    panel = figure.subplots()
+    figure, panel = one_panel(3.4, PRINT_WIDTH)
     for k, run in enumerate(found["runs"]):
         times, _, costs = zip(*run["curve"], strict=True)
         panel.plot(times, costs, color=BLUE, alpha=0.6, linewidth=1.0, label="a seed" if k == 0 else None)
