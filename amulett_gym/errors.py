@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
 from collections.abc import Iterable
 from importlib.metadata import version
 
@@ -64,3 +66,12 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
     listed = sorted(choices)
     shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
     return AmulettError(f"unknown {kind} '{shown}'; choose from {', '.join(listed)}{nearest(name, listed)}")
+
+
+def warn_deprecated(message: str) -> None:
+    """Give a DeprecationWarning where the user wrote what it is about: above our, Gymnasium's and pydantic's frames."""
+    level, frame = 1, sys._getframe()
+    inner = ("amulett_gym", "amulett_agents", "gymnasium", "pydantic")
+    while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in inner:
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, DeprecationWarning, stacklevel=level)

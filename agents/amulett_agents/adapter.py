@@ -45,8 +45,6 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
     name = env_id.removeprefix("amulett_gym:")
     if name not in amulett_gym.ENV_IDS:
         raise unknown("environment", env_id, amulett_gym.ENV_IDS)
-    if num_envs < 1:
-        raise AmulettError(f"num_envs is {num_envs}; at least 1 is needed")
     return SB3VecEnv(cast(TensionVectorEnv, gym.make_vec(name, num_envs=num_envs, **keywords)))
 
 

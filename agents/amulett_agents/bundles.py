@@ -19,11 +19,11 @@ from stable_baselines3.sac.policies import SACPolicy
 from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy, visible_entries
 from amulett_agents.wrappers import ActorView
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
+from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES
-from amulett_gym.profile import profile_names
 from amulett_gym.storage.provenance import git_revision, versions
 
 
@@ -77,7 +77,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     folder : str or Path
         Replaced if it holds a bundle.
     provenance : mapping, optional
-        JSON-serialisable; versions, seed and training steps are added.
+        JSON-serialisable; versions, seed and training steps are added, and the name of the environment's `reward_fn`.
 
     Returns
     -------
@@ -104,6 +104,9 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
         "versions": versions(),
         "git_revision": git_revision(),
     }
+    reward_fn = env.get_attr("settings")[0].reward_fn
+    if reward_fn is not None:  # code, which a bundle does not hold
+        about["reward_fn"] = getattr(reward_fn, "__qualname__", repr(reward_fn))
     training_env = describe_env(env)
     if not description.is_privileged:
         training_env.keywords.pop("privileged", None)
@@ -123,7 +126,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     layers, network = extract_network(model.policy)
     names: tuple[str, ...] = OBSERVATIONS
     scales = OBSERVATION_SCALES
-    told = env.get_attr("episodes")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
+    told = env.get_attr("settings")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
     if told:
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
@@ -216,22 +219,10 @@ def _seen_by_policy(inputs: StandardInputs, sights: object) -> tuple[NDArray[np.
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:
-    """Return the id and the keywords that make an environment again; an own profile goes in with all that it says.
-
-    Raises
-    ------
-    AmulettError
-        If the environment was not made by `gym.make` or `gym.make_vec`.
-    """
-    spec = env.get_attr("spec")[0]
-    if spec is None:
-        raise AmulettError("the environment has no spec, so that nobody could make it again; make it with gym.make")
-    keywords = {
-        key: value
-        for key, value in spec.kwargs.items()
-        if key not in ("num_envs", "max_episode_steps", "vectorization_mode", "render_mode", "threads")
-    }
-    if "profile" in keywords and keywords["profile"] not in profile_names():
-        keywords["profile"] = env.get_attr("profile")[0].model_dump()
-    steps = spec.kwargs.get("max_episode_steps", spec.max_episode_steps)
-    return TrainingEnv(id=spec.id, keywords=keywords, max_episode_steps=int(steps))
+    """Return the id and the keywords that make an environment again; an own profile goes in with all that it says."""
+    settings = env.get_attr("settings")[0]
+    if isinstance(settings, VectorSettings):
+        steps = settings.max_episode_steps
+    else:  # the limit of Gymnasium's wrapper, if there is one
+        steps = env.get_attr("_max_episode_steps")[0] if env.has_attr("_max_episode_steps") else NO_LIMIT
+    return TrainingEnv(id=env.get_attr("env_id")[0], keywords=settings.keywords(), max_episode_steps=steps)

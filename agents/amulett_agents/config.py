@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import MOST_TENSION, load_profile
+from amulett_gym.profile import MOST_TENSION
 from amulett_gym.settings import Group, describe, merge
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 from amulett_gym.tasks.suites import suite_names
@@ -86,11 +86,10 @@ class EnvSettings(Group):
 
     def keywords(self) -> dict[str, Any]:
         """Return the keywords for `gym.make`, without those that differ between training and validation."""
-        unit = load_profile(self.profile).variable_stiffness.nominal_tension if self.id == ENV_IDS[0] else 1.0
         return {
             "profile": self.profile,
             "suite": self.suite,
-            "action_range": [tension / unit for tension in self.tension_range],
+            "tension_range": self.tension_range,
             "agent_period": self.agent_period,
             "reward_weights": self.reward_weights,
             "observation_noise": self.observation_noise,

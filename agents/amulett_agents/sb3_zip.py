@@ -34,7 +34,7 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
         The zip of any algorithm whose policy maps 13 observations to 1 action, recurrent ones too.
     profile : Profile
     env_id : str
-        Environment in which the contender will act.
+        Neither changes anything any more: what an action means is kept in N.
     trust_pickle : bool
         Whether whoever made the zip is trusted: to open it means to run what is in it.
 
@@ -56,7 +56,7 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
         )
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
-    keywords = _keywords(path.parent / "config.yaml", profile, env_id)
+    keywords = _keywords(path.parent / "config.yaml")
     return Own(str(path), keywords, act=_Acting(_load(path)))
 
 
@@ -99,7 +99,7 @@ def _load(path: Path) -> BasePolicy:
     return policy
 
 
-def _keywords(recipe: Path, profile: Profile, env_id: str) -> dict[str, Any]:
+def _keywords(recipe: Path) -> dict[str, Any]:
     if not recipe.is_file():
         return {}
     config = load_train_config(recipe)
@@ -110,5 +110,4 @@ def _keywords(recipe: Path, profile: Profile, env_id: str) -> dict[str, Any]:
             "(network.features, env.follow_time, env.history, env.privileged), which its zip does not hold; use the "
             f"bundle '{recipe.parent / 'last'}' instead"
         )
-    unit = profile.variable_stiffness.nominal_tension if env_id == ENV_IDS[0] else 1.0
-    return {"agent_period": env.agent_period, "action_range": [bound / unit for bound in env.tension_range]}
+    return {"agent_period": env.agent_period, "tension_range": env.tension_range}

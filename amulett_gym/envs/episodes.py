@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 import os
 from collections.abc import Mapping, Sequence
@@ -17,19 +16,15 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
-from amulett_gym.envs.reward import COST_CAP, prices
+from amulett_gym.envs.reward import COST_CAP, TERMS, own_reward, prices
+from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
-from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import LANES, Control
+from amulett_gym.simulation.layout import LANES, RUNNING
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack
-from amulett_gym.tasks.suites import check_names, episode_keys, sample
-
-DEFAULT_STEPS = 500
-"""Agent steps in an episode, 10 s at the default agent period."""
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.suites import episode_keys, sample
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]
 """Parameters, settings, and blocks of scenarios and states."""
@@ -39,80 +34,47 @@ Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
+_SQUARED_DEGREES = np.degrees(1.0) ** 2
+_REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
+"""Units of the state's costs that are in the rewards given so far: rad2 to deg2."""
 
 
 class Episodes:
     """A batch of arms, each in an episode of its own.
 
-    Parameters are those of :class:`amulett_gym.envs.single.ScalingEnv`; `tension_range` is the action's range in N, and
-    `threads` is how many step at once, each some of the blocks that the devices lie in. The bits are the same for any.
+    Parameters
+    ----------
+    num_devices : int
+    settings : Settings
+    threads : int
+        How many step at once, each some of the blocks that the devices lie in. The bits are the same for any.
 
     Attributes
     ----------
-    simulation : Simulation
-    tension_range : tuple of float
-        Tension setpoint at action -1 and +1 [N].
+    settings : Settings
+    profile : Profile
     privileged : bool
+    simulation : Simulation
     observation_size : int
         Entries of an observation: 13, or with what no device can know behind them (see `envs.privileged`).
     started : ndarray of bool, shape (N,)
         Which devices have started an episode.
     """
 
-    def __init__(
-        self,
-        num_devices: int,
-        profile: str | Path | Mapping[str, Any] | Profile,
-        suite: str,
-        split: str,
-        control: Control,
-        tension_law: str,
-        reward_weights: Mapping[str, float] | None,
-        tension_range: tuple[float, float],
-        agent_period: float,
-        observation_noise: float,
-        failure_horizon: int,
-        threads: int = 1,
-        privileged: bool = False,
-    ) -> None:
-        self.profile = load_profile(profile)
-        check_names(suite, split)
-        if not 0 <= check_number("observation_noise", observation_noise) < math.inf:
-            raise AmulettError(f"observation_noise is {observation_noise}; it has to be a finite number of at least 0")
-        check_number("agent_period", agent_period)
-        if not isinstance(failure_horizon, int | np.integer) or isinstance(failure_horizon, bool):
-            raise AmulettError(f"failure_horizon is {failure_horizon!r}; it has to be a whole number of agent steps")
-        if failure_horizon < 1:
-            raise AmulettError(f"failure_horizon is {failure_horizon}; it has to be at least 1 agent step")
-        if not isinstance(threads, int | np.integer) or isinstance(threads, bool) or threads < 1:
-            raise AmulettError(f"threads is {threads!r}; it has to be a whole number of at least 1")
-        if not isinstance(privileged, bool):
-            raise AmulettError(f"privileged is {privileged!r}; it has to be True or False")
-        if tension_range[1] > MOST_TENSION:
-            raise AmulettError(
-                f"action_range reaches to {tension_range[1]:g} N; at most {MOST_TENSION:,.0f} N are allowed"
-            )
-        _check_step(self.profile)
-        self.suite, self.split = suite, split
-        self.privileged = privileged
-        self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if privileged else 0)
-        self.tension_range = tension_range
-        self.simulation = Simulation(self.profile, num_devices, control, tension_law)
-        self._settings = np.zeros(1, dtype=transition.SETTINGS)
-        self._settings["ticks"] = _ticks(agent_period, self.profile.loop.control_period)
-        self._settings["low"], self._settings["high"] = tension_range
-        self._settings["cost_cap"] = COST_CAP
-        self._settings["observation_noise"] = observation_noise
-        self._settings["horizon"] = failure_horizon
-        squared_degrees = np.degrees(1.0) ** 2
-        self._settings["prices"] = prices(self.profile, suite, reward_weights) * [
-            squared_degrees,
-            squared_degrees,
-            1,
-            1,
-        ]
+    def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
+        self.settings, self.profile, self.privileged = settings, settings.profile, settings.privileged
+        self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if settings.privileged else 0)
+        self.simulation = Simulation(self.profile, num_devices, settings.control, settings.tension_law)
+        self._constants = np.zeros(1, dtype=transition.SETTINGS)
+        self._constants["ticks"] = settings.ticks
+        self._constants["low"], self._constants["high"] = settings.tension_range
+        self._constants["cost_cap"] = COST_CAP
+        self._constants["observation_noise"] = settings.observation_noise
+        self._constants["horizon"] = settings.failure_horizon
+        weighted = prices(self.profile, settings.suite, settings.reward_weights)
+        self._constants["prices"] = weighted * list(_REWARDED.values())
         simulation = self.simulation
-        self._arrays = simulation.parameters, self._settings, simulation.scenarios, simulation.states
+        self._arrays = simulation.parameters, self._constants, simulation.scenarios, simulation.states
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
@@ -127,7 +89,7 @@ class Episodes:
     @property
     def agent_period(self) -> float:
         """Time between two actions [s]."""
-        return int(self._settings["ticks"][0]) * self.simulation.control_period
+        return int(self._constants["ticks"][0]) * self.simulation.control_period
 
     def seed(self, devices: NDArray[np.int64], seeds: Seeds, generator: np.random.Generator) -> None:
         """Choose the given devices' next episodes.
@@ -162,9 +124,9 @@ class Episodes:
         -------
         ndarray of float32, shape (len(devices), observation_size)
         """
-        keys = episode_keys(self._keys[devices], self._episodes[devices], self.split)
-        rows = sample(self.suite, keys, self.profile, self._max_force, self.split)
-        if scenarios is not None:
+        keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
+        rows = sample(self.settings.suite, keys, self.profile, self._max_force, self.settings.split)
+        if scenarios:
             rows = self._packed(scenarios, rows["noise_key"])
         self.simulation.reset(rows, devices)
         self.started[devices] = True
@@ -203,11 +165,22 @@ class Episodes:
         report = np.empty((num_devices, transition.REPORT_SIZE))
         if np.isnan(actions).any():
             raise AmulettError(f"the action of device {int(np.isnan(actions).argmax())} is NaN; allowed is [-1, 1]")
+        own = self.settings.reward_fn
+        before = {} if own is None else self._costs()
         if len(self._shares) == 1:
             self._step(self._arrays, actions, observations, report)
         else:
             self._step_in_threads(actions, observations, report)
+        if own is not None:
+            costs = {name: total - before[name] for name, total in self._costs().items()}
+            costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
+            terms = np.ascontiguousarray(report[:, transition.FIRST_TERM : transition.FIRST_READING].T)
+            report[:, 0] = own_reward(own, costs, dict(zip(TERMS, terms, strict=True)))
         return observations, report
+
+    def _costs(self) -> dict[str, NDArray[np.float64]]:
+        """Return the episodes' raw costs up to the last step, each of shape (N,)."""
+        return {name: unit * self.simulation.read(f"paid_{name}") for name, unit in _REWARDED.items()}
 
     def _step(
         self, arrays: Arrays, actions: NDArray[np.floating[Any]], observations: Observations, report: Report
@@ -238,7 +211,7 @@ class Episodes:
         try:
             step(self._shares[0])
         finally:
-            wait(others)  # nobody writes to the states any more, whatever happens here
+            wait(others)  # nothing writes to the states any more, whatever happens here
         for other in others:
             other.result()
 
@@ -273,7 +246,7 @@ class Episodes:
 
     def steps(self) -> NDArray[np.int64]:
         """Return how many agent steps each device's episode has taken, shape (N,)."""
-        return self.simulation.read("tick") // self._settings["ticks"][0]
+        return self.simulation.read("tick") // self._constants["ticks"][0]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""
@@ -339,61 +312,3 @@ def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: 
     if len(seeds) != count:
         raise AmulettError(f"{len(seeds)} seeds were given for {count} devices")
     return seeds
-
-
-def check_number(name: str, value: Any) -> float:
-    """Return a number.
-
-    Raises
-    ------
-    AmulettError
-        If it is none.
-    """
-    if not isinstance(value, int | float | np.number) or isinstance(value, bool):
-        raise AmulettError(f"{name} is {value!r}; it has to be a number")
-    return float(value)
-
-
-def check_range(name: str, value: Any) -> tuple[float, float]:
-    """Return a pair of rising positive numbers.
-
-    Raises
-    ------
-    AmulettError
-        If it is none.
-    """
-    try:
-        low, high = (float(bound) for bound in value)
-    except (TypeError, ValueError) as error:
-        raise AmulettError(f"{name} is {value!r}; it has to be a pair (low, high)") from error
-    if not 0 < low < high < math.inf:
-        raise AmulettError(f"{name} is {value!r}; it has to be 0 < low < high")
-    return low, high
-
-
-def _check_step(profile: Profile) -> None:
-    """Refuse a device that swings or slows down faster than its integration steps can follow.
-
-    Between two strings at their stiffest; a device that differs from its profile may still end as unstable.
-    """
-    step = profile.loop.control_period / profile.loop.substeps
-    stiffness = 2.0 * build_tables(profile.spring).max_stiffness * profile.plant.joint_pulley_radius**2
-    swing = step * math.sqrt(stiffness / float(empty_rows(1, profile)["inertia"][0]))
-    slowing = 2.0 * step * profile.damping.d
-    if max(swing, slowing) > STABLE_STEP:
-        what = f"swings by {swing:.3g} rad" if swing > slowing else f"is slowed down by {slowing:.3g} time constants"
-        raise AmulettError(
-            f"the device '{profile.name}' {what} in an integration step of {step:g} s; at most {STABLE_STEP} can be "
-            f"computed: loop.substeps has to be at least "
-            f"{math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)}"
-        )
-
-
-def _ticks(agent_period: float, control_period: float) -> int:
-    ticks = max(round(agent_period / control_period), 1) if 0 < agent_period < math.inf else 1
-    if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-9):
-        raise AmulettError(
-            f"agent_period is {agent_period} s; it has to be a multiple of the profile's control period, "
-            f"{control_period} s; the nearest is {ticks * control_period:g} s"
-        )
-    return ticks

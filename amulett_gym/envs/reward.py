@@ -1,7 +1,7 @@
-"""The reward: minus what an agent step cost, in units of what eq. 6 pays for a whole episode of the same family.
+"""The reward: minus the cost of an agent step, in units of eq. 6's cost of a whole episode of the same family.
 
-What families cost differs by a factor of 100 and more: holding against pushes is cheap beside stepping. So each
-scenario of a mix, too, is charged by its own family, and all of them count alike.
+Costs of families differ by a factor of 100 and more: holding against pushes is cheap beside stepping. So each scenario
+of a mix, too, is charged by its own family, and all of them count alike.
 
 The divisors are versioned data, frozen before any training: the mean cost of eq. 6 (`text`, inside the loop) over 400
 training scenarios of 10 s, or about 400 a family. ``python -m amulett_gym.evaluation.divisors`` measures them again.
@@ -10,13 +10,13 @@ training scenarios of 10 s, or about 400 a family. ``python -m amulett_gym.evalu
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import Profile
@@ -34,6 +34,10 @@ MOST_WEIGHT = 1e6
 COST_TERMS = tuple(DEFAULT_WEIGHTS)
 TERMS = (*COST_TERMS, "failure")
 
+Terms = dict[str, NDArray[np.float64]]
+RewardFunction = Callable[[Terms, Terms], ArrayLike]
+"""A reward of the user's own, see `own_reward`."""
+
 COST_CAP = 1.0
 """Most that one agent step can cost: a whole episode of eq. 6. It bounds what a failure has to cost."""
 
@@ -45,7 +49,7 @@ def _frozen() -> dict[str, Any]:
 
 
 def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[str, float]:
-    """Return what eq. 6 pays per episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
+    """Return eq. 6's mean costs of an episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
 
     An own profile is charged by the shipped profile that it is based on; one without a base by the testbed.
 
@@ -83,38 +87,61 @@ def prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = N
     profile : Profile
     suite : str
     weights : mapping of str to float, optional
-        In the place of the families' default weights.
+        Instead of the families' default weights.
 
     Returns
     -------
     ndarray, shape (len(FAMILIES), len(COST_TERMS))
         One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s.
-
-    Raises
-    ------
-    AmulettError
-        If a weight is wrong.
     """
-    check_weights(weights)
     table = np.empty((len(FAMILIES), len(COST_TERMS)))
     for row, family in zip(table, FAMILIES, strict=True):
-        weighed, paid = {**default_weights(family or suite), **(weights or {})}, divisors(profile, suite, family)
-        row[:] = [weighed[term] / paid[term] for term in COST_TERMS]
+        weighed, divisor = {**default_weights(family or suite), **(weights or {})}, divisors(profile, suite, family)
+        row[:] = [weighed[term] / divisor[term] for term in COST_TERMS]
     return table
 
 
-def check_weights(weights: Mapping[str, float] | None) -> None:
-    """Refuse weights that no reward can have.
+def check_weights(weights: dict[str, float]) -> dict[str, float]:
+    """Return weights that a reward can have.
 
     Raises
     ------
     AmulettError
-        If a name is unknown or a weight is no number from 0 to a million.
+        If a name is unknown or a weight is not from 0 to a million.
     """
-    if weights is not None and not isinstance(weights, Mapping):
-        raise AmulettError(f"reward_weights is {weights!r}; it has to be a mapping of term to weight")
-    for name, weight in (weights or {}).items():
+    for name, weight in weights.items():
         if name not in DEFAULT_WEIGHTS:
-            raise unknown("reward weight", str(name), DEFAULT_WEIGHTS)
-        if not isinstance(weight, int | float) or isinstance(weight, bool) or not 0 <= weight <= MOST_WEIGHT:
-            raise AmulettError(f"reward weight '{name}' is {weight!r}; it has to be a number from 0 to {MOST_WEIGHT:g}")
+            raise unknown("reward weight", name, DEFAULT_WEIGHTS)
+        if not 0 <= weight <= MOST_WEIGHT:
+            raise AmulettError(f"reward weight '{name}' is {weight}; it has to be from 0 to {MOST_WEIGHT:g}")
+    return weights
+
+
+def own_reward(function: RewardFunction, costs: Terms, terms: Terms) -> NDArray[np.float64]:
+    """Return the rewards by a function of the user's own.
+
+    Parameters
+    ----------
+    function : callable
+        Of `costs` and `terms`; returns the rewards, shape (N,). It may compute with each device's entries only.
+    costs : dict of ndarray, shape (N,)
+        What the step added to the raw costs: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s], and
+        failure, 1 if the device left its limits.
+    terms : dict of ndarray, shape (N,)
+        The terms of the default reward, weighted, divided and capped; their sum is the default reward.
+
+    Raises
+    ------
+    AmulettError
+        If it returns anything else than one finite number for each device.
+    """
+    found = function(costs, terms)
+    try:
+        rewards = np.array(found, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise AmulettError(f"reward_fn returned {found!r}; it has to return an array of numbers") from error
+    shape = costs["position"].shape
+    if rewards.shape != shape or not np.isfinite(rewards).all():
+        wrong = f"the shape {rewards.shape}" if rewards.shape != shape else f"{rewards[~np.isfinite(rewards)][0]}"
+        raise AmulettError(f"reward_fn returned {wrong}; it has to return finite numbers in the shape {shape}")
+    return rewards

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Space
 from numpy.typing import NDArray
 
-from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes, check_range, device_seeds
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.episodes import Episodes, device_seeds
 from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.settings import Settings, signature
 from amulett_gym.envs.transition import (
     FIRST_METRIC,
     FIRST_READING,
@@ -24,11 +23,9 @@ from amulett_gym.envs.transition import (
     READINGS,
 )
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import Profile, load_profile
-from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.scenario import Scenario, unpack
 
-RENDER_MODES = ("rgb_array", "human")
 RESET_OPTIONS = ("scenario",)
 _DEVICE = np.zeros(1, dtype=np.int64)
 
@@ -65,62 +62,22 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     |-----|--------------------------------------|-----------|------------|------|
     | 0   | tension setpoint of the antagonist   | -1 (4 N)  | 1 (15 N)   | N    |
 
-    `action_range=(low, high)` sets another range [N].
+    `tension_range=(low, high)` sets another range [N].
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": list(Settings.render_modes), "render_fps": 50}
+    env_id: ClassVar[str] = ENV_IDS[1]
+    acts_by_factor: ClassVar[bool] = False
+    __signature__ = signature(Settings)
 
-    def __init__(
-        self,
-        profile: str | Path | Mapping[str, Any] | Profile = "testbed",
-        suite: str = "steps",
-        split: str = "train",
-        control: Control = "decentralized",
-        tension_law: str = "agent",
-        reward_weights: Mapping[str, float] | None = None,
-        action_range: tuple[float, float] | None = None,
-        agent_period: float = 0.02,
-        observation_noise: float = 0.0,
-        failure_horizon: int = DEFAULT_STEPS,
-        render_mode: str | None = None,
-        privileged: bool = False,
-    ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise unknown("render_mode", render_mode, RENDER_MODES)
-        profile = load_profile(profile)
-        self.episodes = Episodes(
-            1,
-            profile,
-            suite,
-            split,
-            control,
-            tension_law,
-            reward_weights,
-            self._tension_range(profile, action_range),
-            agent_period,
-            observation_noise,
-            failure_horizon,
-            privileged=privileged,
-        )
-        self.observation_space = Box(-1.0, 1.0, (self.episodes.observation_size,), np.float32)
-        self.action_space = Box(-1.0, 1.0, (1,), np.float32)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": max(round(1 / agent_period), 1)}
+    def __init__(self, **keywords: Any) -> None:
+        self.settings = settings = Settings.read(keywords, self.env_id, self.acts_by_factor)
+        self.profile, self.tension_range = settings.profile, settings.tension_range
+        self.episodes = Episodes(1, settings)
+        self.observation_space, self.action_space = spaces_of(self.episodes)
+        self.render_mode = settings.render_mode
+        self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
         self._renderer: Any = None
-
-    @staticmethod
-    def _tension_range(profile: Profile, action_range: Any) -> tuple[float, float]:
-        return TENSION_RANGE if action_range is None else check_range("action_range", action_range)
-
-    @property
-    def profile(self) -> Profile:
-        """The device that is simulated."""
-        return self.episodes.profile
-
-    @property
-    def tension_range(self) -> tuple[float, float]:
-        """Tension setpoint at action -1 and +1 [N]."""
-        return self.episodes.tension_range
 
     @property
     def scenario(self) -> Scenario:
@@ -272,8 +229,8 @@ class ScalingEnv(TensionEnv):
     | 0   | scaling factor f_sigma of eq. 6 | -1 (0.4)  | 1 (1.5)   | 1    |
 
     The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
-    `Amulett/Tension-v0`, in which the same action means the same tension. `action_range=(low, high)` sets another range
-    of factors. The ramp is one of control ticks: one that comes too late leaves the setpoint where it is, and the next
+    `Amulett/Tension-v0`, in which the same action means the same tension. `tension_range=(low, high)` sets another
+    range [N]. The ramp is one of control ticks: one that comes too late leaves the setpoint where it is, and the next
     action begins where the last one wanted to be.
 
     ## Observation Space
@@ -298,9 +255,9 @@ class ScalingEnv(TensionEnv):
 
     ## Rewards
 
-    Minus the weighted costs of the step, each divided by what eq. 6 pays in a whole episode of the same suite, so that
-    the return of eq. 6 is about -1. In `mixed`, each scenario is charged by the weights and divisors of its family, so
-    that all families count alike:
+    Minus the weighted costs of the step, each divided by the cost of eq. 6 in a whole episode of the same suite, so
+    that the return of eq. 6 is about -1. In `mixed`, each scenario is charged by the weights and divisors of its
+    family, so that all families count alike:
 
     - `position` (0.5): position ISE (eq. 7), by the true angle;
     - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without what a jump of the position
@@ -331,6 +288,21 @@ class ScalingEnv(TensionEnv):
     | `setpoint_steps`, `steps_risen`, `steps_settled`,   | 1       | counts                                          |
     | `agonist_switches`                                  |         |                                                 |
 
+    `reward_fn=f` replaces the reward by your own. `f(costs, terms)` gets two dicts of arrays with one entry for each
+    device (one in the single environment) and returns the rewards, an array of the same shape::
+
+        def rooted(costs, terms):
+            return -((costs["position"] / 50.0) ** 0.5) + terms["effort"] + terms["failure"]
+
+
+        env = gym.make("Amulett/Scaling-v0", reward_fn=rooted)
+
+    `costs` is what the step added to the raw costs: `position` [deg2 s], `effort` [deg2/s], `tension` [N2 s], `contact`
+    [N2 m2 s], and `failure`, 1 if the device left its limits. `terms` are the terms above, of which
+    `info["reward_terms"]` reports the same. If the function computes each entry from the entries of the same device,
+    the single and the vector environment give the same bits. A function is no JSON: with one, `env.spec.to_json()`
+    raises a TypeError, and a policy bundle names it in its provenance only.
+
     Further entries of `info` are the truth behind the observation: `time` [s], `joint_angle` [deg], `joint_velocity`
     [deg/s], `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
     `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string).
@@ -360,8 +332,10 @@ class ScalingEnv(TensionEnv):
     |                     |                   | `"shifted"`: outside their ranges                                    |
     | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
-    | `reward_weights`    | None              | mapping of term to weight, in the place of each family's default     |
-    | `action_range`      | None              | what action -1 and +1 stand for                                      |
+    | `reward_weights`    | None              | mapping of term to weight, instead of each family's default          |
+    | `reward_fn`         | None              | a reward of your own, see below                                      |
+    | `tension_range`     | (4, 15)           | tension setpoints at action -1 and +1 [N], up to 1e6; `action_range`,|
+    |                     |                   | in factors for Scaling and in N for Tension, is deprecated           |
     | `agent_period`      | 0.02              | time from action to action [s]; a multiple of the control period     |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
     | `failure_horizon`   | 500               | steps by which a failure is charged: set it with `max_episode_steps` |
@@ -390,10 +364,15 @@ class ScalingEnv(TensionEnv):
     - v0: first version.
     """
 
-    @staticmethod
-    def _tension_range(profile: Profile, action_range: Any) -> tuple[float, float]:
-        if action_range is None:
-            return TENSION_RANGE
-        low, high = check_range("action_range", action_range)
-        nominal = profile.variable_stiffness.nominal_tension
-        return low * nominal, high * nominal
+    env_id = ENV_IDS[0]
+    acts_by_factor = True
+
+
+def spaces_of(episodes: Episodes) -> tuple[Space[Any], Space[Any]]:
+    """Return the spaces of a device's observation and action."""
+    return Box(-1.0, 1.0, (episodes.observation_size,), np.float32), Box(-1.0, 1.0, (1,), np.float32)
+
+
+def frame_rate(settings: Settings) -> int:
+    """Return the frames in a second of the animation, one an agent step."""
+    return max(round(1 / settings.agent_period), 1)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import math
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -13,13 +13,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from amulett_gym.envs.episodes import DEFAULT_STEPS, Episodes, device_seeds
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.episodes import Episodes, device_seeds
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.envs.single import RENDER_MODES, ScalingEnv, TensionEnv
+from amulett_gym.envs.settings import NO_LIMIT, VectorSettings, signature
+from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import FAILURES, RUNNING, Control
+from amulett_gym.simulation.layout import FAILURES, RUNNING
 from amulett_gym.tasks.scenario import Scenario, unpack
 
 RESET_OPTIONS = ("scenario", "reset_mask")
@@ -33,97 +34,33 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0
     (autoreset mode NEXT_STEP). ``info`` has the single environment's keys with arrays of length `num_envs`.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of devices.
-    max_episode_steps : int
-        After how many steps an episode is truncated.
-    threads : int
-        How many step at once, each a part of the devices; the results are the same, bit for bit. Pays where cores are
-        free and devices are many: a thousand or more.
-    **keywords
-        As those of the single environment.
+    The keywords are those of the single environment, and `num_envs`, `max_episode_steps` (None is the default, 500, and
+    -1 no limit, as in `gymnasium.make`) and `threads`: how many step at once, each a part of the devices; the results
+    are the same, bit for bit. Threads help where cores are free and devices are many: a thousand or more.
     """
 
     metadata: dict[str, Any] = {
-        "render_modes": list(RENDER_MODES[:1]),
+        "render_modes": list(VectorSettings.render_modes),
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    _single: ClassVar[type[TensionEnv]] = TensionEnv
+    env_id: ClassVar[str] = ENV_IDS[1]
+    acts_by_factor: ClassVar[bool] = False
+    __signature__ = signature(VectorSettings)
 
-    def __init__(
-        self,
-        num_envs: int = 1,
-        max_episode_steps: int = DEFAULT_STEPS,
-        profile: str | Path | Mapping[str, Any] | Profile = "testbed",
-        suite: str = "steps",
-        split: str = "train",
-        control: Control = "decentralized",
-        tension_law: str = "agent",
-        reward_weights: Mapping[str, float] | None = None,
-        action_range: tuple[float, float] | None = None,
-        agent_period: float = 0.02,
-        observation_noise: float = 0.0,
-        failure_horizon: int = DEFAULT_STEPS,
-        render_mode: str | None = None,
-        threads: int = 1,
-        privileged: bool = False,
-    ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise unknown("render_mode", render_mode, self.metadata["render_modes"])
-        if max_episode_steps < 1:
-            raise AmulettError(f"max_episode_steps is {max_episode_steps}; it has to be at least 1")
-        # One single environment checks the arguments and defines spaces and action range, so that they cannot differ.
-        single = self._single(
-            profile,
-            suite,
-            split,
-            control,
-            tension_law,
-            reward_weights,
-            action_range,
-            agent_period,
-            observation_noise,
-            failure_horizon,
-            render_mode,
-            privileged,
-        )
-        self.num_envs = num_envs
-        self.max_episode_steps = max_episode_steps
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": single.metadata["render_fps"]}
-        self.episodes = Episodes(
-            num_envs,
-            single.profile,
-            suite,
-            split,
-            control,
-            tension_law,
-            reward_weights,
-            single.tension_range,
-            agent_period,
-            observation_noise,
-            failure_horizon,
-            threads,
-            privileged,
-        )
-        self.single_observation_space, self.single_action_space = single.observation_space, single.action_space
-        self.observation_space = _batched(single.observation_space, num_envs)
-        self.action_space = _batched(single.action_space, num_envs)
-        self._ended = np.zeros(num_envs, dtype=bool)
+    def __init__(self, **keywords: Any) -> None:
+        self.settings = settings = VectorSettings.read(keywords, self.env_id, self.acts_by_factor)
+        self.profile, self.tension_range = settings.profile, settings.tension_range
+        self.num_envs, self.max_episode_steps = settings.num_envs, settings.max_episode_steps
+        self._limit = math.inf if settings.max_episode_steps == NO_LIMIT else settings.max_episode_steps
+        self.render_mode = settings.render_mode
+        self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
+        self.episodes = Episodes(self.num_envs, settings, settings.threads)
+        self.single_observation_space, self.single_action_space = spaces_of(self.episodes)
+        self.observation_space = _batched(self.single_observation_space, self.num_envs)
+        self.action_space = _batched(self.single_action_space, self.num_envs)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
         self._renderers: list[Any] = []
-
-    @property
-    def profile(self) -> Profile:
-        """The device that is simulated."""
-        return self.episodes.profile
-
-    @property
-    def tension_range(self) -> tuple[float, float]:
-        """Tension setpoint at action -1 and +1 [N]."""
-        return self.episodes.tension_range
 
     @property
     def scenarios(self) -> list[Scenario]:
@@ -203,7 +140,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if again.size:
             observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
-        truncated = ~terminated & (self.episodes.steps() >= self.max_episode_steps)
+        truncated = ~terminated & (self.episodes.steps() >= self._limit)
         self._ended = terminated | truncated
         return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
 
@@ -316,7 +253,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 class ScalingVectorEnv(TensionVectorEnv):
     """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and its single environment."""
 
-    _single = ScalingEnv
+    env_id = ENV_IDS[0]
+    acts_by_factor = True
 
 
 def _batched(space: Space[Any], count: int) -> Space[Any]:

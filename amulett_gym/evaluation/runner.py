@@ -113,12 +113,11 @@ class Protocol:
         return {**keywords, "max_episode_steps": steps, "failure_horizon": steps}
 
     def _range(self, contender: Contender) -> dict[str, Any]:
-        """Return the action range that a bundle's policy was trained with, which may be wider than the default."""
+        """Return the tension range that a bundle's policy was trained with, which may be wider than the default."""
         name = contender.policy_name
         if name is None or not is_bundle(name):
             return {}
-        unit = self.profile.variable_stiffness.nominal_tension if self.env_id == ENV_IDS[0] else 1.0
-        return {"action_range": [bound / unit for bound in read_bundle(name).policy.tension_range]}
+        return {"tension_range": read_bundle(name).policy.tension_range}
 
 
 @dataclass(frozen=True)

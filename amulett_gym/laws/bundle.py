@@ -34,6 +34,7 @@ from safetensors import SafetensorError
 
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
+from amulett_gym.envs.settings import Steps
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.laws.features import FEATURES
@@ -129,7 +130,7 @@ class TrainingEnv(Group):
     keywords: dict[str, Any] = Field(
         description="JSON-serialisable keywords of the environment; its profile by a shipped name, or whole"
     )
-    max_episode_steps: int = Field(ge=1, le=10**9, description="length of an episode [1]")
+    max_episode_steps: Steps = Field(description="length of an episode [agent steps]; -1: no limit")
 
     @model_validator(mode="after")
     def _check_names(self) -> TrainingEnv:

@@ -283,9 +283,9 @@ def words(records: NDArray[np.void], lanes: int) -> list[NDArray[Any]]:
 
     What a scenario's record holds and what a lane of a block of scenarios holds are the same words in the same order.
     """
-    raw = records.view(np.uint8).reshape(records.size, -1)
+    raw = records.view(np.uint8).reshape(records.size, records.dtype.itemsize)
     return [
-        raw[:, start:end].view(f"i{width}").reshape(records.size, -1, lanes)
+        raw[:, start:end].view(f"i{width}").reshape(records.size, (end - start) // (width * lanes), lanes)
         for width, start, end in _sections(records.dtype)
     ]
 

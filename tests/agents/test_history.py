@@ -108,7 +108,7 @@ def test_it_acts_alike_wherever_it_is_played(tmp_path):
 def test_it_means_the_same_tensions_in_another_range(tmp_path):
     folder = keep(tmp_path / "bundle")
     chosen = []
-    for keywords in ({}, {"action_range": (3.0, 20.0)}):
+    for keywords in ({}, {"tension_range": (3.0, 20.0)}):
         env = gym.make(TENSION, **keywords)
         policy = amulett_gym.load_policy(folder, env)
         observation, _ = env.reset(seed=0)
@@ -222,7 +222,7 @@ def test_a_recipe_with_history_is_trained_validated_and_evaluated(tmp_path, one_
     bundle = read_bundle(result.last)
     assert (bundle.policy.history, bundle.policy.is_privileged) == (3, True)
     keywords = {"suite": "mixed", "privileged": True, "split": "validation", "max_episode_steps": 75}
-    keywords["action_range"] = [bound / 10.0 for bound in config.env.tension_range]  # nothing has to be converted
+    keywords["tension_range"] = config.env.tension_range  # nothing has to be converted
     env = gym.make_vec(SCALING, num_envs=10, **keywords)
     policy, total = amulett_gym.load_policy(result.last, env), 0.0
     observations, _ = env.reset(seed=config.validation.seed)

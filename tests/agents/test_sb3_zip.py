@@ -102,10 +102,9 @@ def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
     (tmp_path / "config.yaml").write_text(
         "env: {agent_period: 0.1, tension_range: [5.0, 8.0]}\nnetwork: {features: false}"
     )
-    contender = load_sb3_zip(path, TESTBED, ENV_IDS[1], trust_pickle=True)
-    assert contender.env_keywords == {"agent_period": 0.1, "action_range": [5.0, 8.0]}
-    in_factors = load_sb3_zip(path, TESTBED, ENV_IDS[0], trust_pickle=True).env_keywords["action_range"]
-    assert in_factors == pytest.approx([5.0 / 10.0, 8.0 / 10.0])
+    for env_id in ENV_IDS:
+        contender = load_sb3_zip(path, TESTBED, env_id, trust_pickle=True)
+        assert contender.env_keywords == {"agent_period": 0.1, "tension_range": [5.0, 8.0]}
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ from amulett_gym import learning  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
+from amulett_gym.envs.single import ScalingEnv  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.laws.contenders import contender_names  # noqa: E402
@@ -219,7 +220,7 @@ def test_attributes_are_shared_and_devices_have_no_methods():
     ("arguments", "message"),
     [
         ({"env_id": "Amulett/Scale-v0"}, "did you mean 'Amulett/Scaling-v0'"),
-        ({"num_envs": 0}, "at least 1"),
+        ({"num_envs": 0}, "'num_envs' is 0"),
         ({"suite": "step"}, "did you mean 'steps'"),
     ],
 )
@@ -246,14 +247,14 @@ def test_plain_ppo_learns_on_a_single_environment_and_becomes_a_bundle(tmp_path)
 @pytest.mark.parametrize("use_sde", [False, True])
 def test_ppo_and_a2c_learn_on_the_adapter_and_become_bundles(tmp_path, use_sde):
     for kind, steps in ((PPO, {"n_steps": 64, "batch_size": 256, "n_epochs": 2}), (A2C, {})):
-        env = make_sb3_env(TENSION, num_envs=8, max_episode_steps=50, action_range=(6.0, 12.0), profile="simulation")
+        env = make_sb3_env(TENSION, num_envs=8, max_episode_steps=50, tension_range=(6.0, 12.0), profile="simulation")
         model = kind("MlpPolicy", env, use_sde=use_sde, seed=0, device="cpu", **steps).learn(2000)
         bundle = read_bundle(save_policy(model, tmp_path / "bundle"))
         observations = np.random.default_rng(0).uniform(-1, 1, (200, 13)).astype(np.float32)
         expected, _ = model.predict(observations, deterministic=True)
         np.testing.assert_allclose(bundle.act(observations), expected, rtol=0, atol=1e-6)
         assert bundle.policy.tension_range == [6.0, 12.0]
-        assert bundle.env.keywords == {"action_range": [6.0, 12.0], "profile": "simulation"}
+        assert bundle.env.keywords == {"tension_range": [6.0, 12.0], "profile": "simulation"}
 
 
 def test_sac_learns_on_the_adapter_and_becomes_a_bundle(tmp_path):
@@ -299,6 +300,35 @@ def test_an_own_profile_travels_inside_the_bundle(tmp_path):
     about = read_bundle(save_policy(model, tmp_path / "bundle")).env
     again = gym.make(about.id, max_episode_steps=about.max_episode_steps, **about.keywords)
     assert again.unwrapped.profile == env.get_attr("profile")[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "limit"),
+    [
+        (lambda: gym.make(SCALING, max_episode_steps=-1), -1),
+        (lambda: ScalingEnv(), -1),
+        (lambda: gym.wrappers.TimeLimit(ScalingEnv(), 30), 30),
+        (lambda: gym.make(SCALING, max_episode_steps=None), 500),
+        (lambda: make_sb3_env(SCALING, max_episode_steps=-1), -1),
+        (lambda: make_sb3_env(SCALING, max_episode_steps=None), 500),
+        (lambda: make_sb3_env(SCALING, max_episode_steps=np.int64(40), reward_weights={"effort": np.float32(0.5)}), 40),
+    ],
+)
+def test_a_policy_can_be_kept_whatever_its_environments_time_limit(tmp_path, make, limit):
+    model = PPO("MlpPolicy", make(), n_steps=4, batch_size=4, n_epochs=1, device="cpu").learn(4)
+    about = read_bundle(save_policy(model, tmp_path / "bundle")).env
+    assert (about.id, about.max_episode_steps) == (SCALING, limit)
+    again = gym.make(about.id, max_episode_steps=about.max_episode_steps, **about.keywords)
+    assert again.unwrapped.settings.keywords() == about.keywords
+
+
+def test_a_bundle_names_the_reward_function_it_was_trained_with(tmp_path):
+    def rooted(costs, terms):
+        return -np.sqrt(costs["position"])
+
+    model = PPO("MlpPolicy", make_sb3_env(reward_fn=rooted), n_steps=4, batch_size=4, n_epochs=1, device="cpu").learn(4)
+    bundle = read_bundle(save_policy(model, tmp_path / "bundle"))
+    assert bundle.provenance["reward_fn"].endswith("rooted") and bundle.env.keywords == {}
 
 
 def test_what_a_bundle_cannot_hold_is_refused(tmp_path):

@@ -56,11 +56,6 @@ def test_both_actions_span_the_same_tensions():
         assert env.step(np.array([0.2], dtype=np.float32))[4]["tension_setpoint"] == pytest.approx(4 + 0.6 * 11)
 
 
-def test_action_ranges_are_factors_and_newtons():
-    assert gym.make(SCALING, action_range=(0.5, 1.2)).unwrapped.tension_range == (5.0, 12.0)
-    assert gym.make(TENSION, action_range=(5.0, 12.0)).unwrapped.tension_range == (5.0, 12.0)
-
-
 def test_actions_beyond_the_space_are_clipped():
     env = gym.make(TENSION).unwrapped
     env.reset(seed=0)
@@ -115,7 +110,8 @@ def test_a_saved_scenario_of_a_mix_replays_with_its_rewards():
         env.reset(seed=seed)
         scenario = json.loads(env.scenario.model_dump_json())
         first = [env.step(MID)[1] for _ in range(60)]
-        for family, same in ((scenario["family"], True), (None, False)):
+        bumps = scenario["family"] == "contact" and scenario["obstacle"] is not None  # contact without being named
+        for family, same in ((scenario["family"], True), (None, bumps)):
             env.reset(seed=99, options={"scenario": {**scenario, "family": family}})
             assert ([env.step(MID)[1] for _ in range(60)] == first) is same
         met.add(scenario["family"])
@@ -300,43 +296,6 @@ def test_observation_noise_is_seeded():
 def test_scenarios_of_the_splits_differ():
     angles = [gym.make(SCALING, split=split).reset(seed=0)[0][1] for split in ("train", "validation", "held-out")]
     assert len(set(angles)) == 3
-
-
-@pytest.mark.parametrize(
-    ("keywords", "message"),
-    [
-        ({"suite": "stepz"}, "unknown suite 'stepz'.*did you mean 'steps'"),
-        ({"profile": "testbet"}, "did you mean 'testbed'"),
-        ({"split": "test"}, "unknown split 'test'"),
-        ({"control": "centralized"}, "did you mean 'decentralized'"),
-        ({"tension_law": "eq7"}, "did you mean 'eq6'"),
-        ({"reward_weights": {"efort": 1.0}}, "did you mean 'effort'"),
-        ({"reward_weights": {"effort": -1.0}}, "'effort' is -1.0; it has to be a number from 0 to"),
-        ({"reward_weights": {"effort": math.nan}}, "'effort' is nan"),
-        ({"action_range": (2.0, 1.0)}, "0 < low < high"),
-        ({"action_range": 3.0}, "a pair"),
-        ({"action_range": (1.0, 1e6)}, r"reaches to 1e\+07 N; at most 1,000,000 N"),
-        ({"agent_period": 0.0111}, r"multiple of the profile's control period, 0\.0\d+ s; the nearest is 0\.01\d* s"),
-        ({"agent_period": -1.0}, "agent_period is -1.0"),
-        ({"agent_period": math.nan}, "agent_period is nan"),
-        ({"agent_period": math.inf}, "agent_period is inf"),
-        ({"observation_noise": -0.1}, "observation_noise is -0.1"),
-        ({"failure_horizon": 0}, "failure_horizon is 0"),
-        ({"failure_horizon": 1.5}, "whole number"),
-        ({"agent_period": "fast"}, "agent_period is 'fast'"),
-        ({"observation_noise": None}, "observation_noise is None"),
-        ({"reward_weights": [1.0]}, "has to be a mapping"),
-        ({"profile": 3}, "profile is 3"),
-        ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
-    ],
-)
-def test_wrong_keywords_are_refused(keywords, message):
-    from amulett_gym.envs.single import ScalingEnv
-    from amulett_gym.envs.vector import ScalingVectorEnv
-
-    for make in (ScalingEnv, ScalingVectorEnv):
-        with pytest.raises(AmulettError, match=message):
-            make(**keywords)
 
 
 def test_what_a_refused_constructor_leaves_can_be_closed():

@@ -79,7 +79,7 @@ def test_close_ends_the_threads():
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
 def test_a_wrong_number_of_threads_is_refused(threads):
-    with pytest.raises(AmulettError, match="threads is .* at least 1"):
+    with pytest.raises(AmulettError, match="'threads' is"):
         gym.make_vec(SCALING, num_envs=4, threads=threads)
 
 

@@ -282,7 +282,7 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_policy_means_the_same_tensions_in_every_action_range(folder):
+def test_a_policy_means_the_same_tensions_in_every_tension_range(folder):
     def tensions(env):
         policy = amulett_gym.load_policy(folder, env)
         observation, _ = env.reset(seed=0)
@@ -295,9 +295,9 @@ def test_a_policy_means_the_same_tensions_in_every_action_range(folder):
     expected = tensions(gym.make(SCALING))
     assert np.ptp(expected) > 0.1
     assert tensions(gym.make(TENSION)) == expected
-    np.testing.assert_allclose(tensions(gym.make(TENSION, action_range=(3.0, 20.0))), expected, atol=1e-3)
+    np.testing.assert_allclose(tensions(gym.make(TENSION, tension_range=(3.0, 20.0))), expected, atol=1e-3)
     with pytest.raises(AmulettError, match=r"needs 4 to 15 N.*from 5 to 12 N"):
-        amulett_gym.load_policy(folder, gym.make(TENSION, action_range=(5.0, 12.0)))
+        amulett_gym.load_policy(folder, gym.make(TENSION, tension_range=(5.0, 12.0)))
 
 
 def test_a_policy_keeps_its_own_agent_period(tmp_path):

@@ -124,10 +124,10 @@ def folder(tmp_path):
     return keep_network(tmp_path / "bundle", layers, "relu", features=list(FEATURES), follow=0.4)
 
 
-def test_a_bundle_with_features_means_the_same_tensions_in_every_action_range(folder):
+def test_a_bundle_with_features_means_the_same_tensions_in_every_tension_range(folder):
     tensions = []
-    for low, high in ((0.4, 1.5), (0.3, 2.0)):
-        env = gym.make("amulett_gym:Amulett/Scaling-v0", suite="mixed", action_range=(low, high))
+    for low, high in ((4.0, 15.0), (3.0, 20.0)):
+        env = gym.make("amulett_gym:Amulett/Scaling-v0", suite="mixed", tension_range=(low, high))
         policy = amulett_gym.load_policy(folder, env)
         seen, _ = env.reset(seed=3)
         for _ in range(100):
@@ -137,7 +137,7 @@ def test_a_bundle_with_features_means_the_same_tensions_in_every_action_range(fo
 
 
 def test_the_policy_is_the_network_on_features_then_a_part_of_the_way(folder):
-    env = gym.make("amulett_gym:Amulett/Scaling-v0", suite="mixed", action_range=(0.4, 1.5))
+    env = gym.make("amulett_gym:Amulett/Scaling-v0", suite="mixed", tension_range=RANGE)
     bundle = read_bundle(folder)
     seen, _ = env.reset(seed=3)
     rows = np.asarray(seen, dtype=np.float64)[None]

@@ -205,7 +205,7 @@ def test_what_was_not_tuned_is_refused_with_what_was():
     with pytest.raises(AmulettError, match="did you mean 'parametric:steps'"):
         parse_contender("parametric:step")
     with pytest.raises(AmulettError, match="needs 4 to 15 N"):
-        amulett_gym.load_policy("parametric:steps", gym.make(TENSION, action_range=(5, 9)))
+        amulett_gym.load_policy("parametric:steps", gym.make(TENSION, tension_range=(5, 9)))
 
 
 @pytest.mark.parametrize(("law", "suite"), SHIPPED)

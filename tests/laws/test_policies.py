@@ -95,7 +95,7 @@ def test_a_constant_out_of_the_actions_reach_is_refused():
     with pytest.raises(AmulettError, match=r"3 N.*from 4 to 15 N"):
         amulett_gym.load_policy("constant:3", gym.make(SCALING))
     with pytest.raises(AmulettError, match=r"12 N.*from 6 to 9 N"):
-        amulett_gym.load_policy("constant:12", gym.make(TENSION, action_range=(6, 9)))
+        amulett_gym.load_policy("constant:12", gym.make(TENSION, tension_range=(6, 9)))
 
 
 @settings(deadline=None)  # the first example may compile
@@ -147,7 +147,7 @@ def test_policies_work_on_wrapped_environments():
 
 def test_eq6_that_the_action_cannot_reach_is_refused():
     with pytest.raises(AmulettError, match=r"eq\. 6 needs 4 to 10 N.*from 5 to 9 N"):
-        amulett_gym.load_policy("eq6-held", gym.make(TENSION, action_range=(5, 9)))
+        amulett_gym.load_policy("eq6-held", gym.make(TENSION, tension_range=(5, 9)))
 
 
 def test_eq6_of_errors_that_cannot_be_observed_is_refused():

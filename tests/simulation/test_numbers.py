@@ -31,7 +31,7 @@ KEYWORDS = st.fixed_dictionaries(
     {
         "control": st.sampled_from(CONTROLS),
         "tension_law": st.sampled_from(list(TENSION_LAWS)),
-        "action_range": tension_ranges,
+        "tension_range": tension_ranges,
         "observation_noise": st.sampled_from([0.0, 0.1, 1e300]),
         "privileged": st.booleans(),
     }
@@ -55,7 +55,7 @@ def played(make: Any) -> Any:
 def episodes(draw: st.DrawFn) -> tuple[TensionEnv, dict[str, Any]]:
     profile = draw(profiles())
     period = profile.loop.control_period * draw(st.sampled_from([1, 2, 8]))
-    env = played(lambda: TensionEnv(profile, agent_period=period, **draw(KEYWORDS)))
+    env = played(lambda: TensionEnv(profile=profile, agent_period=period, **draw(KEYWORDS)))
     scenario = draw(scenarios(profile))
     played(lambda: env.reset(seed=0, options={"scenario": scenario}))
     # Position-only control may have to start beyond the drives' limits where something loads the arm.
@@ -183,7 +183,7 @@ def batches(draw: st.DrawFn) -> tuple[Profile, dict[str, Any], list[Any], int]:
     """Draw devices of one kind, each in a scenario of its own, and which of them to throw off its limits."""
     profile = draw(profiles())
     keywords = {**draw(KEYWORDS), "agent_period": profile.loop.control_period * draw(st.sampled_from([1, 8]))}
-    env = played(lambda: TensionEnv(profile, **keywords))
+    env = played(lambda: TensionEnv(profile=profile, **keywords))
     rest = {"initial_tension": 0.1 * env.episodes.simulation.max_force}
     rows = []
     for _ in range(draw(st.integers(2, 5))):
@@ -219,7 +219,7 @@ def test_an_unstable_device_never_reaches_its_neighbours(batch, agent):
     }
 
     def play(scenarios: list[Any]) -> list[Any]:
-        env = TensionVectorEnv(len(scenarios), profile=profile, **keywords)
+        env = TensionVectorEnv(num_envs=len(scenarios), profile=profile, **keywords)
         env.reset(seed=0, options={"scenario": scenarios})
         return go(env, steps)
 
@@ -232,7 +232,7 @@ def test_an_unstable_device_never_reaches_its_neighbours(batch, agent):
 
 def test_a_device_that_is_thrown_off_its_limits_is_terminated_among_calm_ones():
     rest, thrown = {}, {"pushes": [{"time": 0.0, "duration": 10.0, "torque": 100.0}]}
-    env = TensionVectorEnv(3)
+    env = TensionVectorEnv(num_envs=3)
     env.reset(seed=0, options={"scenario": [rest, thrown, rest]})
     ended = [env.step(np.zeros((3, 1)))[2] for _ in range(20)]
     assert np.any(ended, axis=0).tolist() == [False, True, False]
@@ -249,7 +249,7 @@ def test_a_device_that_is_thrown_off_its_limits_is_terminated_among_calm_ones():
 )
 def test_however_far_an_unstable_device_gets_in_one_tick_every_number_is_finite(damping, failure):
     # A friction that its integration steps follow just so, times a scenario's factor: 1e12, 1e75, 1e157 deg, infinity.
-    env = TensionEnv(device("testbed", damping={"d": 72919.0}, loop={"substeps": 146}))
+    env = TensionEnv(profile=device("testbed", damping={"d": 72919.0}, loop={"substeps": 146}))
     push = {"time": 0.0, "duration": 1.0, "torque": 0.1}
     env.reset(seed=0, options={"scenario": {"device": {"damping": damping}, "pushes": [push]}})
     _, reward, terminated, _, info = env.step(np.zeros(1))
@@ -267,9 +267,9 @@ def test_however_far_an_unstable_device_gets_in_one_tick_every_number_is_finite(
 )
 def test_a_device_too_quick_for_its_integration_steps_is_refused(changes, message):
     with pytest.raises(AmulettError, match=message) as refused:
-        TensionEnv(device("testbed", **changes))
+        TensionEnv(profile=device("testbed", **changes))
     least = int(str(refused.value).rsplit(" ", 1)[1])
-    TensionEnv(device("testbed", **changes, loop={"substeps": least})).reset(seed=0)
+    TensionEnv(profile=device("testbed", **changes, loop={"substeps": least})).reset(seed=0)
 
 
 def test_a_lag_shorter_than_an_integration_step_is_refused():

@@ -372,7 +372,7 @@ def _followed(trials: Trials, name: str) -> Actions:
     contender = parse_contender(name)
     if contender.policy_name is None:
         raise AmulettError(f"'{name}' acts inside the loop and has no schedule at agent rate; it cannot be a start")
-    keywords = {**trials.protocol.keywords(contender), "action_range": TENSION_RANGE}  # what the trials' actions mean
+    keywords = {**trials.protocol.keywords(contender), "tension_range": TENSION_RANGE}  # what the trials' actions mean
     env = gym.make(ENV_IDS[1], disable_env_checker=True, **keywords)
     policy = load_contender(contender, env)
     hold = keywords["agent_period"] / trials.protocol.agent_period

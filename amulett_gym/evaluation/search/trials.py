@@ -18,6 +18,7 @@ from amulett_gym import __version__
 from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.envs.episodes import Episodes, Observations, device_seeds
 from amulett_gym.envs.reward import COST_CAP, prices
+from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import FIRST_READING
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
@@ -142,20 +143,19 @@ class Trials:
         """Return a batch of that size; one that was made is kept."""
         if devices not in self._batches:
             control, tension_law = self._laws
-            self._batches[devices] = Episodes(
-                num_devices=devices,
-                profile=self.protocol.profile,
-                suite=self.protocol.suite,
-                split=self.protocol.split,
-                control=control,
-                tension_law=tension_law,
-                reward_weights=None,
-                tension_range=TENSION_RANGE,
-                agent_period=self.protocol.agent_period,
-                observation_noise=0.0,
-                failure_horizon=self.steps,
-                threads=self._threads,
+            settings = Settings.read(
+                {
+                    "profile": self.protocol.profile,
+                    "suite": self.protocol.suite,
+                    "split": self.protocol.split,
+                    "control": control,
+                    "tension_law": tension_law,
+                    "tension_range": TENSION_RANGE,
+                    "agent_period": self.protocol.agent_period,
+                    "failure_horizon": self.steps,
+                }
             )
+            self._batches[devices] = Episodes(devices, settings, self._threads)
         return self._batches[devices]
 
 

@@ -1,0 +1,224 @@
+"""The environments' keywords, once for the single and the vector environment: types, ranges, units and defaults."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
+
+from amulett_gym.envs.action import TENSION_RANGE
+from amulett_gym.envs.reward import RewardFunction, check_weights
+from amulett_gym.errors import AmulettError, unknown, warn_deprecated
+from amulett_gym.model.spring import build_tables
+from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile, profile_names
+from amulett_gym.settings import Group, describe
+from amulett_gym.simulation.layout import CONTROLS, TENSION_LAWS, Control
+from amulett_gym.tasks.scenario import empty_rows
+from amulett_gym.tasks.suites import SPLITS, suite_names
+
+DEFAULT_STEPS = 500
+"""Agent steps in an episode, 10 s at the default agent period."""
+
+NO_LIMIT = -1
+"""`max_episode_steps` of episodes that no time limit ends, as in `gymnasium.make`."""
+
+
+def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
+    def check(name: Any) -> Any:
+        if not isinstance(name, str) or name not in choices:
+            raise unknown(kind, str(name), choices)
+        return name
+
+    return BeforeValidator(check)
+
+
+def _check_range(tension_range: tuple[float, float]) -> tuple[float, float]:
+    if not 0 < tension_range[0] < tension_range[1] <= MOST_TENSION:
+        raise ValueError(f"it has to be (low, high) with 0 < low < high, at most {MOST_TENSION:,.0f} N")
+    return tension_range
+
+
+def _check_steps(steps: int) -> int:
+    if steps < 1 and steps != NO_LIMIT:
+        raise ValueError(f"it has to be at least 1 agent step, or {NO_LIMIT} for no limit")
+    return steps
+
+
+# What keywords are made of; recipes and bundles can use the same.
+AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
+Suite = Annotated[str, _one_of("suite", suite_names())]
+Split = Annotated[str, _one_of("split", SPLITS)]
+TensionRange = Annotated[tuple[float, float], AfterValidator(_check_range)]
+AgentPeriod = Annotated[float, Field(gt=0, le=100)]
+Weights = Annotated[dict[str, float], AfterValidator(check_weights)]
+Noise = Annotated[float, Field(ge=0)]
+Threads = Annotated[int, Field(ge=1)]
+Steps = Annotated[int, AfterValidator(_check_steps)]
+
+
+class Settings(Group):
+    """Keywords of `Amulett/Scaling-v0` and `Amulett/Tension-v0`."""
+
+    render_modes: ClassVar[tuple[str, ...]] = ("rgb_array", "human")
+
+    profile: AnyProfile = Field(
+        default="testbed",
+        validate_default=True,
+        description="device: a shipped profile's name, a YAML file, a mapping or a Profile",
+    )
+    suite: Suite = Field(default="steps", description="which scenarios are drawn; see `tasks.suites`")
+    split: Split = Field(default="train", description="which part of them: disjoint, or shifted beyond their ranges")
+    control: Annotated[Control, _one_of("control", CONTROLS)] = Field(
+        default="decentralized", description="with the tension loop, or position control alone"
+    )
+    tension_law: Annotated[str, _one_of("tension law", TENSION_LAWS)] = Field(
+        default="agent", description="what sets the tension: the agent, or eq. 6 inside the loop"
+    )
+    reward_weights: Weights | None = Field(
+        default=None, description="reward term -> weight [1], instead of each family's default"
+    )
+    reward_fn: RewardFunction | None = Field(
+        default=None, exclude=True, description="function of the step's costs and terms that replaces the reward"
+    )
+    tension_range: TensionRange = Field(default=TENSION_RANGE, description="tension at action -1 and +1 [N]")
+    agent_period: AgentPeriod = Field(
+        default=0.02, description="time from action to action [s], a multiple of the control period"
+    )
+    observation_noise: Noise = Field(
+        default=0.0, description="standard deviation added to each entry of an observation, in its scaled unit [1]"
+    )
+    failure_horizon: int = Field(
+        default=DEFAULT_STEPS, ge=1, le=10**9, description="episode length by which a failure is charged [agent steps]"
+    )
+    render_mode: str | None = Field(default=None, description="rgb_array or human")
+    privileged: bool = Field(default=False, description="append what no device can know to the observations")
+
+    @field_validator("render_mode")
+    @classmethod
+    def _check_render_mode(cls, mode: str | None) -> str | None:
+        if mode is not None and mode not in cls.render_modes:
+            raise unknown("render_mode", mode, cls.render_modes)
+        return mode
+
+    @model_validator(mode="after")
+    def _check_times(self) -> Self:
+        _check_step(self.profile)
+        _ticks(self.agent_period, self.profile.loop.control_period)
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Control ticks in an agent step."""
+        return _ticks(self.agent_period, self.profile.loop.control_period)
+
+    @classmethod
+    def read(cls, keywords: Mapping[str, Any], what: str = "environment", by_factor: bool = False) -> Self:
+        """Check keywords.
+
+        Parameters
+        ----------
+        keywords : mapping
+            The deprecated ``action_range`` is read as `tension_range`.
+        what : str
+            Begins the error's message.
+        by_factor : bool
+            Whether ``action_range`` is in factors of the profile's nominal tension instead of N.
+
+        Raises
+        ------
+        AmulettError
+            If a keyword is unknown or wrong.
+        """
+        given = dict(keywords)
+        if "action_range" in given:
+            _replace_action_range(given, by_factor)
+        try:
+            return cls(**given)
+        except ValidationError as error:
+            raise describe(error, cls, what) from error
+
+    def keywords(self) -> dict[str, Any]:
+        """Return the keywords that were given and make the environment again, as JSON takes them.
+
+        A shipped profile is a name, another one a mapping. What does not change an episode is left out: `render_mode`,
+        `threads`, `num_envs` and `max_episode_steps`; and so is `reward_fn`, which is code.
+        """
+        given = self.model_fields_set & Settings.model_fields.keys() - {"render_mode"}
+        found = self.model_dump(mode="json", include=given)
+        name = self.profile.name
+        if "profile" in found and name in profile_names() and self.profile == load_profile(name):
+            found["profile"] = name
+        return found
+
+
+class VectorSettings(Settings):
+    """Keywords of the vector environments."""
+
+    render_modes: ClassVar[tuple[str, ...]] = ("rgb_array",)
+
+    num_envs: int = Field(default=1, ge=1, description="number of devices")
+    max_episode_steps: Steps = Field(
+        default=DEFAULT_STEPS,
+        description="steps after which an episode is truncated [agent steps]; None: the default, -1: never",
+    )
+    threads: Threads = Field(
+        default=1, description="threads that step the devices, a part each; the results are the same, bit for bit"
+    )
+
+    @field_validator("max_episode_steps", mode="before")
+    @classmethod
+    def _default_steps(cls, steps: Any) -> Any:
+        return DEFAULT_STEPS if steps is None else steps
+
+
+def signature(settings: type[Settings]) -> inspect.Signature:
+    """Return the signature of an environment that takes these settings as keywords."""
+    parameters = inspect.signature(settings).parameters.values()
+    return inspect.Signature([parameter.replace(annotation=inspect.Parameter.empty) for parameter in parameters])
+
+
+def _replace_action_range(given: dict[str, Any], by_factor: bool) -> None:
+    warn_deprecated("action_range is deprecated; use tension_range=(low, high), in N")
+    action_range = given.pop("action_range")
+    if action_range is None:
+        return
+    if "tension_range" in given:
+        raise AmulettError("action_range and tension_range are the same; give tension_range only")
+    given["profile"] = load_profile(given.get("profile", "testbed"))
+    unit = given["profile"].variable_stiffness.nominal_tension if by_factor else 1.0
+    try:
+        low, high = (float(bound) * unit for bound in action_range)
+    except (TypeError, ValueError) as error:
+        raise AmulettError(f"action_range is {action_range!r}; it has to be a pair (low, high)") from error
+    given["tension_range"] = low, high
+
+
+def _check_step(profile: Profile) -> None:
+    """Refuse a device that swings or slows down faster than its integration steps can follow.
+
+    Between two strings at their stiffest; a device that differs from its profile may still end as unstable.
+    """
+    step = profile.loop.control_period / profile.loop.substeps
+    stiffness = 2.0 * build_tables(profile.spring).max_stiffness * profile.plant.joint_pulley_radius**2
+    swing = step * math.sqrt(stiffness / float(empty_rows(1, profile)["inertia"][0]))
+    slowing = 2.0 * step * profile.damping.d
+    if max(swing, slowing) > STABLE_STEP:
+        what = f"swings by {swing:.3g} rad" if swing > slowing else f"is slowed down by {slowing:.3g} time constants"
+        raise AmulettError(
+            f"the device '{profile.name}' {what} in an integration step of {step:g} s; at most {STABLE_STEP} can be "
+            f"computed: loop.substeps has to be at least "
+            f"{math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)}"
+        )
+
+
+def _ticks(agent_period: float, control_period: float) -> int:
+    ticks = max(round(agent_period / control_period), 1)
+    if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-9):
+        raise AmulettError(
+            f"agent_period is {agent_period} s; it has to be a multiple of the profile's control period, "
+            f"{control_period} s; the nearest is {ticks * control_period:g} s"
+        )
+    return ticks
