@@ -16,8 +16,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.settings import Group, Sourced, describe, merge, to_plain
+from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
 from amulett_gym.storage.curve import Curve, read_curve
+from amulett_gym.storage.reading import user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 
 Positive = Annotated[float, Field(gt=0)]
@@ -292,12 +293,12 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
         return _shipped(str(profile))
     if Path(profile).suffix.lower() not in (".yaml", ".yml"):
         raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
-    path = Path(profile)
+    path = find_config(profile, "profile")
     content = read_yaml(path, "profile")
     spring = content.get("spring")
     if isinstance(spring, dict) and isinstance(spring.get("measured_curve"), str):
         # Relative to the file that names it, not to the working folder.
-        spring["measured_curve"] = str(path.parent / spring["measured_curve"])
+        spring["measured_curve"] = str(path.parent / user_path(spring["measured_curve"]))
     return _validate(content, f"profile '{path}'", f"in {path.name}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from amulett_gym.errors import AmulettError, nearest
+from amulett_gym.storage.reading import user_path
 
 SOURCES = ("paper", "datasheet", "identified", "assumed", "given")
 _MOST_ERRORS = 10
@@ -56,6 +58,40 @@ def configs_folder() -> Path:
     """Return the folder of the recipes that come with the package: a checkout's ``configs/``, or a wheel's copy."""
     package = Path(__file__).parent
     return package / "configs" if (package / "configs").is_dir() else package.parent / "configs"
+
+
+def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
+    """Return the file that a user names, or the packaged one of that name if there is none.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file, relative to `folder`. A packaged one may be named as ``configs/ppo.yaml``, ``ppo.yaml`` or ``ppo``.
+    what : str
+        What it holds, for the error message.
+    folder : Path
+
+    Raises
+    ------
+    AmulettError
+        If there is neither.
+    """
+    place, packaged = folder / user_path(path), configs_folder()
+    exists = os.path.exists(place)  # noqa: PTH110  (a Path's raises for names that are too long)
+    if exists and not place.is_dir():
+        return place
+    files = [file for kind in ("yaml", "json") for file in packaged.rglob(f"*.{kind}")]
+    names = sorted(file.relative_to(packaged).as_posix() for file in files)
+    asked = Path(path).as_posix().removeprefix("configs/")
+    for name in names:
+        if asked in (name, name.rpartition(".")[0]):
+            return packaged / name
+    if exists:
+        return place  # a folder: the reader says so
+    raise AmulettError(
+        f"cannot read {what} '{_shorten(str(path))}': No such file or directory; packaged are {', '.join(names)}"
+        f"{nearest(asked, names)}"
+    )
 
 
 def to_plain(value: Any, annotation: Any = Any) -> Any:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
-from amulett_gym.settings import Group, describe, to_plain
+from amulett_gym.settings import Group, configs_folder, describe, find_config, to_plain
 from amulett_gym.tasks.scenario import load_scenario
 
 
@@ -220,3 +220,41 @@ def test_numbers_from_python_are_taken_by_every_reader():
 def test_an_integer_beyond_all_bounds_is_refused():
     with pytest.raises(AmulettError, match="total_steps"):
         load_train_config(None, [f"total_steps={sys.float_info.max}"])
+
+
+def test_a_users_own_file_comes_before_the_packaged_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    packaged = configs_folder() / "ppo.yaml"
+    for name in ("ppo.yaml", "./ppo.yaml", "configs/ppo.yaml", Path("configs") / "ppo.yaml", "ppo"):
+        assert find_config(name, "recipe") == packaged
+    (tmp_path / "ppo").mkdir()  # a run, say
+    assert find_config("ppo", "recipe") == packaged
+    (tmp_path / "ppo.yaml").write_text("seed: 7")
+    assert load_train_config("ppo.yaml").seed == load_train_config(tmp_path / "ppo.yaml").seed == 7
+    assert find_config("ppo.yaml", "recipe", Path("other")) == packaged
+
+
+@pytest.mark.parametrize(
+    "name", ["none/ppo.yaml", "../configs/ppo.yaml", "/ppo.yaml", "configs", "", "x" * 5000, "a\0b"]
+)
+def test_other_names_are_no_packaged_files(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AmulettError, match="cannot read recipe"):
+        load_train_config(name)
+
+
+def test_a_missing_file_suggests_the_nearest_packaged_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AmulettError, match=r"No such file.*packaged are .*sac\.yaml.*; did you mean 'my_device\.yaml'"):
+        load_profile("configs/my_devise.yaml")
+
+
+def test_the_home_folder_is_expanded_for_all_readers(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    (tmp_path / "curve.csv").write_text("deflection_m,force_N\n0,0\n0.002,5\n0.004,10\n")
+    (tmp_path / "d.yaml").write_text("{name: d, base: testbed, spring: {measured_curve: ~/curve.csv}}")
+    (tmp_path / "r.yaml").write_text("{seed: 2, env: {profile: ~/d.yaml}}")
+    (tmp_path / "s.json").write_text('{"measure_from": 1}')
+    assert load_profile(load_train_config("~/r.yaml").env.profile).name == "d"
+    assert load_scenario(Path("~/s.json")).measure_from == 1

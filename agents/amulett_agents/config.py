@@ -13,7 +13,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import MOST_TENSION
-from amulett_gym.settings import Group, describe, merge
+from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 from amulett_gym.tasks.suites import suite_names
 
@@ -321,7 +321,7 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
     AmulettError
         If the file cannot be read, a key is unknown, or a value is wrong.
     """
-    content: Mapping[str, Any] = {} if path is None else read_yaml(path, "recipe")
+    content: Mapping[str, Any] = {} if path is None else read_yaml(find_config(path, "recipe"), "recipe")
     for override in overrides:
         content = merge(content, _parse_override(override))
     try:

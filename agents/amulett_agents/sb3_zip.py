@@ -16,6 +16,7 @@ from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import Own
 from amulett_gym.profile import Profile
+from amulett_gym.storage.reading import user_path
 
 _SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}
 
@@ -47,7 +48,7 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
     AmulettError
         If the zip is not trusted, cannot be read, or holds no such policy, or not all of it.
     """
-    path = Path(path)
+    path = user_path(path)
     if not trust_pickle:
         raise AmulettError(
             f"'{path}' is a zip of Stable-Baselines3: parts of it are pickles, and to open a pickle is to run whatever "

@@ -45,7 +45,7 @@ from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import COMMAND, differences, read_provenance, software_changes, write_provenance
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import atomic_path, output_folder, write_json, write_text
 
@@ -134,7 +134,7 @@ def train(
     AmulettError
         If the environment refuses its settings, `out` holds something already, or another process works in it.
     """
-    out = Path(out)
+    out = user_path(out)
     with output_folder(out, "training run", [RUN_MARKS]) as earlier, locked_folder(out):
         if earlier and not overwrite:
             raise AmulettError(
@@ -174,7 +174,7 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
         If `out` holds no run or no checkpoint that can be used, the recipe or the profile is another one than that of
         the checkpoint, another version wrote it, or another process works in the folder.
     """
-    out = Path(out)
+    out = user_path(out)
     if not (out / RUN_MARKS[0]).is_file():
         raise AmulettError(f"'{out}' holds no training run: there is no {RUN_MARKS[0]}")
     if is_finished(out):
@@ -200,7 +200,7 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
 
 def is_finished(out: str | Path) -> bool:
     """Tell whether a run has come to its end."""
-    return (Path(out) / FINISHED).is_file()
+    return (user_path(out) / FINISHED).is_file()
 
 
 def _learn(model: Model, run: _Run) -> TrainResult:

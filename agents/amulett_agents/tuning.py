@@ -30,10 +30,10 @@ from pydantic import Field, ValidationError, model_validator
 from amulett_agents.config import TrainConfig
 from amulett_agents.training import RUN_MARKS, TrainResult, resume, train
 from amulett_gym.errors import AmulettError
-from amulett_gym.settings import Group, describe
+from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 from amulett_gym.storage.writing import output_folder, write_json, write_text
 
@@ -120,7 +120,7 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
     AmulettError
         If the file cannot be read, a key is none of the recipe's, or an end of a range or a choice is not allowed.
     """
-    content = read_yaml(path, "space")
+    content = read_yaml(find_config(path, "space"), "space")
     if not content:
         raise AmulettError(f"space '{path}' names no key of the recipe")
     space: Space = {}
@@ -202,7 +202,7 @@ def tune(
             raise AmulettError(f"{name} is {value}; it has to be at least 1")
     if seed < 0:
         raise AmulettError(f"seed is {seed}; it has to be at least 0")
-    out = Path(out)
+    out = user_path(out)
     with output_folder(out, "study", [[STUDY]]), locked_folder(out):
         _begin(out, config, space, seed, seeds, command)
         done: list[Trial] = []

@@ -147,10 +147,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
 
 
+def _home(word: str) -> str:
+    """Return a word of the command line with the ``~`` of ``~/x`` and ``--out=~/x`` as a shell would expand it."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    return option + equals + os.path.expanduser(value)  # noqa: PTH111  (text stays text)
+
+
 def _run(argv: Sequence[str] | None) -> int:
     parser = build_parser()
     try:
-        arguments = parser.parse_args(argv)
+        arguments = parser.parse_args([_home(word) for word in (sys.argv[1:] if argv is None else argv)])
     finally:
         sys.stdout.flush()  # a help
     if arguments.version:

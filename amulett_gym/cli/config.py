@@ -63,13 +63,17 @@ def validate(path: str | Path) -> Found:
     AmulettError
         If the file cannot be read, is nothing that is known, or is not valid.
     """
-    path = Path(path)
+    from amulett_gym.settings import find_config
+    from amulett_gym.storage.reading import user_path
+
+    path = user_path(path)
     if path.is_dir():
         from amulett_gym.laws.bundle import read_bundle
 
         return Found("a policy bundle", path.name, read_bundle(path).policy)
     from amulett_gym.tasks.scenario import Scenario, load_scenario
 
+    path = find_config(path, "file")
     if path.suffix.lower() == ".json":
         return Found("a scenario", path.stem, load_scenario(path))
     if path.suffix.lower() not in (".yaml", ".yml"):
@@ -98,7 +102,34 @@ def validate(path: str | Path) -> Found:
         allowed = "; ".join(f"{kind}: {', '.join(model.model_fields)}" for kind, (model, _) in kinds.items())
         raise AmulettError(f"'{path}' has no key of any kind of file ({allowed})")
     content = kinds[kind][1](path)
+    if kind == "a training recipe":
+        _check_recipe(content)
+    elif kind == "a benchmark's description":
+        _check_benchmark(content, path)
     return Found(kind, getattr(content, "name", path.stem), content)
+
+
+def _check_recipe(config: Any) -> None:
+    """Refuse a recipe that names a device or a bundle that cannot be read."""
+    from amulett_gym.laws.bundle import read_bundle
+    from amulett_gym.laws.contenders import bundle_folder
+    from amulett_gym.profile import load_profile
+
+    load_profile(config.env.profile)
+    if config.network.start is not None:
+        read_bundle(bundle_folder(config.network.start))
+
+
+def _check_benchmark(benchmark: Any, path: Path) -> None:
+    """Refuse a description that names a device, a recipe or a start that the command would refuse."""
+    from amulett_gym.studies.benchmark.description import load_profile_of, recipe_folder, training_recipe
+    from amulett_gym.studies.benchmark.reference import check_starts
+
+    folder = recipe_folder(path)
+    load_profile_of(benchmark, folder)
+    check_starts(benchmark)
+    for entry in benchmark.learned.values():
+        _check_recipe(training_recipe(entry, entry.seeds[0], folder))
 
 
 def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[str]:

@@ -23,6 +23,7 @@ from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import CONSTANT, Contender, Own, constant_tension, contender_names, parse_contender
 from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
+from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
 YARDSTICK = "eq6"
@@ -327,7 +328,7 @@ def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]
         if policy is not None and policy.startswith(CONSTANT):
             policy = constant_tension(policy)
         elif policy is not None and is_bundle(policy):
-            policy = Path(policy).resolve()
+            policy = user_path(policy).resolve()
         key = (policy, repr(contender.env_keywords), contender.act if isinstance(contender, Own) else None)
         first = kept.setdefault(key, contender)
         if first is not contender and first.name != contender.name:

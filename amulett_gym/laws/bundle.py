@@ -40,7 +40,7 @@ from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import parse_json, read_bytes, to_text
+from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path
 from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
@@ -219,7 +219,7 @@ def read_bundle(folder: str | Path) -> Bundle:
         weights are missing, misshapen or not finite; or if the observations are not those of this version of
         amulett-gym. The error names the file.
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     try:
         is_folder = folder.is_dir()
     except OSError as error:
@@ -263,7 +263,7 @@ def write_bundle(
     AmulettError
         If the bundle would not be valid, `folder` holds something else than a bundle, or cannot be written.
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
         raise AmulettError(f"'{folder}' holds something else than a policy bundle; it is left as it is")
     try:

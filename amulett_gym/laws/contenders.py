@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import tuned_names
+from amulett_gym.storage.reading import user_path
 
 CONSTANT = "constant:"
 
@@ -147,7 +148,7 @@ def bundle_folder(name: str) -> Path:
         raise unknown("policy", name, contender_names())
     if name in _PRETRAINED:
         return Path(str(resources.files("amulett_gym") / "policies" / _PRETRAINED[name]))
-    folder = Path(name)
+    folder = user_path(name)
     try:
         for candidate in (folder, folder / "best"):
             if (candidate / MANIFEST).is_file():

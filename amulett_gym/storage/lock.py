@@ -10,12 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from amulett_gym.errors import AmulettError
-
-if TYPE_CHECKING:
-    pass
+from amulett_gym.storage.reading import user_path
 
 try:
     import fcntl
@@ -48,7 +46,7 @@ def locked_folder(path: str | Path) -> Iterator[None]:
         If another process, or this one, has the folder already: with the owner's process id, host and start; or if the
         file cannot be written.
     """
-    lock = Path(path) / LOCK
+    lock = user_path(path) / LOCK
     try:
         handle = _open_lock(lock)
     except OSError as error:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 import amulett_gym
 from amulett_gym.errors import AmulettError, other_version
 from amulett_gym.settings import describe
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.writing import write_json
 
 COMMAND = "command.json"
@@ -100,7 +100,7 @@ def read_provenance(folder: str | Path) -> Provenance:
     AmulettError
         If there is no ``command.json``, or it is damaged.
     """
-    path = Path(folder) / COMMAND
+    path = user_path(folder) / COMMAND
     if not path.is_file():
         raise AmulettError(f"'{folder}' does not say what filled it: there is no {COMMAND}")
     content = read_json(path, "note of a command", limit=1_000_000)

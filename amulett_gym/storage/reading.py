@@ -23,6 +23,11 @@ MAX_DIGITS = 100
 """Digits of an integer in such a file."""
 
 
+def user_path(path: str | Path) -> Path:
+    """Return a path that a user gave, with ``~`` as the home folder; without a home it stays as it is."""
+    return Path(os.path.expanduser(path))  # noqa: PTH111  (a Path's raises where there is no home)
+
+
 def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool = True) -> bytes:
     """Read an ordinary file; a pipe or a device might never end.
 
@@ -47,7 +52,8 @@ def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool
         return os.open(name, flags | getattr(os, "O_NONBLOCK", 0) | (0 if follow else getattr(os, "O_NOFOLLOW", 0)))
 
     try:
-        if not follow and Path(path).is_symlink():
+        path = user_path(path)
+        if not follow and path.is_symlink():
             raise AmulettError(f"{what} '{path}' is a symbolic link; it has to be an ordinary file")
         with open(path, "rb", opener=opener) as file:  # a Path opens without an opener
             status = os.fstat(file.fileno())

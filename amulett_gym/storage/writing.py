@@ -8,12 +8,10 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from amulett_gym.errors import AmulettError
-
-if TYPE_CHECKING:
-    pass
+from amulett_gym.storage.reading import user_path
 
 
 @contextmanager
@@ -30,7 +28,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     AmulettError
         If the folder cannot be created or written.
     """
-    path = Path(path)
+    path = user_path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
@@ -66,7 +64,7 @@ def files_together(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
     AmulettError
         If the folder cannot be written.
     """
-    folder = Path(folder)
+    folder = user_path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".new-", dir=folder) as temporary:
@@ -116,7 +114,7 @@ def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -
         If the folder or a parent is a file, nothing can be written to it, or it holds something else than an earlier
         output.
     """
-    folder = Path(path)
+    folder = user_path(path)
     _check_folder(folder)
     made: list[Path] = []
     try:
@@ -145,7 +143,7 @@ def check_writable(path: str | Path) -> None:
     AmulettError
         If it is a folder, or its folder cannot be made or written.
     """
-    path = Path(path)
+    path = user_path(path)
     if path.is_dir():
         raise AmulettError(f"'{path}' is a folder; it has to be a file")
     try:

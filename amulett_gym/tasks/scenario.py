@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import MOST_TENSION, Profile
-from amulett_gym.settings import Group, describe
+from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
     FAMILIES,
@@ -210,7 +210,7 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     what = "scenario"
     if isinstance(scenario, str | Path):
         what = f"scenario '{scenario}'"
-        scenario = _read(Path(scenario))
+        scenario = _read(find_config(scenario, "scenario"))
     try:
         return Scenario.model_validate(scenario)
     except ValidationError as error:

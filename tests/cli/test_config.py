@@ -66,6 +66,56 @@ def test_what_is_wrong_is_named(name, text, message, tmp_path, capsys):
     assert re.search(message, capsys.readouterr().err)
 
 
+CURVE = "{name: mine, base: testbed, spring: {measured_curve: curve.csv}}"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("mine.yaml", CURVE, r"cannot read measured spring curve '.*curve\.csv'"),
+        ("mine.yaml", "{env: {profile: none.yaml}}", r"cannot read profile 'none\.yaml'"),
+        ("mine.yaml", "{env: {profile: {base: testbed, drive: {}}}}", "unknown key 'drive'; did you mean 'drives'"),
+        ("mine.yaml", "{network: {start: none/best}}", "there is no policy bundle 'none/best'"),
+        ("mine.yaml", "{headline: steps, profile: none.yaml}", r"cannot read profile 'none\.yaml'"),
+        (
+            "mine.yaml",
+            "{suites: [mixed], clairvoyant: {scenarios: {}}, learned: {ppo: {recipe: pppo.yaml, seeds: [0]}}}",
+            "did you mean 'ppo.yaml'",
+        ),
+        ("mine.yaml", "{suites: [mixed], clairvoyant: {scenarios: {}, starts: [eq6]}}", "acts inside the loop"),
+    ],
+)
+def test_what_a_command_would_refuse_is_not_valid(name, text, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text(text)
+    assert main(["config", "validate", name]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    "name", ["configs/ppo.yaml", "ppo.yaml", "ppo", "tune", "configs/scenario.json", "identified/testbed"]
+)
+def test_packaged_files_are_found_from_any_folder(name, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["config", "validate", name]) == 0
+    assert f"{name}: valid, " in capsys.readouterr().out
+
+
+def test_a_home_folder_is_expanded_in_all_words(tmp_path, capsys, monkeypatch):
+    home, here = tmp_path / "home", tmp_path / "here"
+    for folder in (home, here):
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.setenv("USERPROFILE", str(home))
+    (home / "mine.yaml").write_text("{name: mine, base: testbed}")
+    assert main(["config", "validate", "~/mine.yaml"]) == 0
+    words = ["simulate", "--profile=~/mine.yaml", "--duration", "0.1", "--out=~/x.csv", "--plot", "~/new/x.png"]
+    assert main(words) == 0
+    assert {path.name for path in home.glob("[!.]*")} == {"mine.yaml", "x.csv", "new"}
+    assert not list(here.iterdir())
+
+
 def test_what_is_shown_is_the_file_in_full_with_units(tmp_path, capsys):
     (tmp_path / "mine.yaml").write_text("{name: mine, base: testbed, sensors: {potentiometer_noise: 0.00002}}")
     expected = load_profile(tmp_path / "mine.yaml")

@@ -14,8 +14,8 @@ from amulett_gym.errors import unknown
 from amulett_gym.evaluation.runner import MOST_EPISODES
 from amulett_gym.laws.contenders import CONSTANT, contender_names
 from amulett_gym.learning import load_learning
-from amulett_gym.profile import Positive, Profile, load_profile, profile_names
-from amulett_gym.settings import Group, configs_folder, describe
+from amulett_gym.profile import Positive, Profile, load_profile
+from amulett_gym.settings import Group, configs_folder, describe, find_config
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.tasks.suites import suite_names
 
@@ -207,20 +207,21 @@ def load_benchmark(path: str | Path | None = None) -> Benchmark:
         If the file cannot be read, a key is unknown, or a value is wrong.
     """
     try:
-        return Benchmark.model_validate({} if path is None else read_yaml(path, "benchmark"))
+        return Benchmark.model_validate({} if path is None else read_yaml(find_config(path, "benchmark"), "benchmark"))
     except ValidationError as error:
         raise describe(error, Benchmark, "benchmark" if path is None else f"benchmark '{path}'") from error
 
 
 def recipe_folder(path: str | Path | None) -> Path:
     """Return where a description's files are: beside it, or with the package for the defaults."""
-    return configs_folder() if path is None else Path(path).parent
+    return configs_folder() if path is None else find_config(path, "benchmark").parent
 
 
 def load_profile_of(description: Benchmark, folder: Path) -> Profile:
     """Return the device that a description names; a file's path is relative to the description's `folder`."""
     name = description.profile
-    return load_profile(name if name in profile_names() else folder / name)
+    is_file = Path(name).suffix.lower() in (".yaml", ".yml")
+    return load_profile(find_config(name, "profile", folder) if is_file else name)
 
 
 def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str] = ()) -> Any:
@@ -231,5 +232,5 @@ def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str]
     AmulettError
         If the recipe cannot be read or is wrong.
     """
-    path = None if entry.recipe is None else folder / entry.recipe
+    path = None if entry.recipe is None else find_config(entry.recipe, "recipe", folder)
     return load_learning("recipes").load_train_config(path, [*entry.set, *more, f"seed={seed}"])

@@ -16,9 +16,10 @@ from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
+from amulett_gym.settings import find_config
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
-from amulett_gym.storage.reading import read_text
+from amulett_gym.storage.reading import read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
@@ -164,7 +165,7 @@ def run_benchmark(
         If the folder belongs to another description, frozen data has changed, seeds overlap, a run is of another
         recipe, or something cannot be read or written.
     """
-    out = Path(out)
+    out = user_path(out)
     profile = load_profile_of(description, recipes)
     protocol = Protocol(
         profile,
@@ -177,7 +178,7 @@ def run_benchmark(
     laws = _hand_made(description, own)
     reference.check_starts(description)
     check_frozen(description.suites)
-    needed = required_runs(description, recipes, out / RUNS if runs is None else Path(runs))
+    needed = required_runs(description, recipes, out / RUNS if runs is None else user_path(runs))
     chosen = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
     chosen["runs"] = None if runs is None else str(runs)
     seeds = [description.seed, *(seed for entry in description.learned.values() for seed in entry.seeds)]
@@ -334,7 +335,7 @@ def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: d
         If it is about something else: the error names what has changed.
     """
     files = {
-        name: {} if entry.recipe is None else read_yaml(recipes / entry.recipe, "recipe")
+        name: {} if entry.recipe is None else read_yaml(find_config(entry.recipe, "recipe", recipes), "recipe")
         for name, entry in description.learned.items()
     }
     content = {
