@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import difflib
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -41,11 +42,16 @@ class Formatter(argparse.HelpFormatter):
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         if not text.startswith(_EXAMPLES):
             return super()._fill_text(text, width, indent)
-        lines = (
-            textwrap.wrap(line, width - 2, subsequent_indent="      ", break_long_words=False, break_on_hyphens=False)
-            for line in text.splitlines()
-        )
-        return "\n".join(" \\\n".join(line) for line in lines)
+        lines = (_wrap(re.sub(r"(?<=\S) (?!--)", "\0", line), width - 2, "      ") for line in text.splitlines())
+        return "\n".join(" \\\n".join(line) for line in lines).replace("\0", " ")
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return _wrap(" ".join(text.split()), width)
+
+
+def _wrap(text: str, width: int, indent: str = "") -> list[str]:
+    """Return lines that break at spaces alone; names stay whole."""
+    return textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class Parser(argparse.ArgumentParser):

@@ -251,16 +251,17 @@ def test_a_window_without_a_display_is_drawn_unseen():
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have a display without saying so")
-def test_play_writes_a_gif_without_a_display(tmp_path):
+def test_play_without_a_display_says_so_and_writes_a_video_only_if_asked(tmp_path):
     words = ["play", "constant:8", "--suite", "hold-push", "--steps", "4", "--json"]
-    result = run_without_display(f"from amulett_gym.cli import main; main({words})", cwd=tmp_path)
+    script = "from amulett_gym.cli import main; raise SystemExit(main({}))"
+    result = run_without_display(script.format(words), cwd=tmp_path)
+    message = "amulett: error: there is no display for a window; --video FILE writes a video (.gif, .webp, .png, .mp4)"
+    assert (result.returncode, result.stdout, result.stderr) == (2, "", f"{message}\n")
+    assert list(tmp_path.iterdir()) == []
+    result = run_without_display(script.format([*words, "--video", "x.gif"]), cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert result.stderr.splitlines() == [
-        "There is no display for a window; writing constant-8-hold-push.gif instead (--video FILE chooses the name)."
-    ]
-    assert [path.name for path in tmp_path.iterdir()] == ["constant-8-hold-push.gif"]
     printed = json.loads(result.stdout)
-    assert printed["video"] == {"file": "constant-8-hold-push.gif", "frames": 3, "seconds": pytest.approx(0.12)}
+    assert printed["video"] == {"file": "x.gif", "frames": 3, "seconds": pytest.approx(0.12)}
     (episode,) = printed["episodes"]
     assert episode["steps"] == 4
     assert episode["failure"] == ""
@@ -380,11 +381,13 @@ def test_play_opens_a_window_where_there_is_a_display():
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["eq6", "--video", "video.avi"], r"'.*video\.avi'; its name has to end with \.gif, .* or \.mp4"),
+        (["eq6", "--video", "video.avi"], r"'video\.avi' has to end with \.gif, .* or \.mp4"),
         (["eq6", "--video", "video"], r"has to end with"),
         (["eq7", "--video", "video.gif"], r"'eq7'.*did you mean 'eq6'"),
         (["eq6", "--suite", "stepz", "--video", "video.gif"], r"'stepz'.*did you mean 'steps'"),
         (["eq6", "--scenario", "missing.json", "--video", "video.gif"], r"cannot read scenario 'missing.json'"),
+        (["eq6", "--video", "/dev/null/video.gif"], r"cannot write '/dev/null/video.gif'"),
+        (["mine.zip", "--video", "video.gif"], r"--trust-pickle"),
         (["eq6", "--steps", "0", "--video", "video.gif"], r"--steps is 0; it has to be at least 1"),
     ],
 )
@@ -396,7 +399,7 @@ def test_play_refuses_what_it_cannot_do_and_leaves_nothing_behind(tmp_path, monk
 
 
 def test_play_says_what_an_mp4_needs(tmp_path, monkeypatch):
-    monkeypatch.setattr(play, "find_spec", lambda name: None)
+    monkeypatch.setattr("amulett_gym.envs.rendering.video.find_spec", lambda name: None)
     with pytest.raises(AmulettError, match=r"pip install imageio-ffmpeg.*\.gif"):
         play_command("eq6", "--video", tmp_path / "video.mp4")
 
@@ -405,12 +408,12 @@ def test_play_says_what_an_mp4_needs(tmp_path, monkeypatch):
 def test_an_interrupted_video_leaves_nothing_behind(tmp_path, monkeypatch, name):
     calls = iter(range(5))
 
-    def policy(observation):
+    def policy(observations):
         if next(calls, None) is None:
             raise KeyboardInterrupt
-        return ACTION
+        return ACTION[None]
 
-    monkeypatch.setattr(play, "_load", lambda name, env: policy)
+    monkeypatch.setattr("amulett_gym.evaluation.runner.load_contender", lambda contender, env: policy)
     with pytest.raises(KeyboardInterrupt):
         play_command("constant:8", "--steps", 20, "--fps", 50, "--video", tmp_path / name)
     assert list(tmp_path.iterdir()) == []
