@@ -76,7 +76,7 @@ class TrainResult:
     out, best, last : Path
         Folders of the run and of its bundles.
     best_cost, last_cost : float
-        Minus the mean return on the validation scenarios; eq. 6 costs about 1.
+        Mean capped cost (minus the return) on the validation scenarios; eq. 6's is about 1.
     best_steps, steps : int
         Agent steps behind the best and the last policy.
     seconds : float

@@ -14,8 +14,8 @@ from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.evaluation.metrics import METRICS, UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
-from amulett_gym.reporting.table import Table, csv_text
-from amulett_gym.reporting.words import EQUAL, span
+from amulett_gym.reporting.table import Table, csv_text, fill
+from amulett_gym.reporting.words import span
 from amulett_gym.storage.writing import write_text
 from amulett_gym.tasks.suites import families_of
 
@@ -80,7 +80,7 @@ def summarise(results: Results) -> Summary:
 
 
 def verdict(results: Results) -> str:
-    """Say in a sentence or two which contender costs least, how sure that is, and who failed."""
+    """Return in a sentence or two which contender has the lowest cost, how sure that is, and which ones failed."""
     protocol = results.protocol
     label = labels(list(results.values))
     costs = {label[name]: values["cost"] for name, values in results.values.items()}
@@ -103,17 +103,12 @@ def verdict(results: Results) -> str:
         return f"{YARDSTICK} ran alone, at a cost of {costs[best].mean():.3g}, in {scenarios}.{ending}"
     weights = draw_weights(protocol.episodes)
     against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
-    text = f"{best} costs least in {scenarios}"
+    text = f"{best} has the lowest cost in {scenarios}"
     if best != YARDSTICK:
-        share = span_of(against)
-        text += f": {'practically' if share == EQUAL else f'{share} of'} what {YARDSTICK} costs"
-        text += _doubt(against, best, YARDSTICK)
+        text += f": {span_of(against)} relative to {YARDSTICK}{_doubt(against)}"
     if best == YARDSTICK or ranking[1] != YARDSTICK:
         lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
-        times = span_of(lead)
-        times = "practically" if times == EQUAL else f"{times} times"
-        text += f". {ranking[1]} comes next, at {times} the cost of {best}"
-        text += _doubt(lead, ranking[1], best)
+        text += f". Next is {ranking[1]}: {span_of(lead)} relative to {best}{_doubt(lead)}"
     return f"{text}.{ending}"
 
 
@@ -122,8 +117,8 @@ def in_words(summary: Summary) -> str:
     remarks = list(summary["remarks"])
     if not summary["yardstick"]["listed"]:
         remarks.append(f"{YARDSTICK} was not asked for; it always runs, as the yardstick")
-    notes = "".join(f"Note: {remark}.\n" for remark in remarks)
-    return f"{table(summary).text()}\n\n{summary['verdict']}\n{notes}".rstrip()
+    lines = [summary["verdict"], *(f"Note: {remark}." for remark in remarks)]
+    return "\n".join([table(summary).text(), "", *map(fill, lines)])
 
 
 def table(summary: Summary) -> Table:
@@ -171,9 +166,7 @@ def span_of(ratio: Estimate) -> str:
     return span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
 
 
-def _doubt(ratio: Estimate, one: str, other: str) -> str:
+def _doubt(ratio: Estimate) -> str:
     if math.isnan(ratio.low):
-        return " (one scenario says nothing about the next)"
-    if ratio.low <= 1.0 <= ratio.high:
-        return f" (the interval includes 1: this comparison does not tell {one} and {other} apart)"
-    return ""
+        return " (from one scenario: no interval)"
+    return " (the interval includes 1: no difference is shown)" if ratio.low <= 1.0 <= ratio.high else ""

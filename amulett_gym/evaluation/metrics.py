@@ -1,7 +1,7 @@
 """The registry of metrics: what is reported of an episode, its name, unit and definition; and the cost.
 
 There are two costs. ``cost`` is computed from the metrics below and ranks contenders: neither shaped nor capped. The
-*training cost* is minus the return: what learning minimises, at most `COST_CAP` for each agent step.
+*capped cost* is minus the return, at most `COST_CAP` for each agent step: training minimises and validates it.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ _ALL = (
     Metric("cost_tension", "cost of tension", "1", f"tension ISE: {_COST}", True),
     Metric("cost_contact", "cost of contact", "1", f"contact ISE: {_COST}", True),
     Metric("cost_failure", "cost of failure", "1", f"{COST_CAP:g} for each agent step left after a failure", True),
-    Metric("return", "return", "1", "sum of the rewards: minus the training cost, which is capped", False),
+    Metric("return", "return", "1", "sum of the rewards: minus the capped cost", False),
     Metric("failed", "failed", "1", "1 if the device left its limits", True),
     Metric("effort", "effort", "deg2/s", "ISAV (eq. 8) of both drives without the setpoint's jump", True),
     Metric("position_ise", "position ISE", "deg2 s", "integrated squared error of the true angle (eq. 7)", True, 4),
@@ -169,6 +169,11 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[st
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
     return {"cost": np.sum(list(costs.values()), axis=0), **costs, "failed": failed, "effort": effort, **raw}
+
+
+def capped_cost(values: Mapping[str, Values]) -> Values:
+    """Return minus the return: what training minimises, and by which it chooses a policy on validation scenarios."""
+    return -values["return"]
 
 
 def failure_cost(time: float, duration: float, agent_period: float) -> float:

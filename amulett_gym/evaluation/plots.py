@@ -25,7 +25,7 @@ from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.simulation.trajectory import Trajectory
 
 _STRINGS = {"biceps": (style.BICEPS, (0, (4, 1))), "triceps": (style.TRICEPS, "-")}
-"""String -> colour, and the line style that tells it apart in grey."""
+"""String -> colour, and the line style that distinguishes it in grey."""
 
 _FIXED_COLOURS = {"eq6": style.BLACK, "eq6-printed": style.GREY}
 _LAW_COLOURS = (style.BLUE, style.GREEN, style.PURPLE, style.SKY, style.INDIGO, style.OLIVE, style.BROWN, style.ORANGE)

@@ -76,7 +76,7 @@ def mean(values: ArrayLike, weights: Weights) -> Estimate:
     Returns
     -------
     Estimate
-        Without an interval (NaN) if fewer than two values exist: one scenario says nothing about its spread.
+        Without an interval (NaN) if fewer than two values exist: one scenario has no spread.
     """
     values = np.asarray(values, dtype=float)
     return _ratio(values, np.where(np.isnan(values), np.nan, 1.0), weights)
@@ -85,7 +85,7 @@ def mean(values: ArrayLike, weights: Weights) -> Estimate:
 def ratio_of_sums(values: ArrayLike, reference: ArrayLike, weights: Weights) -> Estimate:
     """Return the sum of a policy's values over the sum of the reference's, scenarios resampled in pairs.
 
-    A ratio of sums and not a mean of ratios: a scenario counts by what it costs, and one that costs the reference next
+    A ratio of sums and not a mean of ratios: a scenario counts by its cost, and one that costs the reference next
     to nothing does not decide the comparison.
 
     Parameters
@@ -241,7 +241,7 @@ def probability_of_improvement(values: ArrayLike, reference: ArrayLike, draws: D
     """
     cells, other = _cells(values, draws), np.atleast_2d(np.asarray(reference, dtype=float))
     if np.isnan(cells).any() or np.isnan(other).any():
-        raise ValueError("some values do not exist; whether they improve on others cannot be told")
+        raise ValueError("some values do not exist; whether they improve on others is undefined")
     wins = [np.where(cells == row, 0.5, np.where(cells < row, 1.0, 0.0)) for row in other]
     return nested_mean(np.mean(wins, axis=0), draws)
 

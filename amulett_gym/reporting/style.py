@@ -3,7 +3,7 @@
 Figures depend on nothing of the user's matplotlib: not on ``MPLBACKEND``, a ``matplotlibrc`` or changed ``rcParams``.
 They are drawn without pyplot, and leave its settings as they were. Import matplotlib's classes from here: importing
 matplotlib itself fails where its backend is set to one that is not installed. Colours are those of Okabe and Ito, which
-colour-blind readers can tell apart.
+colour-blind readers can distinguish.
 """
 
 from __future__ import annotations

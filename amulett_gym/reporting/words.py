@@ -40,7 +40,7 @@ def with_interval(estimate: Mapping[str, float | None] | None) -> str:
 
 
 def span(ratio: Mapping[str, float | None]) -> str:
-    """Return a ratio with its interval, with as many digits as it takes to tell it from 1.
+    """Return a ratio with its interval, with as many digits as it takes to differ from 1.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def span(ratio: Mapping[str, float | None]) -> str:
     Returns
     -------
     str
-        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not tell it from 1.
+        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not show a difference from 1.
     """
     values = [ratio[key] for key in ("mean", "low", "high")]
     for digits in range(3, _MOST_DIGITS + 1):

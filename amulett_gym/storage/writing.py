@@ -48,7 +48,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def files_together(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
-    """Yield an empty folder for files; once all are written, move them to `folder`, in the place of its `names`.
+    """Yield an empty folder for files; once all are written, move them to `folder`, where they replace `names`.
 
     If the block fails, for example because the disk is full, what is in `folder` stays as it is.
 

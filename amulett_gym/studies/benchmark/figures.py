@@ -191,7 +191,7 @@ def _to_eq6(found: Content, place: str, name: str, metric: str) -> Mapping[str, 
 
 @style.styled
 def constants_figure(found: Content) -> Figure:
-    """Draw what each constant costs on each suite's split `train`, its least marked."""
+    """Draw the cost of each constant on each suite's split `train`, the lowest marked."""
     figure, panel = style.one_panel(3.7)
     for k, (suite, costs) in enumerate(found["constants"]["tried"].items()):
         tensions, means = [constant_tension(name) for name in costs], np.array(list(costs.values()))
@@ -219,7 +219,7 @@ def _curves(evidence: Evidence) -> dict[str, list[NDArray[np.float64]]]:
 
 @style.styled
 def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Content) -> Figure:
-    """Draw training costs on validation by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
+    """Draw capped costs on validation by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
     looks = styles(found)
     figure, grid = style.panel_grid(2, 2, 0.0, 4.2, sharey=True)
     for name, runs in curves.items():
@@ -241,7 +241,7 @@ def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Cont
     grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1e6:g}"))
     grid[0].set_xlabel("agent steps [million]")
     grid[1].set_xlabel("wall clock [s]")
-    grid[0].set_ylabel("training cost on the validation\nscenarios (minus the return)")
+    grid[0].set_ylabel("capped cost on the validation\nscenarios (minus the return)")
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=6)
     return figure
 

@@ -48,10 +48,10 @@ CAPTIONS = {
     "constants": "Cost of a constant tension on each suite's split train, over the least of them: on which suite one "
     "chooses decides which constant one chooses.",
     "learning": "Validation cost of every run, by agent steps and by wall clock. Dotted: what laws cost there.",
-    "resting": "How stiff the arm rests, and how far pushes deflect it: an arm that pays little because it is slack "
-    "would show here. All contenders, all constants.",
+    "resting": "How stiff the arm rests, and how far pushes deflect it: an arm with a low cost because it is slack "
+    "shows here. All contenders, all constants.",
     "search": "How the clairvoyant search's mean cost fell with the number of episodes tried for each scenario.",
-    "worst": "The scenario in which the learned policy loses most to the best law by hand.",
+    "worst": "The scenario in which the learned policy loses most to the best hand-tuned law.",
 }
 
 

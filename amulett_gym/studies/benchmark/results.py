@@ -70,7 +70,7 @@ PROFILE_COSTS = tuple(round(0.05 * k, 2) for k in range(61))
 """Costs at which performance profiles are taken."""
 
 WORST = 10
-"""Scenarios that are told in which the learned policy loses most."""
+"""Number of scenarios that are reported: those in which the learned policy loses most."""
 
 WORST_FOLDER = "worst"
 
@@ -125,7 +125,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
 
 
 def best_by_hand(evidence: Evidence) -> str:
-    """Return the law or constant that costs least on the headline suite, held-out: the hardest opponent, in hindsight.
+    """Return the law or constant of the lowest cost on the headline suite, held-out: the best opponent, in hindsight.
 
     Position control alone is none: it has other gains and no tension to schedule, so no schedule's reference bounds it.
     """
@@ -162,9 +162,9 @@ def _place(evidence: Evidence, suite: str, split: str) -> Content:
     """Return the numbers of all entries on a suite's split."""
     results = evidence.played[suite, split]
     against = opponents(evidence, suite)
-    told = shown(evidence, suite)
+    full = shown(evidence, suite)
     return {
-        name: _numbers(evidence, results, name, against if name in told else [YARDSTICK], name in told)
+        name: _numbers(evidence, results, name, against if name in full else [YARDSTICK], name in full)
         for name in results
     }
 
@@ -240,7 +240,7 @@ def _profiles(evidence: Evidence) -> Content:
 
 
 def _references(evidence: Evidence, hand: str) -> Content:
-    """Return scores (0: best constant overall, 1: clairvoyant), and the share of the way from the best law by hand."""
+    """Return scores (0: best constant overall, 1: clairvoyant), and shares of the way from the best hand-tuned law."""
     searched = evidence.searched
     foreseen = {suite: found.foresight for suite, found in searched.items() if found.foresight is not None}
     causal: Content = {}

@@ -136,7 +136,7 @@ def train_missing(runs: Sequence[TrainingRun], advance: Callable[[TrainingRun], 
 
 
 def outcome(run: TrainingRun) -> dict[str, Any]:
-    """Return what a finished run says of itself: ``steps``, ``seconds``, ``best_steps``, ``best_cost`` (validation).
+    """Return ``steps``, ``seconds``, ``best_steps`` and ``best_cost`` (capped, on validation) of a finished run.
 
     Raises
     ------

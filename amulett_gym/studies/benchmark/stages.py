@@ -12,6 +12,7 @@ import numpy as np
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.metrics import capped_cost
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import Profile
@@ -88,7 +89,7 @@ class Evidence:
     tried : dict of str to dict of str to float
         Mean cost of each constant on the split `train`, suite by suite.
     validation : dict of str to float
-        Mean cost of some laws on the scenarios by which the headline entry's policies were chosen; may be empty.
+        Mean capped cost of some laws on the scenarios by which the headline entry's policies were chosen; may be empty.
     schedules : dict of str to list of Schedule
         Of each entry's members on the headline suite, held-out; without those that act inside the loop.
     searched : dict of str to Searched
@@ -112,7 +113,7 @@ class Evidence:
     overlap: dict[str, int]
 
     def best_constant(self, suite: str | None = None) -> str:
-        """Return the constant that costs least on a suite's split `train`; overall if None: on the headline suite."""
+        """Return the constant of the lowest cost on a suite's split `train`; overall if None: on the headline suite."""
         tried = self.tried[suite or self.description.headline]
         return min(tried, key=lambda name: tried[name])
 
@@ -121,7 +122,7 @@ class Evidence:
         return self.played[self.description.headline, split]
 
     def chosen_member(self, name: str) -> int:
-        """Return the member of a learned entry that costs least on its validation scenarios: the one to show."""
+        """Return the member of a learned entry with the lowest cost on its validation scenarios: the one to show."""
         costs = [outcome(run)["best_cost"] for run in self.runs if run.entry == name]
         return int(np.argmin(costs)) if costs else 0
 
@@ -225,7 +226,7 @@ def _work(
     def trained(run: TrainingRun) -> None:
         result = outcome(run)
         say(
-            f"{run.name}: {result['steps']:,} steps in {result['seconds']:.0f} s, validation cost "
+            f"{run.name}: {result['steps']:,} steps in {result['seconds']:.0f} s, capped cost on validation "
             f"{result['best_cost']:.4f}"
         )
 
@@ -302,7 +303,7 @@ def _learned(description: Benchmark, runs: Sequence[TrainingRun]) -> list[Entry]
 
 
 def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
-    """Return what some laws cost on the scenarios that the headline entry's validations are of."""
+    """Return the mean capped cost of some laws on the validation scenarios of the headline entry."""
     description = evidence.description
     config = next((run.config for run in evidence.runs if run.entry == description.best_learned), None)
     if config is None or config.env.suite != description.headline:
@@ -315,7 +316,7 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
         if name in evidence.entries:
             entry = evidence.entries[name]
             run = played(folder, entry.file_labels()[0], there, entry.members[0])
-            costs[name] = -float(run.values["return"].mean())
+            costs[name] = float(capped_cost(run.values).mean())
     return costs
 
 

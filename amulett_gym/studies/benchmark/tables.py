@@ -156,7 +156,7 @@ def by_seed(found: Content) -> Table:
             steps = (f"{run[key]:,}" for key in ("best_steps", "steps"))
             rows.append([f"{name}, seed {seed}", *costs, *steps, f"{run['seconds']:.0f}"])
     head = (
-        *("", "cost", "to eq. 6", "to the tuned richer law", "training cost, validation", "steps of the best policy"),
+        *("", "cost", "to eq. 6", "to the tuned richer law", "capped cost, validation", "steps of the best policy"),
         *("steps", "seconds"),
     )
     return Table("Training seeds, one by one", head, rows)

@@ -149,7 +149,7 @@ def _scale(data: Data) -> list[Table]:
             [f"{int(size):,}", f"{row['median']:.2f} ({row['least']:.2f}-{row['most']:.2f})"]
             for size, row in scale["two_threads"].items()
         ]
-        note = "By number of devices; turn by turn (least-most). It pays where a second core is free."
+        note = "By number of devices; turn by turn (least-most). Faster where a second core is free."
         made.append(Table("Two threads to one, testbed", ("", "times as fast"), rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
@@ -158,7 +158,7 @@ def _scale(data: Data) -> list[Table]:
             ["all arrays of the environment, Gymnasium's spaces included", f"{memory['arrays']:,.0f}"],
             [
                 "growth of resident memory, room for what a step returns included",
-                "not told here" if memory["resident"] is None else f"{memory['resident']:,.0f}",
+                "not measured here" if memory["resident"] is None else f"{memory['resident']:,.0f}",
             ],
         ]
         made.append(Table("Memory of a device [bytes]", ("", f"{memory['devices']:,} devices"), rows))
@@ -171,7 +171,7 @@ def _long_run(run: Data) -> Table:
     grown = run["resident_growth_bytes_per_device"]
     rows = [
         ["last third's speed to the first third's", f"{run['speed_ratio']:.3f}"],
-        ["growth of resident memory, bytes a device", "not told here" if grown is None else f"{grown:,.0f}"],
+        ["growth of resident memory, bytes a device", "not measured here" if grown is None else f"{grown:,.0f}"],
         ["devices that failed", f"{run['failures']}"],
         ["the episode after it is bit for bit a new environment's", "yes" if run["last_episode_is_exact"] else "NO"],
         ["error of the clock in one episode as long as all of it [s]", f"{run['lone_clock_error_s']:.1e}"],

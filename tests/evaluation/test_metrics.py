@@ -1,0 +1,42 @@
+"""The registry of metrics covers all that is reported, and all lists of metrics read from it."""
+
+import numpy as np
+import pytest
+
+from amulett_gym.envs.transition import METRICS as RAW
+from amulett_gym.evaluation.metrics import COSTS, METRICS, UNITS, capped_cost, derive
+from amulett_gym.evaluation.page import _DETAILS, _MAIN
+from amulett_gym.studies.benchmark.claims import PAPER_METRICS
+from amulett_gym.studies.benchmark.results import REPORTED
+
+
+def test_every_metric_of_the_environment_and_every_derived_one_is_registered():
+    raw = {key: np.ones(2) for key in RAW}
+    derived = derive(raw, np.zeros(2), np.ones((2, len(COSTS) - 1)))
+    assert {*derived, "return"} == set(METRICS) == set(UNITS)
+    assert [metric.key for metric in METRICS.values()] == list(METRICS)
+
+
+def test_names_are_unique_and_everything_is_defined():
+    assert len({metric.name for metric in METRICS.values()}) == len(METRICS)
+    assert all(metric.meaning and metric.unit for metric in METRICS.values())
+
+
+@pytest.mark.parametrize("keys", [_MAIN, _DETAILS, REPORTED, PAPER_METRICS])
+def test_lists_of_metrics_hold_keys_of_the_registry(keys):
+    assert set(keys) <= set(METRICS)
+
+
+def test_a_metric_is_shown_with_its_unit_and_digits():
+    assert METRICS["position_ise"].heading == "position ISE [deg2 s]"
+    assert METRICS["position_ise"].text(2268.94) == "2269"
+    assert METRICS["effort"].text(2268.94) == "2270"
+    assert METRICS["settling_time"].paper_heading == "rise time (last entry) [s]"
+    assert METRICS["failed"].heading == "failed"
+
+
+def test_the_two_costs_are_two():
+    raw = {key: np.array([3.0]) for key in RAW}
+    values = derive(raw, np.zeros(1), np.full((1, len(COSTS) - 1), 0.5)) | {"return": np.array([-1.0])}
+    assert values["cost"] == pytest.approx(0.5 * (3.0 + 6.0 + 3.0 + 3.0))
+    assert capped_cost(values) == 1.0
