@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what is not done yet, print claims and ranking, and write the files."""
     from amulett_gym import ENV_IDS
-    from amulett_gym.cli.own_policies import with_zips
+    from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.reporting.document import check_document
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
     profile = load_profile_of(description, recipes)
-    named = with_zips(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
+    named = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
     print_remarks(device_remarks(profile))
     words = _command(arguments)

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.own_policies import add_trust, with_zips
-from amulett_gym.errors import AmulettError
+from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
 
 HELP = "compare laws and policies with eq. 6 on the same scenarios"
 EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:10 position-only --out comparison
   amulett evaluate --policies runs/mine constant:10 --suite reach --episodes 200 --seed 1000 --out comparison
-  amulett evaluate --policies constant:8 --episodes 20 --json
+  amulett evaluate --policies mylaw.py:softer constant:8 --episodes 20 --json
 """
 
 
@@ -31,8 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="NAME",
-        help="laws by name (see: amulett list), folders of policy bundles, or zips of Stable-Baselines3 that you trust "
-        "(--trust-pickle); eq6 always runs, as the yardstick",
+        help="laws by name (see: amulett list), folders of policy bundles, functions of your own (mylaw.py:function; "
+        "the file is run), zips of Stable-Baselines3 that you trust (--trust-pickle); eq6 always runs as the yardstick",
     )
     add_trust(parser)
     parser.add_argument("--suite", default="steps", help="suite of scenarios (default: steps)")
@@ -109,7 +106,7 @@ def compare(
 
     profile = load_profile(config["profile"])
     keywords = {key: config[key] for key in ("suite", "split", "env_id", "episodes", "seed")}
-    policies = with_zips(config["policies"], profile, config["env_id"], config["trust_pickle"])
+    policies = own_contenders(config["policies"], profile, config["env_id"], config["trust_pickle"])
     with ExitStack() as stack:
         earlier = False
         if out is not None:
@@ -126,18 +123,6 @@ def compare(
         seeds = range(config["seed"], config["seed"] + config["episodes"])
         write_provenance(out, "evaluate", config, seeds, words)
         return write_report(results, out), earlier
-
-
-def policy_digest(name: str) -> str | None:
-    """Return the SHA-256 of a bundle's manifest or of a zip; None for a law's name."""
-    from amulett_gym.laws.bundle import MANIFEST
-
-    places = (Path(name), Path(name) / MANIFEST, Path(name) / "best" / MANIFEST)
-    try:
-        file = next((place for place in places if place.is_file()), None)
-        return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise AmulettError(f"cannot read policy '{name[:100]}': {error.strerror or error}") from error
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     import gymnasium as gym
 
-    from amulett_gym.cli.own_policies import with_zips
+    from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.envs.rendering.video import write_video
     from amulett_gym.envs.rendering.window import Renderer
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.reporting.progress import Progress
 
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
-    (named,) = with_zips([arguments.policy], protocol.profile, protocol.env_id, arguments.trust_pickle)
+    (named,) = own_contenders([arguments.policy], protocol.profile, protocol.env_id, arguments.trust_pickle)
     contender = named if isinstance(named, Contender) else parse_contender(named)
     remarks = device_remarks(protocol.profile, [arguments.policy])
     print_remarks(remarks)

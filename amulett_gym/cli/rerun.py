@@ -39,11 +39,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", metavar="DIR", help="folder that train, evaluate, benchmark, tune or identify filled")
     parser.add_argument("--out", required=True, metavar="NEW", help="folder for what is done again")
     add_trust(parser)
+    parser.add_argument(
+        "--trust-python",
+        action="store_true",
+        help="also run the Python files whose functions were compared (mylaw.py:function)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do it again; exit code 1 if a number is another one."""
+    from amulett_gym.laws.contenders import python_file
     from amulett_gym.storage.provenance import read_provenance, software_changes
 
     old, new = Path(arguments.folder).resolve(), Path(arguments.out).resolve()
@@ -59,6 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(
             f"what filled '{arguments.folder}' opened zips of Stable-Baselines3, which are pickles and can run any "
             "code of whoever made them; if you trust them, say so here, too: --trust-pickle"
+        )
+    files = [name for name in note.command or [] if python_file(name) is not None]
+    files += [name for name in note.config.get("policies", []) if python_file(str(name)) is not None]
+    if files and not arguments.trust_python:
+        raise AmulettError(
+            f"what filled '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, say so here, too: "
+            "--trust-python"
         )
     again, read = _KINDS[kind]
     expected = read(old)  # a folder that is not finished is refused before anything is done
@@ -100,7 +113,7 @@ def _working_folder(note: Provenance) -> Any:
 
 def _changed_inputs(note: Provenance) -> list[str]:
     """Say which learned policies are others than those that were compared."""
-    from amulett_gym.cli.evaluate import policy_digest
+    from amulett_gym.cli.own_policies import policy_digest
 
     if note.kind == "benchmark" and note.config.get("runs") is not None:
         # To take them from there, as a note says, would be to train there what is missing.

@@ -1,30 +1,39 @@
-"""`amulett simulate`: one episode, recorded at control rate."""
+"""`amulett simulate`: one episode with each of some laws, recorded at control rate."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from amulett_gym.cli.output import add_json, print_json
+from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
 from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.episode import Episode
 
-HELP = "record one episode with a law or policy: CSV, figure, metrics"
+HELP = "record one episode with one or more laws or policies: CSV, figure, metrics"
 EXAMPLES = """  amulett simulate --law eq6 --suite paper-step --profile simulation --out step.csv --plot step.png
+  amulett simulate --law eq6 constant:6 pretrained --plot three.png
   amulett simulate --law constant:10 --suite hold-push --seed 3 --plot pushes.svg
-  amulett simulate --law runs/mine --scenario my_scenario.json --duration 5 --json
+  amulett simulate --law mylaw.py:softer --scenario my_scenario.json --duration 5 --json
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
-        "--law", default="eq6", help="a law's name (see: amulett list) or a policy bundle's folder (default: eq6)"
+        "--law",
+        nargs="+",
+        default=["eq6"],
+        metavar="LAW",
+        help="laws by name (see: amulett list), folders of policy bundles, functions of your own (mylaw.py:function; "
+        "the file is run); all meet the same scenario (default: eq6)",
     )
+    add_trust(parser)
     parser.add_argument("--suite", default="steps", help="suite that the scenario is drawn from (default: steps)")
     parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the scenario and the sensor noise (default: 0)")
@@ -33,9 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario", metavar="FILE", help="a scenario of your own (JSON or YAML) instead of the suite's"
     )
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="seconds to simulate (default: 10)")
-    parser.add_argument("--out", metavar="FILE.csv", help="trajectory, one row a control tick")
-    parser.add_argument("--plot", metavar="FILE.png", help="figure of the trajectory (.png or .svg)")
-    parser.add_argument("--json", action="store_true", help="print metrics, units and scenario as one JSON object")
+    parser.add_argument(
+        "--out",
+        metavar="FILE.csv",
+        help="trajectory, one row a control tick; of several laws one below the other, with a column 'law'",
+    )
+    parser.add_argument("--plot", metavar="FILE.png", help="figure (.png or .svg); several laws share its panels")
+    add_json(parser, "metrics, units and scenario")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,7 +61,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(f"--plot '{arguments.plot}' has to end in .png or .svg")
 
     from amulett_gym.evaluation.episode import record_episode
-    from amulett_gym.evaluation.metrics import UNITS
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.profile import load_profile
@@ -58,50 +70,75 @@ def run(arguments: argparse.Namespace) -> int:
     protocol = Protocol(
         profile, arguments.suite, arguments.split, episodes=1, seed=arguments.seed, duration=arguments.duration
     )
-    remarks = device_remarks(profile, [arguments.law])
+    names = list(dict.fromkeys(arguments.law))
+    remarks = device_remarks(profile, names)
     print_remarks(remarks)
-    episode = record_episode(arguments.law, protocol, arguments.scenario)
+    contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
+    played = [record_episode(contender, protocol, arguments.scenario) for contender in contenders]
+    label = labels(names)
+    episodes = {label[name]: episode for name, episode in zip(names, played, strict=True)}
+    trajectories = {name: episode.trajectory for name, episode in episodes.items()}
     if arguments.out is not None:
-        write_csv(episode.trajectory, arguments.out)
+        write_csv(trajectories if len(trajectories) > 1 else played[0].trajectory, arguments.out)
     scenario = f"suite {arguments.suite}" if arguments.scenario is None else f"scenario {arguments.scenario}"
-    title = f"{labels([arguments.law])[arguments.law]}, profile {profile.name}, {scenario}"
+    task = f"profile {profile.name}, {scenario}"
+    title = f"{', '.join(episodes)}, {task}"
     if arguments.json:
-        metrics = {name: value if math.isfinite(value) else None for name, value in episode.metrics.items()}
-        content = {
-            "law": arguments.law,
-            "profile": profile.name,
-            "suite": arguments.suite,
-            "split": arguments.split,
-            "seed": arguments.seed,
-            "duration": arguments.duration,
-            "failure": episode.failure,
-            "metrics": metrics,
-            "units": {name: UNITS[name] for name in metrics},
-            "remarks": remarks,
-            "scenario": episode.scenario.model_dump(),
-        }
-        print(json.dumps(content, indent=2, allow_nan=False))
+        print_json(_content(arguments, names, played, remarks))
     else:
-        _print(arguments, episode, title)
+        _print(arguments, episodes, title)
     if arguments.plot is not None:  # last: an error in a figure loses no number
-        from amulett_gym.evaluation.plots import trajectory_figure
+        from amulett_gym.evaluation.plots import overlay_figure, trajectory_figure
         from amulett_gym.reporting.style import save_figure
 
-        save_figure(trajectory_figure(episode.trajectory, title), arguments.plot)
+        if len(trajectories) > 1:
+            figure = overlay_figure(dict(zip(names, trajectories.values(), strict=True)), task)
+        else:
+            figure = trajectory_figure(played[0].trajectory, title)
+        save_figure(figure, arguments.plot)
         if not arguments.json:
             print(f"Written: {arguments.plot}")
     return 0
 
 
-def _print(arguments: argparse.Namespace, episode: Episode, title: str) -> None:
-    """Print metrics, failure, and where the trajectory is."""
+def _content(
+    arguments: argparse.Namespace, names: list[str], played: list[Episode], remarks: list[str]
+) -> dict[str, Any]:
+    """Return what --json prints: of one law, its name and metrics at the top; of several, by law under ``laws``."""
     from amulett_gym.evaluation.metrics import UNITS
 
+    results = [{"failure": episode.failure, "metrics": episode.metrics} for episode in played]
+    found: dict[str, Any] = {"law": names[0], **results[0]}
+    if len(names) > 1:
+        found = {"laws": dict(zip(names, results, strict=True))}
+    return {
+        **found,
+        "sha256": {name: digest for name in names if (digest := policy_digest(name))},
+        "profile": played[0].trajectory.profile,
+        **{key: getattr(arguments, key) for key in ("suite", "split", "seed", "duration")},
+        "units": {name: UNITS[name] for name in played[0].metrics},
+        "remarks": remarks,
+        "scenario": played[0].scenario.model_dump(),
+    }
+
+
+def _print(arguments: argparse.Namespace, episodes: Mapping[str, Episode], title: str) -> None:
+    """Print metrics, failures, and where the trajectories are."""
+    from amulett_gym.evaluation.metrics import UNITS
+    from amulett_gym.reporting.table import Table
+
     print(f"{title}, seed {arguments.seed}, {arguments.duration:g} s")
-    for name, value in episode.metrics.items():
-        shown = f"{value:.4g}" if math.isfinite(value) else "-"
-        print(f"  {name:22} {shown:>10}  {UNITS[name] if UNITS[name] != '1' else ''}".rstrip())
-    if episode.failure:
-        print(f"The device failed after {episode.trajectory['time'][-1]:g} s: {episode.failure}.")
+    metrics = [episode.metrics for episode in episodes.values()]
+    rows = [
+        (name, *(f"{each[name]:.4g}" if math.isfinite(each[name]) else "-" for each in metrics), unit.replace("1", ""))
+        for name, unit in UNITS.items()
+        if name in metrics[0]
+    ]
+    head = ("metric", *episodes, "unit") if len(episodes) > 1 else ("",) * 3
+    print(Table("", head, rows, left=(0, len(head) - 1)).text())
+    for name, episode in episodes.items():
+        if episode.failure:
+            ended = f"after {episode.trajectory['time'][-1]:g} s: {episode.failure}"
+            print(f"The device failed {ended}." if len(episodes) == 1 else f"{name}: the device failed {ended}.")
     if arguments.out is not None:
         print(f"Written: {arguments.out}")

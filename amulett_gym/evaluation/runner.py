@@ -20,8 +20,16 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.laws.bundle import read_bundle
-from amulett_gym.laws.contenders import CONSTANT, Contender, Own, constant_tension, contender_names, parse_contender
-from amulett_gym.laws.policies import load_policy
+from amulett_gym.laws.contenders import (
+    CONSTANT,
+    Contender,
+    Own,
+    constant_tension,
+    contender_names,
+    parse_contender,
+    python_file,
+)
+from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.suites import SPLITS, suite_names
@@ -288,7 +296,7 @@ def acts_from_outside(contender: Contender) -> bool:
 
 def is_bundle(name: str) -> bool:
     """Tell whether a contender's name is that of a learned policy's folder."""
-    return name not in contender_names() and not name.startswith(CONSTANT)
+    return name not in contender_names() and not name.startswith(CONSTANT) and python_file(name) is None
 
 
 def training_differs(contender: Contender, protocol: Protocol) -> str:
@@ -379,7 +387,9 @@ def _make(protocol: Protocol, contender: Contender) -> Any:
 def load_contender(contender: Contender, env: Any) -> Policy:
     """Return what acts for a contender in its environment: a batch of observations -> a batch of actions."""
     if isinstance(contender, Own):
-        return _own(contender, env)
+        if not callable(contender.act):
+            raise AmulettError(f"contender '{contender.name}' has nothing to act with: give it a callable, act=...")
+        return own_policy(contender.act, env, contender.name)
     if contender.policy_name is None:
         return lambda observations: np.zeros((len(observations), 1), dtype=np.float32)
     return load_policy(contender.policy_name, env)
@@ -392,26 +402,6 @@ def play_alone(protocol: Protocol, contender: Contender) -> Run:
         return play(protocol, env, load_contender(contender, env))
     finally:
         env.close()
-
-
-def _own(contender: Own, env: Any) -> Policy:
-    """Return one's own callable, whose actions are checked; a wrong shape must not be broadcast."""
-    act = contender.act
-    if not callable(act):
-        raise AmulettError(f"contender '{contender.name}' has nothing to act with: give it a callable, act=...")
-    if callable(getattr(act, "reset", None)):
-        act.reset(getattr(env, "num_envs", 1))  # type: ignore[attr-defined]
-
-    def policy(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        actions = np.asarray(act(observations), dtype=np.float32)
-        if actions.shape not in ((len(observations),), (len(observations), 1)):
-            raise AmulettError(
-                f"contender '{contender.name}' returned actions of shape {actions.shape} for observations of shape "
-                f"{observations.shape}; it has to be ({len(observations)}, 1)"
-            )
-        return actions.reshape(-1, 1)
-
-    return policy
 
 
 def _has_pushes(env: Any, seed: int) -> bool:
@@ -428,6 +418,7 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
     running = np.ones(count, dtype=bool)
     seen: list[tuple[Values, Values, NDArray[np.int64], Values]] = []
     observations, _ = env.reset(seed=protocol.seed)
+    begin_episode(policy)
     families = env.episodes.simulation.read_scenarios(np.arange(count))["family"]
     for _ in range(env.max_episode_steps):
         error, phase, approach = _look(env)

@@ -75,8 +75,9 @@ class Own(Contender):
     Attributes
     ----------
     act : callable
-        Maps observations, shape (N, 13), to actions, shape (N, 1) or (N,), in [-1, 1]. It is called once an agent step
-        with all scenarios, from the first step on; if it has a method ``reset``, that is called before with N.
+        Maps observations, a float32 array of shape (N, 13), see `envs.transition.OBSERVATIONS`, to actions, shape
+        (N, 1) or (N,), in [-1, 1]. It is called once an agent step with all scenarios, from the first step on; if it
+        has a method ``reset``, that is called before with N.
     """
 
     act: Callable[[NDArray[np.float32]], Any] | None = None
@@ -118,6 +119,12 @@ def parse_contender(name: str) -> Contender:
     return Contender(name, {"agent_period": policy.agent_period, **told}, str(folder))
 
 
+def python_file(name: str) -> Path | None:
+    """Return the file in a name like ``mylaw.py:function``; None if the name is not of that form."""
+    path, _, _ = name.rpartition(":")
+    return Path(path) if path.endswith(".py") else None
+
+
 def constant_tension(name: str) -> float:
     """Return the tension setpoint [N] in a name like ``constant:10``.
 
@@ -155,6 +162,10 @@ def bundle_folder(name: str) -> Path:
                 return candidate
     except OSError as error:
         raise AmulettError(f"cannot read policy bundle '{name[:100]}': {error.strerror or error}") from error
+    if python_file(name) is not None:
+        raise AmulettError(
+            f"'{name}' is code, which evaluate, simulate and play run, and amulett_gym.laws.own.load_own"
+        )
     if folder.is_dir():
         raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
     if folder.exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,14 +35,15 @@ Act = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 _POSITION_ERROR = OBSERVATIONS.index("position_error")
 
 
-def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
+def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Policy:
     """Make a policy for an environment.
 
     Parameters
     ----------
-    name_or_folder : str or Path
+    name_or_folder : str, Path or callable
         ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"``, a tuned law (`parametric.tuned_names`),
-        ``"pretrained"``, or a policy bundle's folder (or a training run's, for its best policy).
+        ``"pretrained"``, or a policy bundle's folder (or a training run's, for its best policy); or a function of your
+        own, see `contenders.Own.act`.
     env : gymnasium.Env or VectorEnv
         An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
         an action. The policy is for this environment: one that remembers (`laws.history`) reads its clock.
@@ -60,6 +62,8 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     base = env.unwrapped
     if not hasattr(base, "tension_range"):
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
+    if callable(name_or_folder):
+        return own_policy(name_or_folder, env)
     name, tension_range = str(name_or_folder), base.tension_range
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
@@ -75,6 +79,50 @@ def load_policy(name_or_folder: str | Path, env: Any) -> Policy:
     else:
         act = _from_bundle(read_bundle(bundle_folder(name)), base)
     return _for_one_or_many(act, base.episodes.observation_size)
+
+
+def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Policy:
+    """Return a function of the user's own as a policy whose actions are checked; a wrong shape is not broadcast.
+
+    Parameters
+    ----------
+    act : callable
+        See `contenders.Own.act`.
+    env : gymnasium.Env or VectorEnv
+    name : str, optional
+        For messages; that of the function if None.
+    """
+    name = name or getattr(act, "__name__", type(act).__name__)
+
+    def policy(observation: ArrayLike) -> NDArray[np.float32]:
+        observations = np.atleast_2d(np.asarray(observation, dtype=np.float32))
+        count, returned = len(observations), act(observations)
+        try:
+            actions = np.asarray([] if returned is None else returned, dtype=np.float32)
+        except (TypeError, ValueError):
+            actions = np.empty(0, dtype=np.float32)
+        if actions.size == 0:
+            raise AmulettError(f"'{name}' returned {returned!r:.80}; it has to return {count} numbers")
+        if actions.shape not in ((count,), (count, 1)):
+            raise AmulettError(
+                f"'{name}' returned actions of shape {actions.shape} for observations of shape {observations.shape}; "
+                f"it has to be ({count}, 1) or ({count},)"
+            )
+        if np.isnan(actions).any():
+            raise AmulettError(f"'{name}' returned NaN as an action; it has to be a number from -1 to 1")
+        actions = actions.reshape(-1, 1)
+        return actions[0] if np.ndim(observation) == 1 else actions
+
+    if callable(reset := getattr(act, "reset", None)):
+        policy.reset = partial(reset, getattr(env.unwrapped, "num_envs", 1))  # type: ignore[attr-defined]
+    begin_episode(policy)
+    return policy
+
+
+def begin_episode(policy: Callable[..., Any]) -> None:
+    """Let a policy that remembers forget the last episode; one without a method ``reset`` is left alone."""
+    if callable(reset := getattr(policy, "reset", None)):
+        reset()
 
 
 def _constant(tension: float, tension_range: tuple[float, float]) -> Act:

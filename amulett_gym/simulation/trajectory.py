@@ -134,16 +134,21 @@ def record(
     return Trajectory(simulation.profile.name, simulation.control_period, signals)
 
 
-def write_csv(trajectory: Trajectory, path: str | Path) -> None:
+def write_csv(trajectory: Trajectory | Mapping[str, Trajectory], path: str | Path) -> None:
     """Write a trajectory as CSV, one row a tick and the units in the header (see `CSV_COLUMNS`).
+
+    Several, by the name of their law, go one below the other, with the name in a first column ``law``.
 
     Raises
     ------
     AmulettError
         If the file cannot be written; nothing half-written is left.
     """
-    columns = [trajectory[name] * factor for name, factor in CSV_COLUMNS.values()]
-    with atomic_path(path) as temporary:
-        np.savetxt(
-            temporary, np.column_stack(columns), fmt="%.10g", delimiter=",", header=",".join(CSV_COLUMNS), comments=""
-        )
+    several = isinstance(trajectory, Mapping)
+    named = trajectory if isinstance(trajectory, Mapping) else {"": trajectory}
+    with atomic_path(path) as temporary, temporary.open("w") as file:
+        file.write(",".join(["law"] * several + list(CSV_COLUMNS)) + "\n")
+        for name, each in named.items():
+            law = [f'"{name}"'.replace("%", "%%")] * several
+            columns = [each[signal] * factor for signal, factor in CSV_COLUMNS.values()]
+            np.savetxt(file, np.column_stack(columns), fmt=",".join(law + ["%.10g"] * len(columns)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -155,3 +156,18 @@ def test_differences_are_named():
     old, new = {"a": [1, {"b": 2.0}], "c": 1}, {"a": [1, {"b": 2.5}], "d": 2}
     assert differences(old, new) == ["a.1.b was 2.0 and is 2.5", "c was 1 and is None", "d was None and is 2"]
     assert differences(old, old) == []
+
+
+def test_a_python_file_is_run_again_only_if_it_is_trusted(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    law = tmp_path / "mine.py"
+    law.write_text("def mine(observations): return [0.0] * len(observations)\n")
+    assert main(["evaluate", "--policies", "mine.py:mine", "--episodes", "2", "--out", "own"]) == 0
+    digest = hashlib.sha256(law.read_bytes()).hexdigest()
+    assert read_provenance(tmp_path / "own").config["sha256"] == {"mine.py:mine": digest}
+    assert main(["rerun", "own", "--out", "again"]) == 2
+    assert "ran a Python file, 'mine.py:mine'; if you trust it" in capsys.readouterr().err
+    assert main(["rerun", "own", "--out", "again", "--trust-python"]) == 0
+    law.write_text("def mine(observations): return [1.0] * len(observations)\n")
+    assert main(["rerun", "own", "--out", "other", "--trust-python"]) == 1
+    assert "the policy 'mine.py:mine' is another one than then" in capsys.readouterr().out

@@ -1,6 +1,7 @@
 """`amulett simulate`: a trajectory, a figure and metrics that belong together."""
 
 import csv
+import hashlib
 import json
 
 import numpy as np
@@ -80,6 +81,52 @@ def test_an_own_scenario_is_played_and_can_be_played_again(tmp_path, capsys):
     own.write_text(json.dumps(first["scenario"]))
     assert simulate("--scenario", str(own), "--duration", "1", "--seed", "99", "--json") == 0
     assert json.loads(capsys.readouterr().out)["metrics"] == first["metrics"]
+
+
+OWN = """
+def held(observations):
+    return [2.0 * (8.0 - 4.0) / 11.0 - 1.0] * len(observations)
+"""
+
+
+def test_several_laws_meet_one_scenario_and_share_their_files(tmp_path, capsys):
+    mine = tmp_path / "mine.py"
+    mine.write_text(OWN)
+    laws = ["eq6", "constant:8", f"{mine}:held", "constant:8"]
+    out, plot = tmp_path / "all.csv", tmp_path / "all.png"
+    words = ["--duration", "1", "--out", str(out), "--plot", str(plot), "--json"]
+    assert simulate("--law", *laws, *words) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert list(printed["laws"]) == laws[:3]
+    assert printed["sha256"] == {laws[2]: hashlib.sha256(mine.read_bytes()).hexdigest()}
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["law"] for row in rows[:: len(rows) // 3]] == ["eq6", "constant:8", "mine.py:held"]
+    columns = [[float(row["joint_angle_deg"]) for row in rows if row["law"] == law] for law in ("eq6", "mine.py:held")]
+    assert columns[0] != columns[1]
+    assert printed["laws"][laws[2]] == printed["laws"]["constant:8"]  # the law that the file imitates
+    assert plot.stat().st_size > 10_000
+
+
+def test_each_law_of_several_is_the_one_alone(tmp_path, capsys):
+    simulate("--law", "eq6", "constant:8", "--duration", "1", "--out", str(tmp_path / "both.csv"), "--json")
+    both = json.loads(capsys.readouterr().out)
+    with (tmp_path / "both.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    for law in ("eq6", "constant:8"):
+        simulate("--law", law, "--duration", "1", "--out", str(tmp_path / "one.csv"), "--json")
+        alone = json.loads(capsys.readouterr().out)
+        assert both["laws"][law] == {"failure": alone["failure"], "metrics": alone["metrics"]}
+        assert both["scenario"] == alone["scenario"]
+        with (tmp_path / "one.csv").open(newline="") as file:
+            assert [{**row, "law": law} for row in csv.DictReader(file)] == [row for row in rows if row["law"] == law]
+
+
+def test_several_laws_are_printed_side_by_side(capsys):
+    simulate("--law", "constant:6", "constant:8", "--duration", "1")
+    head, _, cost, *_ = capsys.readouterr().out.splitlines()[1:]
+    assert head.split() == ["metric", "constant:6", "constant:8", "unit"]
+    assert cost.split()[0] == "cost" and len(cost.split()) == 3
 
 
 @pytest.mark.parametrize(

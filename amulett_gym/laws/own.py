@@ -1,0 +1,96 @@
+"""Laws from a Python file, by ``mylaw.py:function``: loading one runs the file.
+
+So a file is loaded only where the user names it, as a command's word or in Python; no bundle, recipe or note does.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import sys
+import traceback
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.laws.contenders import Own, python_file
+
+
+def load_own(name: str) -> Own:
+    """Run a Python file and make a contender of one of its functions.
+
+    Parameters
+    ----------
+    name : str
+        ``path/mylaw.py:function``. The function (or any callable object) takes observations, a float32 array of shape
+        (N, 13), see `envs.transition.OBSERVATIONS`, and returns N actions in [-1, 1], shape (N,) or (N, 1). Index with
+        ``observations[:, 0]``; `N` is 1 where a single arm moves. A method or attribute ``reset`` is called with N
+        before an episode. An attribute ``env_keywords`` holds what the environment needs, such as
+        ``{"agent_period": 0.1}``.
+
+    Returns
+    -------
+    Own
+
+    Raises
+    ------
+    AmulettError
+        If the file cannot be read or run, or it holds no such function of one argument.
+    """
+    path = python_file(name)
+    function_name = name.rpartition(":")[2]
+    if path is None or not function_name:
+        raise AmulettError(f"'{name}' names no function of a Python file; write mylaw.py:function")
+    module = _run(path)
+    functions = {key: value for key, value in vars(module).items() if callable(value) and not key.startswith("_")}
+    if function_name not in functions:
+        raise unknown(f"function of '{path}'", function_name, functions)
+    function = functions[function_name]
+    try:
+        signature = inspect.signature(function)
+        signature.bind(None)
+    except TypeError as error:
+        raise AmulettError(
+            f"'{name}' takes {signature}; it has to take one argument, the observations, and return actions"
+        ) from error
+    except ValueError:  # some built-in callables do not say what they take
+        pass
+
+    def act(observations: Any) -> Any:
+        try:
+            return function(observations)
+        except Exception as error:
+            raise _failed(name, path, error) from error
+
+    if callable(reset := getattr(function, "reset", None)):
+        act.reset = reset  # type: ignore[attr-defined]
+    return Own(name, dict(getattr(function, "env_keywords", {})), act=act)
+
+
+def _run(path: Path) -> ModuleType:
+    """Run a file as a module of its own; it may import its neighbours."""
+    if not path.is_file():
+        raise AmulettError(f"cannot read Python file '{path}': there is no such file")
+    spec = importlib.util.spec_from_file_location(f"amulett_own_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise AmulettError(f"cannot read Python file '{path}'")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses look their module up
+    sys.path.insert(0, str(path.resolve().parent))
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise _failed(str(path), path, error) from error
+    finally:
+        sys.path.remove(str(path.resolve().parent))
+    return module
+
+
+def _failed(name: str, path: Path, error: BaseException) -> AmulettError:
+    """Say what a file's code raised, and in which of its lines."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path]
+    if isinstance(error, SyntaxError) and not lines:
+        lines = [error.lineno]
+    where = f" in line {lines[-1]}" if lines else ""
+    return AmulettError(f"'{name}' raised {type(error).__name__}{where}: {error}")
