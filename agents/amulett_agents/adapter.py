@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -16,6 +18,9 @@ from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError, unknown
 
 Indices = None | int | Iterable[int]
+
+_OF_VECTORS = ("num_envs", "threads", "vectorization_mode")
+"""Keywords of a vector environment that its single environment does not have."""
 
 
 def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywords: Any) -> SB3VecEnv:
@@ -102,7 +107,15 @@ class SB3VecEnv(VecEnv):
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Take one step with all devices; see :class:`SB3VecEnv` for the infos."""
+        """Take one step with all devices; see :class:`SB3VecEnv` for the infos.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there was no `reset` of the adapter yet; one of its `venv` is none.
+        """
+        if not self._terms:
+            raise gym.error.ResetNeeded("call reset() before step()")
         observations, rewards, terminated, truncated, info = self.venv.step(self._actions)
         for name, term in info["reward_terms"].items():
             self._terms[name] += term
@@ -121,7 +134,7 @@ class SB3VecEnv(VecEnv):
             observations[finished] = self._begin(finished)
         return observations, rewards.astype(np.float32), dones, infos
 
-    def stagger(self, action: float, steps: int) -> NDArray[np.float32]:
+    def stagger(self, action: float, steps: int, watch: Callable[[], object] = int) -> NDArray[np.float32]:
         """Begin the devices' next episodes one after the other.
 
         Episodes that begin together go on together: whoever learns from a short rollout then sees one part of them,
@@ -133,6 +146,8 @@ class SB3VecEnv(VecEnv):
             That all devices hold for `steps` steps; so each episode that has begun by then began with it.
         steps : int
             Over which the beginnings are spread evenly: the length of an episode.
+        watch : callable
+            Called after each step, to show progress.
 
         Returns
         -------
@@ -148,6 +163,7 @@ class SB3VecEnv(VecEnv):
             due = np.flatnonzero((begins == step) & ~dones)
             if due.size:
                 observations[due] = self._begin(due)
+            watch()
         return observations
 
     def get_state(self) -> dict[str, Any]:
@@ -183,11 +199,20 @@ class SB3VecEnv(VecEnv):
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of the vector environment once for each of the devices, which share it."""
-        if attr_name == "render_mode":
-            return [self.venv.render_mode for _ in self._get_indices(indices)]
-        value = getattr(self.venv, attr_name)
-        return [value for _ in self._get_indices(indices)]
+        """Return an attribute of each device, as its single environment has it; most are shared by all."""
+        devices = list(self._get_indices(indices))
+        if attr_name == "scenario":
+            scenarios = self.venv.scenarios
+            return [scenarios[device] for device in devices]
+        if attr_name in ("observation_space", "action_space"):
+            value = getattr(self.venv, f"single_{attr_name}")
+        elif attr_name == "metadata":
+            value = {key: entry for key, entry in self.venv.metadata.items() if key != "autoreset_mode"}
+        elif attr_name == "spec":
+            value = _single_spec(self.venv.spec)
+        else:
+            value = getattr(self.venv, attr_name)
+        return [value] * len(devices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute of the vector environment; the devices share it, so it cannot be set for some of them."""
@@ -196,7 +221,9 @@ class SB3VecEnv(VecEnv):
         setattr(self.venv, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Refuse: devices of a native vector environment have no methods of their own."""
+        """Call ``get_wrapper_attr``; refuse others: devices of a native vector environment have no methods."""
+        if method_name == "get_wrapper_attr":
+            return self.get_attr(str(args[0]), indices)
         raise AmulettError(
             f"'{method_name}' cannot be called on single devices of a native vector environment; "
             "call it on `.venv`, or use SB3's DummyVecEnv of single environments"
@@ -205,7 +232,7 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
-        """Tell that no device is wrapped."""
+        """Return False for each device: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
     def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -234,6 +261,15 @@ class SB3VecEnv(VecEnv):
         if any(set(options) != {"scenario"} for options in given) or len(given) != self.num_envs:
             raise AmulettError("set_options has to give every device a 'scenario' and nothing else, or nothing at all")
         return {"scenario": [options["scenario"] for options in given]}
+
+
+def _single_spec(spec: EnvSpec | None) -> EnvSpec | None:
+    """Return the spec that makes one device of a vector environment alone."""
+    if spec is None:
+        return None
+    kwargs = {key: value for key, value in spec.kwargs.items() if key not in _OF_VECTORS}
+    steps = kwargs.pop("max_episode_steps", spec.max_episode_steps)
+    return replace(gym.spec(spec.id), kwargs=kwargs, max_episode_steps=steps)
 
 
 def pick(info: dict[str, Any], devices: NDArray[np.int64]) -> list[dict[str, Any]]:
