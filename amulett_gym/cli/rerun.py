@@ -1,4 +1,4 @@
-"""`amulett rerun`: do again what filled a folder, and say whether the numbers are the same."""
+"""`amulett rerun`: run again what wrote a folder, and report whether the numbers are the same."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from amulett_gym.errors import AmulettError
 if TYPE_CHECKING:
     from amulett_gym.storage.provenance import Provenance
 
-HELP = "do again what filled a folder, in a new one, and say whether the numbers are the same"
+HELP = "run again what wrote a folder, into a new one, and report whether the numbers are the same"
 EXAMPLES = """  amulett rerun comparison --out comparison-again
   amulett rerun runs/first --out runs/first-again
   amulett rerun runs/first --out runs/first-again --json
@@ -36,7 +36,11 @@ _MOST_SHOWN = 10
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("folder", metavar="DIR", help="folder that train, evaluate, benchmark, tune or identify filled")
+    parser.add_argument(
+        "folder",
+        metavar="DIR",
+        help="folder that a command wrote (quickstart, train, tune, evaluate, benchmark, identify, reproduce)",
+    )
     parser.add_argument("--out", required=True, metavar="NEW", help="folder for what is done again")
     add_trust(parser)
     parser.add_argument(
@@ -48,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do it again; exit code 1 if a number is another one."""
+    """Run it again; exit code 1 if a number differs."""
     from amulett_gym.laws.contenders import python_file
     from amulett_gym.storage.provenance import read_provenance, software_changes
 
@@ -60,17 +64,17 @@ def run(arguments: argparse.Namespace) -> int:
     note = read_provenance(old)
     kind = note.kind or "train"
     if kind not in _KINDS:
-        raise AmulettError(f"'{arguments.folder}' was filled by '{kind}', which this version cannot do again")
+        raise AmulettError(f"'{arguments.folder}' was written by '{kind}', which this version cannot run again")
     if not arguments.trust_pickle and (note.config.get("trust_pickle") or "--trust-pickle" in (note.command or [])):
         raise AmulettError(
-            f"what filled '{arguments.folder}' opened zips of Stable-Baselines3, which are pickles and can run any "
-            "code of whoever made them; if you trust them, say so here, too: --trust-pickle"
+            f"the command behind '{arguments.folder}' opened zips of Stable-Baselines3: they are pickles, which run "
+            "any code of their maker; if you trust that, say so here, too: --trust-pickle"
         )
     files = [name for name in note.command or [] if python_file(name) is not None]
     files += [name for name in note.config.get("policies", []) if python_file(str(name)) is not None]
     if files and not arguments.trust_python:
         raise AmulettError(
-            f"what filled '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, say so here, too: "
+            f"the command behind '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, say so here, too: "
             "--trust-python"
         )
     again, read = _KINDS[kind]
@@ -131,11 +135,11 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
         print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
     if "profile" in note.config:  # as it was, whatever the file that described it says by now
         config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
-    start = old / training.START
+    start = old / "start"
     if start.is_dir():  # the bundle that it started from, as it was
         network = config.network.model_copy(update={"start": str(start.resolve())})
         config = config.model_copy(update={"network": network})
-    result = training.train(config, new, progress=sys.stderr.isatty(), command=note.command)
+    result = training.train(config, new, command=note.command)
     if result.interrupted:
         raise KeyboardInterrupt
 
@@ -171,6 +175,15 @@ def _compared(folder: Path) -> Numbers:
     rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
     policies = read_json(folder / "results.json", "a comparison's results", 40_000_000)["policies"]
     return {"policies": policies, "scenarios": {f"{row['policy']} {row['scenario']}": row for row in rows}}
+
+
+def _quickstart(folder: Path) -> Numbers:
+    """Return the numbers of a quickstart: of its training run, and of the comparison, whatever the folder's name is."""
+    trained, compared = _trained(folder / "ppo"), _compared(folder)
+    own = next((name for name in compared["policies"] if Path(name).name == "ppo"), "ppo")
+    scenarios = {key.replace(own, "ppo"): {**row, "policy": ""} for key, row in compared["scenarios"].items()}
+    policies = {name.replace(own, "ppo"): numbers for name, numbers in compared["policies"].items()}
+    return {**trained, "policies": policies, "scenarios": scenarios}
 
 
 def _command_again(note: Provenance, old: Path, new: Path) -> None:
@@ -211,9 +224,11 @@ def _reader(pattern: str) -> Callable[[Path], Numbers]:
 _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], Numbers]]] = {
     "train": (_train_again, _trained),
     "evaluate": (_evaluate_again, _compared),
+    "quickstart": (_command_again, _quickstart),
     "identify": (_command_again, _reader("identification.json")),
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),
+    "reproduce": (_command_again, _reader("reproduction.json")),
 }
 
 

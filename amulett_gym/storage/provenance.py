@@ -1,6 +1,6 @@
 """Where numbers come from: the command, its resolved configuration, versions, git revision and seeds.
 
-A command that fills a folder leaves them there in ``command.json``; `amulett rerun` reads it.
+A command that writes a folder describes itself there in ``command.json``, which `amulett rerun` reads.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.writing import write_json
 
 COMMAND = "command.json"
-"""File by which a folder tells what filled it."""
+"""File that describes the command that wrote a folder."""
 
 FORMAT = 1
 """Version of that file's format."""
@@ -62,7 +62,7 @@ def machine() -> str:
 def write_provenance(
     folder: str | Path, kind: str, config: Mapping[str, Any], seeds: Sequence[int], command: Sequence[str] | None = None
 ) -> None:
-    """Leave a note in a folder of what fills it.
+    """Write a description of the command that writes a folder into it.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def write_provenance(
 
 
 def read_provenance(folder: str | Path) -> Provenance:
-    """Read what filled a folder.
+    """Read the description of the command that wrote a folder.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def read_provenance(folder: str | Path) -> Provenance:
     """
     path = user_path(folder) / COMMAND
     if not path.is_file():
-        raise AmulettError(f"'{folder}' does not say what filled it: there is no {COMMAND}")
+        raise AmulettError(f"'{folder}' was not written by a command that can be run again: there is no {COMMAND}")
     content = read_json(path, "note of a command", limit=1_000_000)
     found = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
     if isinstance(found, int) and found != FORMAT:
@@ -166,7 +166,7 @@ def differences(old: Any, new: Any, name: str = "") -> list[str]:
 
 
 def software_changes(note: Provenance) -> list[str]:
-    """Return in words what of the software is another one than when a folder was filled."""
+    """Return in words what of the software is another one than when a folder was written."""
     return differences(
         {**note.versions, "git revision": note.git_revision}, {**versions(), "git revision": git_revision()}
     )

@@ -1,4 +1,4 @@
-"""`amulett rerun`: a folder says what filled it, so that the same can be done again and gives the same numbers."""
+"""`amulett rerun`: a folder describes the command that wrote it, so that it can run again and give the same numbers."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_another_number_is_noticed_and_other_software_is_told(comparison, tmp_pa
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "format-disk"}, "this version cannot do again"),
+        ({"kind": "format-disk"}, "this version cannot run again"),
         (
             {"kind": "identify", "command": ["amulett", "train", "--out", "x"]},
             "is not finished|no command of 'identify'",
