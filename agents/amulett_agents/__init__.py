@@ -10,8 +10,9 @@ if TYPE_CHECKING:
     from amulett_agents.adapter import SB3VecEnv, make_sb3_env
     from amulett_agents.bundles import save_policy
     from amulett_agents.config import TrainConfig, load_train_config
+    from amulett_agents.run_folder import TrainResult
     from amulett_agents.sb3_zip import load_sb3_zip
-    from amulett_agents.training import TrainResult, resume, train
+    from amulett_agents.training import resume, train
 
 __all__ = [
     "SB3VecEnv",
@@ -28,7 +29,7 @@ __all__ = [
 _MODULES = {
     "SB3VecEnv": "adapter",
     "TrainConfig": "config",
-    "TrainResult": "training",
+    "TrainResult": "run_folder",
     "load_sb3_zip": "sb3_zip",
     "load_train_config": "config",
     "make_sb3_env": "adapter",

@@ -22,7 +22,7 @@ from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.bundle import Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.laws.bundle import MAX_WEIGHT, Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.storage.provenance import git_revision, versions
 
@@ -61,6 +61,14 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
     activation: Literal["tanh", "relu"] = "tanh" if names[kind] == "tanh" else "relu"
     return layers, Network(layers=sizes, activation=activation, output="tanh" if squashes else "clip")
+
+
+def has_diverged(model: BaseAlgorithm) -> bool:
+    """Return whether a model has a weight that is not finite, or its policy one that is too large for a bundle."""
+    if not all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters()):
+        return True
+    layers, _ = extract_network(model.policy)
+    return any(np.abs(values).max() > MAX_WEIGHT for layer in layers for values in layer)
 
 
 def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[str, Any] | None = None) -> Path:

@@ -18,6 +18,10 @@ from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 from amulett_gym.tasks.suites import suite_names
 
 
+class RecipeError(AmulettError):
+    """A recipe whose values are valid one by one, but not for its environment or its networks."""
+
+
 class EnvSettings(Group):
     """The environment that is trained in."""
 

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
-import torch
-from numpy.typing import NDArray
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -31,7 +27,7 @@ from amulett_gym.laws.contenders import bundle_folder
 Model = PPO | SAC
 
 
-def make_model(config: TrainConfig, resumed: bool = False) -> Model:
+def make_model(config: TrainConfig, resumed: bool = False, progress: bool = False) -> Model:
     """Make a recipe's learner and its training environment.
 
     Parameters
@@ -39,6 +35,8 @@ def make_model(config: TrainConfig, resumed: bool = False) -> Model:
     config : TrainConfig
     resumed : bool
         Its weights are about to be those of a checkpoint: `network.start`, which may be gone by now, is not read.
+    progress : bool
+        Show progress on stderr while inputs are measured and, at the first rollout, devices are staggered.
 
     Returns
     -------
@@ -58,7 +56,7 @@ def make_model(config: TrainConfig, resumed: bool = False) -> Model:
     tension = config.network.initial_tension
     first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
     devices = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
-    env: VecEnv = Staggered(devices, first_action, steps) if config.staggered else devices
+    env: VecEnv = Staggered(devices, first_action, steps, progress) if config.staggered else devices
     env = ActorView(env, (low, high), config.network.features, settings.share)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
@@ -66,7 +64,7 @@ def make_model(config: TrainConfig, resumed: bool = False) -> Model:
     inputs = None
     if config.network.standard_inputs:
         shown = (low, high) if config.network.features else None
-        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown)
+        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown, progress)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
         start_from(model, read_bundle(_start_folder(config.network.start)))
@@ -93,23 +91,3 @@ def callbacks(config: TrainConfig) -> list[BaseCallback]:
     fading = [] if ppo.final_std is None else [FadingExploration(ppo.initial_std, ppo.final_std)]
     first = [CriticFirst(ppo.critic_steps)] if ppo.critic_steps else []
     return [ValuesAtTimeLimits(), *fading, *first]
-
-
-def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:
-    """Return the mean standard deviation of a model's exploration, before SAC's tanh, at some observations."""
-    with torch.no_grad():
-        if isinstance(model, PPO):
-            return float(model.policy.log_std.exp().mean())
-        seen = torch.as_tensor(observations, dtype=torch.float32)
-        return float(model.policy.actor.get_action_dist_params(seen)[1].exp().mean())
-
-
-def make_validation_env(config: TrainConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Make the environment in which policies are compared during training: scenarios that are not trained on."""
-    return gym.make_vec(
-        config.env.id,
-        num_envs=config.validation.episodes,
-        split="validation",
-        max_episode_steps=config.env.max_episode_steps,
-        **config.env.keywords(),
-    )

@@ -16,6 +16,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor, create_mlp
 
 from amulett_agents.config import NetworkSettings
 from amulett_gym.laws.features import with_features
+from amulett_gym.reporting.progress import Progress
 
 ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
 
@@ -46,6 +47,7 @@ def look_at_inputs(
     first_action: float,
     history: int,
     tension_range: tuple[float, float] | None = None,
+    progress: bool = False,
 ) -> Inputs:
     """Return what observations are like under a first policy, a constant tension.
 
@@ -65,11 +67,16 @@ def look_at_inputs(
         Observations that the policy sees; all of them are like the last one.
     tension_range : (float, float), optional
         Tensions at action -1 and +1 [N], for networks that see features, too.
+    progress : bool
+        Show progress on stderr.
     """
     env = gym.make_vec(env_id, num_envs=EPISODES, split="train", max_episode_steps=steps, **keywords)
     seen = [env.reset(seed=SEED)[0]]
     actions = np.full((EPISODES, 1), first_action, dtype=np.float32)
-    seen += [env.step(actions)[0] for _ in range(steps - 1)]
+    with Progress(steps - 1, "measuring the inputs", "steps", progress) as bar:
+        for _ in range(steps - 1):
+            seen.append(env.step(actions)[0])
+            bar.update()
     env.close()
     shown = np.concatenate(seen).astype(np.float64)
     if tension_range is not None:

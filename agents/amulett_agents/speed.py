@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import callbacks, make_model
-from amulett_agents.training import evaluate, torch_threads, warm_up
+from amulett_agents.validation import evaluate, torch_threads, warm_up
 from amulett_gym.envs.action import tension_to_action
 
 TURNS = 9

@@ -27,8 +27,9 @@ import optuna
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import Field, ValidationError, model_validator
 
-from amulett_agents.config import TrainConfig
-from amulett_agents.training import RUN_MARKS, TrainResult, resume, train
+from amulett_agents.config import RecipeError, TrainConfig
+from amulett_agents.run_folder import CONFIG, TrainResult
+from amulett_agents.training import resume, train
 from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.storage.lock import locked_folder
@@ -98,7 +99,7 @@ class Trial:
     costs : list of float
         Lowest validation cost of the run with each seed; none if it failed.
     error : str
-        Why the recipe was refused, or an empty string.
+        Why it failed: the recipe was refused, or a run diverged; else an empty string.
     """
 
     number: int
@@ -277,12 +278,17 @@ def _run(
             return Trial(number, dict(changes), [], str(describe(error, TrainConfig, "recipe")))
         run = folder / str(recipe.seed)
         result: TrainResult
-        if (run / RUN_MARKS[0]).is_file():
+        if (run / CONFIG).is_file():
             result = resume(run, progress=progress)
         else:  # nothing, or a folder that a process was killed in before it had said what it is
-            result = train(recipe, run, progress=progress)
+            try:
+                result = train(recipe, run, progress=progress)
+            except RecipeError as error:
+                return Trial(number, dict(changes), [], str(error))
         if result.interrupted:
             return None
+        if result.diverged is not None:
+            return Trial(number, dict(changes), [], f"diverged after {result.diverged:,} steps, seed {recipe.seed}")
         costs.append(result.best_cost)
     return Trial(number, dict(changes), costs)
 

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from amulett_agents.adapter import SB3VecEnv
 from amulett_gym.laws.actor import follow
 from amulett_gym.laws.features import FEATURES, with_features
+from amulett_gym.reporting.progress import Progress
 
 
 class Staggered(VecEnvWrapper):
@@ -21,19 +22,22 @@ class Staggered(VecEnvWrapper):
     ----------
     venv : SB3VecEnv
     action : float
-        That all devices hold for the first `steps` steps of a run, which nobody learns from.
+        That all devices hold for the first `steps` steps of a run, which are not learned from.
     steps : int
         Length of an episode.
+    progress : bool
+        Show progress on stderr at a reset.
     """
 
-    def __init__(self, venv: SB3VecEnv, action: float, steps: int) -> None:
+    def __init__(self, venv: SB3VecEnv, action: float, steps: int, progress: bool = False) -> None:
         super().__init__(venv)
-        self._adapter, self._action, self._steps = venv, action, steps
+        self._adapter, self._action, self._steps, self._progress = venv, action, steps, progress
 
     def reset(self) -> Any:
         """Start anew with all devices."""
         self._adapter.reset()
-        return self._adapter.stagger(self._action, self._steps)
+        with Progress(self._steps, "starting the devices", "steps", self._progress) as bar:
+            return self._adapter.stagger(self._action, self._steps, bar.update)
 
     def step_wait(self) -> Any:
         """Take one step with all devices."""

@@ -132,7 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 success, 1 a check failed, 2 wrong input, 130 interrupted, 141 the reader of the output is gone.
+        Exit code: 0 success, 1 a check failed or training diverged, 2 wrong input, 130 interrupted, 141 the reader of
+        the output is gone.
     """
     try:
         return _run(argv)

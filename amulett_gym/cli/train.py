@@ -9,7 +9,10 @@ import sys
 from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 
-HELP = "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed"
+HELP = (
+    "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed; "
+    "exit code 1: training diverged, 130: interrupted"
+)
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
   amulett train --config configs/ppo.yaml --set env.suite=reach ppo.learning_rate=3e-4 --seed 1 --out runs/reach
   amulett train --config configs/sac.yaml --out runs/sac
@@ -44,7 +47,7 @@ def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train; exit code 130 if Ctrl-C or SIGTERM ended it (the policies are kept all the same)."""
+    """Train; exit code 130 if Ctrl-C or SIGTERM ended it, 1 if it diverged (the policies until then are kept)."""
     check_installed()
     import json
     from dataclasses import asdict
@@ -53,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.profile import load_profile
 
     finished = False
-    progress = sys.stderr.isatty()
+    progress = not arguments.json
     if arguments.resume is not None:
         _check_alone(arguments)
         training = load_learning("training")
@@ -76,6 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
         if result.interrupted:
             print("interrupted; what was learned until then is kept. Go on with:")
             print(f"       amulett train --resume {shlex.quote(str(result.out))}")
+        if result.diverged is not None:
+            print(f"diverged after {result.diverged:,} steps: weights are not finite or too large; the policies until")
+            print("       then are kept. A lower learning rate may help")
         if finished:
             print("this run is finished; there is nothing to resume")
         print(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
@@ -83,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"       {result.best}")
         print(f"last   cost {result.last_cost:.4f}")
         print(f"       {result.last}")
-    return 130 if result.interrupted else 0
+    return 130 if result.interrupted else 0 if result.diverged is None else 1
 
 
 def _check_alone(arguments: argparse.Namespace) -> None:

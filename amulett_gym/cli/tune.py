@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     def tell(trial: Any, best: Any) -> None:
         if not arguments.json:
-            cost = f"cost {trial.cost:.4f}" if trial.costs else f"refused: {trial.error}"
+            cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
             print(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}", flush=True)
 
     trials = tuning.tune(
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         seeds=arguments.seeds,
         command=["amulett", *sys.argv[1:]],
-        progress=sys.stderr.isatty() and not arguments.json,
+        progress=not arguments.json,
         tell=tell,
     )
     if trials is None:
@@ -80,8 +80,8 @@ def _table(trials: list[Any], keys: list[str]) -> str:
         rows.append([str(trial.number), f"{trial.cost:.4f}", *(_short(trial.changes[key]) for key in keys)])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    refused = len(trials) - len(judged)
-    return "\n".join([*lines, *([f"{refused} of {len(trials)} recipes were refused"] if refused else [])])
+    failed = len(trials) - len(judged)
+    return "\n".join([*lines, *([f"{failed} of {len(trials)} trials failed"] if failed else [])])
 
 
 def _short(value: Any) -> str:

@@ -34,12 +34,19 @@ class Progress:
     unit : str
     show : bool
         False shows nothing.
+    done : int
+        Units that were done earlier; the estimate is of the rest.
+
+    Attributes
+    ----------
+    done : int
     """
 
-    def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True) -> None:
+    def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True, done: int = 0) -> None:
         terminal = show and sys.stderr.isatty()
         self._bar = tqdm(
             total=total,
+            initial=done,
             desc=what,
             unit=f" {unit}",
             unit_scale=(total or 0) >= _LARGE,
@@ -48,17 +55,19 @@ class Progress:
             dynamic_ncols=True,
             disable=not terminal,
         )
-        self._total, self._what, self._unit, self._done = total, what, unit, 0
+        self._total, self._what, self._unit, self.done, self._before = total, what, unit, done, done
         self._started = time.monotonic()
         self._due = self._started + FIRST if show and not terminal else float("inf")
 
     def update(self, count: int = 1, note: str = "") -> None:
         """Add `count` units to what is done; `note` says what was done last."""
-        self._done += count
+        self.done += count
         if note:
             self._bar.set_postfix_str(note[-40:], refresh=False)
         self._bar.update(count)
         now = time.monotonic()
+        if note and not count and now - self._started >= FIRST:
+            self._bar.refresh()
         if now >= self._due:
             self._due = now + BETWEEN
             print(self._line(now - self._started, note), file=sys.stderr, flush=True)
@@ -70,10 +79,10 @@ class Progress:
 
     def _line(self, passed: float, note: str) -> str:
         unit, ending = f" {self._unit}" if self._unit else "", f": {note}" if note else ""
-        if self._total is None or not self._done:
-            return f"{self._what}: {self._done:,}{unit}, {passed:.0f} s{ending}"
-        left = passed * max(self._total - self._done, 0) / self._done
-        share = f"{self._done:,} of {self._total:,}{unit} ({100 * self._done / self._total:.0f} %)"
+        if self._total is None or self.done == self._before:
+            return f"{self._what}: {self.done:,}{unit}, {passed:.0f} s{ending}"
+        left = passed * max(self._total - self.done, 0) / (self.done - self._before)
+        share = f"{self.done:,} of {self._total:,}{unit} ({100 * self.done / self._total:.0f} %)"
         return f"{self._what}: {share} in {passed:.0f} s, about {left:.0f} s left{ending}"
 
     def __enter__(self) -> Self:

@@ -24,7 +24,8 @@ from stable_baselines3 import PPO, SAC  # noqa: E402
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.logger import Logger  # noqa: E402
 
-from amulett_agents import load_train_config, resume, train, training  # noqa: E402
+from amulett_agents import load_train_config, resume, run_folder, train  # noqa: E402
+from amulett_agents import run as module  # noqa: E402
 from amulett_agents.checkpoint import (  # noqa: E402
     ARRAYS,
     MANIFEST,
@@ -35,7 +36,8 @@ from amulett_agents.checkpoint import (  # noqa: E402
     restore,
 )
 from amulett_agents.model import make_model  # noqa: E402
-from amulett_agents.training import torch_threads  # noqa: E402
+from amulett_agents.run import Run  # noqa: E402
+from amulett_agents.validation import torch_threads  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
@@ -209,7 +211,7 @@ class Died(Exception):
 def broken_off(tmp_path, monkeypatch, request):
     """Return the folder of a run that stopped dead after its fifth checkpoint, before its fifth rollout."""
     changes = RECIPES[getattr(request, "param", "plain")]
-    write, written = training.write_checkpoint, []
+    write, written = module.write_checkpoint, []
 
     def write_and_die(*arguments):
         written.append(write(*arguments))
@@ -217,7 +219,7 @@ def broken_off(tmp_path, monkeypatch, request):
             raise Died
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, "write_checkpoint", write_and_die)
+        patch.setattr(module, "write_checkpoint", write_and_die)
         with pytest.raises(Died):
             train(recipe(changes), tmp_path / "run", progress=False, command=["amulett", "train"])
     return tmp_path / "run"
@@ -278,7 +280,7 @@ def test_killed_before_it_wrote_its_command_a_run_still_tells_what_it_is(uninter
         raise Died
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Died):
-        patch.setattr(training, "write_provenance", dies)
+        patch.setattr(run_folder, "write_provenance", dies)
         train(recipe(), out, progress=False)
     assert (out / "config.yaml").is_file() and not (out / "command.json").exists()
     resume(out, progress=False)
@@ -306,7 +308,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one_whole(uninterru
 
     with monkeypatch.context() as patch:
         patch.setattr("amulett_agents.checkpoint.shutil.copytree", full)
-        patch.setattr(training, "put_back", lambda *arguments: None)
+        patch.setattr(module, "put_back", lambda *arguments: None)
         with pytest.raises(AmulettError, match="cannot write checkpoint .*: No space left on device"):
             resume(broken_off, progress=False)
     assert newest_checkpoint(broken_off).folder == before
@@ -440,7 +442,7 @@ def test_where_files_cannot_be_locked_the_owner_is_looked_for(tmp_path, monkeypa
 
 
 def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monkeypatch, faults):
-    out, write = tmp_path / "run", training.write_checkpoint
+    out, write = tmp_path / "run", module.write_checkpoint
     written = []
 
     def write_and_lose(*arguments):
@@ -448,7 +450,7 @@ def test_a_run_whose_folder_vanishes_says_so_and_makes_no_new_one(tmp_path, monk
         if len(written) == 3:
             out.rename(tmp_path / "elsewhere")
 
-    monkeypatch.setattr(training, "write_checkpoint", write_and_lose)
+    monkeypatch.setattr(module, "write_checkpoint", write_and_lose)
     with pytest.raises(AmulettError, match="the run's folder .* has vanished"):
         train(recipe(), out, progress=False)
     assert not out.exists()
@@ -541,7 +543,7 @@ def test_a_changed_profile_is_refused(tmp_path, monkeypatch):
         raise Died
 
     with monkeypatch.context() as patch:
-        patch.setattr(training._Run, "_validate", die)
+        patch.setattr(Run, "_validate", die)
         with pytest.raises(Died):
             train(recipe([f"env.profile={profile}"]), tmp_path / "run", progress=False)
     profile.write_text("base: testbed\nloop: {offset_deg: 26.0}\n")

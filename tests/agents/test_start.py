@@ -8,10 +8,10 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from amulett_agents import training  # noqa: E402
 from amulett_agents.bundles import describe_policy, save_policy, start_from  # noqa: E402
 from amulett_agents.config import load_train_config  # noqa: E402
 from amulett_agents.model import callbacks, make_model  # noqa: E402
+from amulett_agents.run import Run  # noqa: E402
 from amulett_agents.training import resume, train  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.envs.transition import OBSERVATIONS  # noqa: E402
@@ -48,7 +48,7 @@ def bundle_of(folder, *changes):
 
 def stopping_at(steps):
     """Return a run's method that stops it, as a signal does, once it has taken so many steps."""
-    original = training._Run._on_rollout_end
+    original = Run._on_rollout_end
 
     def stop(self):
         original(self)
@@ -145,7 +145,7 @@ def test_a_run_is_resumed_without_the_bundle_that_it_began_as(tmp_path):
         run = tmp_path / name
         with pytest.MonkeyPatch.context() as patch:
             if limit is not None:
-                patch.setattr(training._Run, "_on_rollout_end", stopping_at(limit))
+                patch.setattr(Run, "_on_rollout_end", stopping_at(limit))
             train(config, run, progress=False)
         if limit is not None:
             shutil.rmtree(tmp_path / "bundle")

@@ -24,9 +24,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
-from amulett_agents.model import make_model, make_validation_env  # noqa: E402
+from amulett_agents.model import make_model  # noqa: E402
+from amulett_agents.run_folder import COLUMNS  # noqa: E402
 from amulett_agents.time_limit import ValuesAtTimeLimits  # noqa: E402
-from amulett_agents.training import COLUMNS, evaluate, torch_threads  # noqa: E402
+from amulett_agents.validation import evaluate, make_validation_env, torch_threads  # noqa: E402
 from amulett_gym import learning  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
@@ -203,6 +204,35 @@ def test_the_adapter_replays_scenarios_given_by_set_options():
     env.set_options({"speed": 2})
     with pytest.raises(AmulettError, match="scenario"):
         env.reset()
+
+
+def test_attributes_are_those_of_sb3s_own_vector_of_single_environments():
+    keywords = {"suite": "reach", "agent_period": 0.05, "max_episode_steps": 40}
+    ours = make_sb3_env(SCALING, num_envs=2, threads=2, **keywords)
+    theirs = make_vec_env(SCALING, n_envs=2, env_kwargs=keywords, vec_env_cls=DummyVecEnv)
+    ours.seed(3)
+    theirs.seed(3)
+    ours.reset()
+    theirs.reset()
+    names = ("observation_space", "action_space", "scenario", "profile", "tension_range")
+    for name in names:
+        assert ours.get_attr(name) == theirs.get_attr(name), name
+        assert ours.env_method("get_wrapper_attr", name) == theirs.get_attr(name)
+    assert ours.get_attr("scenario", 1) == theirs.get_attr("scenario", 1)
+    assert ours.get_attr("metadata") == [{"render_modes": ["rgb_array"], "render_fps": 20}] * 2  # no window for many
+    mine, single = ours.get_attr("spec")[0], theirs.get_attr("spec")[0]
+    assert (mine.id, mine.max_episode_steps, mine.kwargs) == (single.id, 40, {"suite": "reach", "agent_period": 0.05})
+    assert gym.make(mine).unwrapped.observation_space == ours.get_attr("observation_space")[0]
+
+
+def test_a_step_before_the_adapters_own_reset_is_refused():
+    env = make_sb3_env(num_envs=2)
+    for _ in range(2):
+        with pytest.raises(gym.error.ResetNeeded, match=r"call reset\(\) before step\(\)"):
+            env.step(np.zeros((2, 1)))
+        env.venv.reset(seed=0)  # the adapter's sums have not begun yet
+    env.reset()
+    env.step(np.zeros((2, 1)))
 
 
 def test_attributes_are_shared_and_devices_have_no_methods():
@@ -514,7 +544,7 @@ def test_the_time_limit_begins_when_the_kernel_is_compiled(tmp_path, monkeypatch
     clock = iter(range(10_000_000))
     config = load_train_config(None, [*SMALL, "total_steps=64", "max_seconds=1000000"])
     monkeypatch.setattr("amulett_agents.training.warm_up", lambda _: [next(clock) for _ in range(5_000_000)])
-    monkeypatch.setattr("amulett_agents.training.time.monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr("amulett_agents.run.time.monotonic", lambda: float(next(clock)))
     assert train(config, tmp_path / "run", progress=False).steps == 512
 
 
@@ -580,7 +610,7 @@ def test_ctrl_c_ends_the_command_in_good_order(tmp_path):
 def test_sac_is_trained_logged_and_kept_like_ppo(tmp_path, monkeypatch):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    monkeypatch.setattr("amulett_agents.training._LOG_EVERY", 500)
+    monkeypatch.setattr("amulett_agents.run._LOG_EVERY", 500)
     changes = ["algorithm=sac", "sac.learning_starts=400", "sac.gradient_steps=1", "sac.batch_size=64"]
     config = load_train_config(None, [*SMALL, *changes, "network.initial_tension=7"])
     result = train(config, tmp_path / "run", progress=False)
@@ -626,20 +656,15 @@ def test_a_model_leaves_no_folder_behind(tmp_path, monkeypatch):
 
 def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path):
     out = tmp_path / "quick"
-    words = [
-        sys.executable,
-        "-m",
-        "amulett_gym",
-        "quickstart",
-        "--seconds",
-        "0.5",
-        "--episodes",
-        "2",
-        "--out",
-        str(out),
-    ]
+    words = [sys.executable, "-m", "amulett_gym", "quickstart"]
+    words += ["--seconds", "0.5", "--episodes", "2", "--out", str(out)]
     first = subprocess.run([*words, "--json"], capture_output=True, text=True, check=True)
-    assert first.stderr == ""
+    assert "training" not in first.stderr  # progress is not shown beside JSON
+    steps = json.loads((out / "ppo" / "finished.json").read_text())["steps"]
+    remarks = json.loads((out / "results.json").read_text())["remarks"]
+    assert f"the policy was trained for {steps:,} steps; the full recipe (amulett train) takes 5,000,000" in remarks
+    assert any(remark.startswith("the best constant on these scenarios is") for remark in remarks)
+    assert f"{steps:,} steps" in (out / "report.html").read_text()
     assert set(LAWS) | {str(out / "ppo")} == set(json.loads(first.stdout)["policies"])
     laws = {name for name in contender_names() if not name.endswith(">")}
     elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps")}
@@ -655,7 +680,7 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path)
 
 
 def test_ctrl_c_in_quickstart_says_what_is_kept(tmp_path):
-    words = [sys.executable, "-m", "amulett_gym", "quickstart", "--seconds", "600", "--out", str(tmp_path)]
+    words = [sys.executable, "-m", "amulett_gym", "quickstart", "--out", str(tmp_path)]
     process = interruptible(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     while process.poll() is None and not (tmp_path / "ppo" / "evaluations.csv").is_file():
         time.sleep(0.05)

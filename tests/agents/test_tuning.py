@@ -16,8 +16,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("optuna")
 
 from amulett_agents import load_train_config  # noqa: E402
-from amulett_agents.training import torch_threads  # noqa: E402
 from amulett_agents.tuning import Trial, _propose, best_of, load_space, tune  # noqa: E402
+from amulett_agents.validation import torch_threads  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.storage.lock import locked_folder  # noqa: E402

@@ -14,7 +14,7 @@ from amulett_agents import load_train_config, make_sb3_env, train
 from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.bundles import describe_policy
 from amulett_agents.model import make_model
-from amulett_agents.training import torch_threads
+from amulett_agents.validation import torch_threads
 from amulett_agents.wrappers import ActorView, Staggered
 from amulett_gym import ENV_IDS
 from amulett_gym.laws.actor import Actor

@@ -1,0 +1,231 @@
+"""A callback that accompanies a training run: validations, kept policies, checkpoints, logs, progress, time limit."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.callbacks import BaseCallback
+
+from amulett_agents.bundles import has_diverged, save_policy
+from amulett_agents.checkpoint import BUNDLES, Checkpoint, RunState, restore, write_checkpoint
+from amulett_agents.config import TrainConfig
+from amulett_agents.model import Model
+from amulett_agents.run_folder import CONFIG, TrainResult, put_back, write_validations
+from amulett_agents.validation import evaluate
+from amulett_gym.envs.reward import TERMS
+from amulett_gym.errors import AmulettError
+from amulett_gym.reporting.progress import Progress
+from amulett_gym.storage.writing import atomic_path
+
+_LOG_EVERY = 16_384
+"""Steps between two entries of SAC's log. PPO logs every rollout."""
+
+
+class Stopped(Exception):
+    """Raised at the start of a rollout, to end a run that was asked to stop or has diverged."""
+
+
+class Run(BaseCallback):
+    """Accompanies a run.
+
+    Parameters
+    ----------
+    config : TrainConfig
+    out : Path
+        Folder of the run.
+    validation : VectorEnv
+        See `validation.make_validation_env`.
+    command : sequence of str or None
+        The words that started the run.
+    progress : bool
+        Whether to show progress on stderr.
+    resumed : Checkpoint, optional
+        Where the run goes on.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        out: Path,
+        validation: gym.vector.VectorEnv[Any, Any, Any],
+        command: Sequence[str] | None,
+        progress: bool,
+        resumed: Checkpoint | None = None,
+    ) -> None:
+        super().__init__()
+        self.config, self.out, self.validation = config, out, validation
+        self.command = None if command is None else list(command)
+        self.resumed = resumed
+        self.stopping = False
+        self.interrupted = False
+        self.diverged: int | None = None
+        self._first = True
+        self._checkpointed = -math.inf
+        self._checkpointed_steps = -1
+        self._started = time.monotonic()
+        self._rollout_started = self._started
+        self._collected, self._collecting = 0, 0.0
+        self._rows: list[dict[str, float]] = []
+        self._best = 0
+        self._validated_steps = -1
+        self._next_validation = 0
+        self._episodes: deque[dict[str, float]] = deque(maxlen=config.num_envs)
+        self._progress: Progress | None = None
+        self._show = progress
+
+    def stop(self) -> bool:
+        """Ask the run to stop at its next rollout; return whether it was asked before."""
+        before, self.stopping = self.stopping, True
+        return before
+
+    def _on_rollout_start(self) -> None:
+        if self._first:
+            self._first = False
+            if self.resumed is None:
+                self._checkpoint()  # before anything is written that a run from its very beginning would not find
+            else:
+                self._restore(self.resumed)
+            total, what = self.config.total_steps, f"training, seed {self.config.seed}"
+            self._progress = Progress(total, what, "steps", self._show, done=self.num_timesteps)
+        elif has_diverged(self.model):
+            raise Stopped
+        if self.num_timesteps >= self._next_validation:
+            self._validate(self.model)
+            self._next_validation = self.num_timesteps + self.config.validation.every_steps
+        due = time.monotonic() - self._checkpointed >= self.config.checkpoint_seconds
+        if (due or self.stopping) and self.num_timesteps > self._checkpointed_steps:
+            self._checkpoint()
+        if self.stopping:
+            raise Stopped
+        self._note("acting")
+        self._rollout_started, self._rollout_steps = time.monotonic(), self.num_timesteps
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            if info:
+                self._episodes.append(info["episode_terms"])
+        limit = self.config.max_seconds
+        return limit is None or time.monotonic() - self._started < limit
+
+    def _on_rollout_end(self) -> None:
+        self.check_folder()
+        self._collecting += time.monotonic() - self._rollout_started
+        self._collected += self.num_timesteps - self._rollout_steps
+        is_sac = self.config.algorithm == "sac"
+        if is_sac and self.num_timesteps // _LOG_EVERY == self._rollout_steps // _LOG_EVERY:
+            return
+        self.logger.record("time/rollout_steps_per_second", self._collected / self._collecting)
+        self._collected, self._collecting = 0, 0.0
+        if self._episodes:
+            for term in TERMS:
+                self.logger.record(f"reward/{term}", float(np.mean([terms[term] for terms in self._episodes])))
+        if is_sac:
+            infos = self.model.ep_info_buffer or ()
+            for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
+                if infos:
+                    self.logger.record(f"rollout/{name}", float(np.mean([info[key] for info in infos])))
+            self.logger.dump(self.num_timesteps)
+        else:
+            self._note("learning")
+
+    def _note(self, phase: str) -> None:
+        """Show what the run does; its steps count at a rollout's start, when they have been learned from."""
+        if self._progress is None:
+            return
+        done = min(self.num_timesteps, self.config.total_steps) - self._progress.done if phase == "acting" else 0
+        costs = f", cost {self._rows[-1]['cost']:.3f} (best {self._rows[self._best]['cost']:.3f})" if self._rows else ""
+        self._progress.update(done, phase + costs)
+
+    def finish(self, model: Any) -> None:
+        """Judge and keep the last policy, unless it has diverged."""
+        if self.diverged is None and model.num_timesteps > self._validated_steps:
+            self._validate(model)
+            model.logger.dump(model.num_timesteps)
+        if self.diverged is None and self.config.checkpoint:
+            with atomic_path(self.out / "last_sb3.zip") as path:
+                model.save(path)
+        self.validation.close()
+        model.get_env().close()
+        model.logger.close()
+        if self._progress is not None:
+            self._progress.close()
+
+    def result(self) -> TrainResult:
+        """Return what the run left behind."""
+        best, last = self._rows[self._best], self._rows[-1]
+        return TrainResult(
+            out=self.out,
+            best=self.out / "best",
+            last=self.out / "last",
+            best_cost=best["cost"],
+            last_cost=last["cost"],
+            best_steps=int(best["steps"]),
+            steps=int(last["steps"]),
+            seconds=time.monotonic() - self._started,
+            interrupted=self.interrupted,
+            seed=self.config.seed,
+            diverged=self.diverged,
+        )
+
+    def _checkpoint(self) -> None:
+        state = RunState(
+            seconds=time.monotonic() - self._started,
+            rows=self._rows,
+            best=self._best,
+            validated_steps=self._validated_steps,
+            next_validation=self._next_validation,
+            episodes=list(self._episodes),
+        )
+        self.check_folder()
+        write_checkpoint(self.out, self.model, state, self.config.model_dump())  # type: ignore[arg-type]
+        self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
+
+    def check_folder(self) -> None:
+        """Refuse to write to a folder that was removed meanwhile: a new one would lack what was in it."""
+        if not (self.out / CONFIG).is_file():
+            raise AmulettError(f"the run's folder '{self.out}' has vanished, or its {CONFIG}; training stops")
+
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        """Go back to the checkpoint, and bring what the run has written back to it."""
+        restore(self.model, checkpoint)  # type: ignore[arg-type]
+        state = checkpoint.content.run
+        self.num_timesteps = self._checkpointed_steps = self.model.num_timesteps
+        self._started = time.monotonic() - state.seconds
+        self._checkpointed = time.monotonic()
+        self._rows, self._best = list(state.rows), state.best
+        self._validated_steps, self._next_validation = state.validated_steps, state.next_validation
+        self._episodes.extend(state.episodes)
+        for name in BUNDLES:
+            put_back(checkpoint.folder / name, self.out / name)
+        if self._rows:
+            write_validations(self.out, self._rows)
+
+    def _validate(self, model: Any) -> None:
+        self.check_folder()
+        scores = evaluate(model, self.validation, self.config.validation.seed, lambda: self._note("validating"))
+        row = {"steps": model.num_timesteps, "seconds": round(time.monotonic() - self._started, 2), **scores}
+        self._rows.append(row)
+        if row["cost"] <= self._rows[self._best]["cost"]:
+            self._best = len(self._rows) - 1
+            self._save(model, "best")
+        self._save(model, "last")
+        write_validations(self.out, self._rows)
+        for name, value in scores.items():
+            model.logger.record(f"validation/{name}", value)
+        self._validated_steps = model.num_timesteps
+
+    def _save(self, model: Model, name: str) -> None:
+        provenance = {
+            "algorithm": self.config.algorithm.upper(),
+            "command": self.command,
+            "config": self.config.model_dump(),
+            "validation": {"split": "validation", **self.config.validation.model_dump(), **self._rows[-1]},
+        }
+        save_policy(model, self.out / name, provenance)

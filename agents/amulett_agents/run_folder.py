@@ -1,0 +1,158 @@
+"""The folder of a training run: what it holds, how it is begun and what a finished run says of itself."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from amulett_agents.checkpoint import BUNDLES, FOLDER
+from amulett_agents.config import TrainConfig
+from amulett_gym.envs.reward import TERMS
+from amulett_gym.errors import AmulettError
+from amulett_gym.laws.contenders import bundle_folder
+from amulett_gym.profile import load_profile
+from amulett_gym.storage.provenance import COMMAND, read_provenance, software_changes, write_provenance
+from amulett_gym.storage.reading import read_json, user_path
+from amulett_gym.storage.safe_yaml import to_yaml
+from amulett_gym.storage.writing import write_json, write_text
+
+COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
+"""Columns of ``evaluations.csv``; a term is its mean cost per episode."""
+
+CONFIG, EVALUATIONS = "config.yaml", "evaluations.csv"
+
+RUN_MARKS = (CONFIG, COMMAND)
+"""Files by which a training run's folder is recognised."""
+
+START = "start"
+"""Folder of a run for the bundle that it started from."""
+
+FINISHED = "finished.json"
+"""File that a run leaves when it has come to its end: its `TrainResult`."""
+
+_OUTPUTS = (FOLDER, FINISHED, EVALUATIONS, "last_sb3.zip", *BUNDLES, START, "tensorboard")
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a training run left behind.
+
+    Attributes
+    ----------
+    out, best, last : Path
+        Folders of the run and of its bundles.
+    best_cost, last_cost : float
+        Mean capped cost (minus the return) on the validation scenarios; eq. 6's is about 1.
+    best_steps, steps : int
+        Agent steps behind the best and the last policy.
+    seconds : float
+        Duration, validation included, compilation not; of a resumed run, without what was lost.
+    interrupted : bool
+        Whether Ctrl-C or SIGTERM ended the run.
+    seed : int
+    diverged : int or None
+        Agent steps after which a weight was not finite, or too large to be kept, which ended the run; else None. The
+        bundles are those of the validations before.
+    """
+
+    out: Path
+    best: Path
+    last: Path
+    best_cost: float
+    last_cost: float
+    best_steps: int
+    steps: int
+    seconds: float
+    interrupted: bool
+    seed: int
+    diverged: int | None = None
+
+
+def prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
+    """Remove an earlier run, and write this one's recipe, note and the bundle that it starts from."""
+    remove_leftovers(out)
+    start, kept = config.network.start, out / f".{START}-new"
+    if start is not None:  # before anything is cleared away: it may be the earlier run's
+        shutil.copytree(bundle_folder(start), kept)
+    for name in _OUTPUTS:
+        path = out / name
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    if start is not None:
+        kept.rename(out / START)
+    write_text(out / CONFIG, to_yaml(config.model_dump()))
+    write_note(out, config, command)
+
+
+def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
+    """Write ``command.json``."""
+    profile = load_profile(config.env.profile).model_dump(mode="json")
+    write_provenance(out, "train", {"profile": profile}, [config.seed], command)
+
+
+def remove_leftovers(out: Path) -> None:
+    """Remove half-written files of a killed process; the folder has to be locked."""
+    for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES, START):
+        for path in out.glob(f".{name}-*"):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+
+
+def put_back(bundle: Path, place: Path) -> None:
+    """Replace a bundle, which may be damaged or missing, by a copy; remove it if there is none to copy."""
+    if place.is_dir():
+        shutil.rmtree(place)
+    if bundle.is_dir():
+        shutil.copytree(bundle, place)
+
+
+def write_validations(out: Path, rows: Sequence[Mapping[str, float]]) -> None:
+    """Write ``evaluations.csv``."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_text(out / EVALUATIONS, text.getvalue())
+
+
+def is_finished(out: str | Path) -> bool:
+    """Return whether a run has come to its end."""
+    return (user_path(out) / FINISHED).is_file()
+
+
+def write_result(result: TrainResult) -> None:
+    """Write ``finished.json``; folders are not in it, for a run may be moved."""
+    write_json(result.out / FINISHED, {**asdict(result), "out": None, "best": None, "last": None})
+
+
+def read_result(out: Path) -> TrainResult:
+    """Read what a finished run left."""
+    path = out / FINISHED
+    try:
+        result = TrainResult(**read_json(path, "a run's result"))
+    except TypeError as error:
+        raise AmulettError(f"'{path}' is damaged: {error}") from error
+    return replace(result, out=out, best=out / "best", last=out / "last")
+
+
+def check_versions(out: Path) -> list[str] | None:
+    """Return the words of the command that began a run; warn if the software is another one."""
+    if not (out / RUN_MARKS[1]).is_file():  # killed before it was written
+        return None
+    note = read_provenance(out)
+    changed = software_changes(note)
+    if changed:
+        warnings.warn(
+            f"'{out}' is resumed with other software, so that its numbers may differ: {'; '.join(changed)}",
+            stacklevel=3,
+        )
+    return note.command

@@ -1,0 +1,103 @@
+"""Validation of a model during training, on scenarios that are never trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO
+
+from amulett_agents.bundles import describe_policy
+from amulett_agents.config import TrainConfig
+from amulett_agents.model import Model
+from amulett_gym.envs.reward import TERMS
+from amulett_gym.laws.actor import Actor
+
+_WATCHED = 50
+"""Steps between two calls of a validation's `watch`."""
+
+
+def make_validation_env(config: TrainConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Make the environment in which a run's policies are compared: the split `validation` of its suite."""
+    return gym.make_vec(
+        config.env.id,
+        num_envs=config.validation.episodes,
+        split="validation",
+        max_episode_steps=config.env.max_episode_steps,
+        **config.env.keywords(),
+    )
+
+
+def evaluate(
+    model: Model, env: gym.vector.VectorEnv[Any, Any, Any], seed: int, watch: Callable[[], object] = int
+) -> dict[str, float]:
+    """Return the mean cost per episode of a model's deterministic policy, by the arithmetic of its bundle.
+
+    Parameters
+    ----------
+    model : PPO or SAC
+    env : VectorEnv
+        Each of its devices plays one episode.
+    seed : int
+        Device i is seeded with ``seed + i``.
+    watch : callable
+        Called now and then, to show progress.
+
+    Returns
+    -------
+    dict
+        ``cost``, minus the mean return; each reward term's share of it; the number of ``failures``; the present
+        ``exploration_std``, of SAC at the first observations.
+    """
+    act = Actor(*describe_policy(model), env)
+    observations, info = env.reset(seed=seed)
+    std = exploration_std(model, act.see(observations))
+    playing = np.ones(env.num_envs, dtype=bool)
+    step = 0
+    costs = dict.fromkeys(TERMS, 0.0)
+    failures = 0
+    while playing.any():
+        if step % _WATCHED == 0:
+            watch()
+        step += 1
+        observations, _, terminated, truncated, info = env.step(act(observations))
+        for term in TERMS:
+            costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
+        failures += int((terminated & playing).sum())
+        playing &= ~(terminated | truncated)
+    return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}
+
+
+def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:
+    """Return the mean standard deviation of a model's exploration, before SAC's tanh, at some observations."""
+    with torch.no_grad():
+        if isinstance(model, PPO):
+            return float(model.policy.log_std.exp().mean())
+        seen = torch.as_tensor(observations, dtype=torch.float32)
+        return float(model.policy.actor.get_action_dist_params(seen)[1].exp().mean())
+
+
+def warm_up(config: TrainConfig) -> None:
+    """Compile what a recipe's environment needs, so that no measured time includes it."""
+    keywords = {"num_envs": 2, "max_episode_steps": 1, **config.env.keywords()}
+    env = gym.make_vec(config.env.id, split="validation", **keywords)
+    env.reset(seed=0)
+    for _ in range(2):  # the second step starts the next episode
+        env.step(np.zeros((2, 1), dtype=np.float32))
+    env.close()
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Let torch compute with `count` threads within the block."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
