@@ -74,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
     files += [name for name in note.config.get("policies", []) if python_file(str(name)) is not None]
     if files and not arguments.trust_python:
         raise AmulettError(
-            f"the command behind '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, say so here, too: "
-            "--trust-python"
+            f"the command behind '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, give "
+            "--trust-python here, too"
         )
     again, read = _KINDS[kind]
     expected = read(old)  # a folder that is not finished is refused before anything is done
