@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections import Counter
 from itertools import product
+
+from amulett_gym.cli.output import add_json, print_json, wrapped
 
 HELP = "check that an environment keeps its promises"
 EXAMPLES = """  amulett check
@@ -18,15 +19,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("env_id", nargs="?", metavar="ENV_ID", help="environment to check (default: all of them)")
     parser.add_argument("--profile", help="device profile (default: every shipped one)")
     parser.add_argument("--suite", help="suite of scenarios (default: every one)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser, "every check and its result")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run all checks; return 1 if one failed."""
     from amulett_gym import ENV_IDS
     from amulett_gym.errors import unknown
-    from amulett_gym.evaluation.conformance import Subject, run_checks
+    from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
     from amulett_gym.profile import load_profile, profile_names
+    from amulett_gym.reporting.progress import Progress, say
     from amulett_gym.tasks.suites import suite_names
 
     env_id = arguments.env_id and arguments.env_id.split(":")[-1]
@@ -36,33 +38,29 @@ def run(arguments: argparse.Namespace) -> int:
         raise unknown("suite", arguments.suite, suite_names())
     if arguments.profile:
         load_profile(arguments.profile)
-    subjects = product(
-        [env_id] if env_id else ENV_IDS,
-        [arguments.profile] if arguments.profile else profile_names(),
-        [arguments.suite] if arguments.suite else suite_names(),
+    subjects = list(
+        product(
+            [env_id] if env_id else ENV_IDS,
+            [arguments.profile] if arguments.profile else profile_names(),
+            [arguments.suite] if arguments.suite else suite_names(),
+        )
     )
     checks = []
-    for name, profile, suite in subjects:
-        if not arguments.json:
-            print(f"{name}, profile {profile}, suite {suite}")
-        for outcome in run_checks(Subject(name, {"profile": profile, "suite": suite})):
-            result = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
-            remark = outcome.problem or outcome.skipped
-            checks.append(
-                {
-                    "env_id": name,
-                    "profile": profile,
-                    "suite": suite,
-                    "check": outcome.promise,
-                    "result": result,
-                    "remark": remark,
-                }
-            )
+    with Progress(len(subjects) * len(CHECKS), "check", "promises") as bar:
+        for name, profile, suite in subjects:
+            about = {"env_id": name, "profile": profile, "suite": suite}
             if not arguments.json:
-                print(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}", flush=True)
+                say(f"{name}, profile {profile}, suite {suite}")
+            for outcome in run_checks(Subject(name, {"profile": profile, "suite": suite})):
+                result = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
+                remark = outcome.problem or outcome.skipped
+                checks.append({**about, "check": outcome.promise, "result": result, "remark": remark})
+                if not arguments.json:
+                    say(wrapped(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}", " " * 10))
+                bar.update(note=outcome.promise)
     count = Counter(check["result"] for check in checks)
     if arguments.json:
-        print(json.dumps({"failed": count["failed"], "checks": checks}, indent=2))
+        print_json({"failed": count["failed"], "checks": checks})
     else:
         print(f"{count['ok']} ok, {count['failed']} failed, {count['skipped']} skipped")
     return 1 if count["failed"] else 0

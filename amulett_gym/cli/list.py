@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import json
+
+from amulett_gym.cli.output import add_json, print_json
 
 HELP = "list environments, suites, splits, laws and profiles"
 EXAMPLES = """  amulett list
@@ -13,7 +14,7 @@ EXAMPLES = """  amulett list
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_json(parser, "all names with their descriptions")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -21,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym import ENV_IDS
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
+    from amulett_gym.reporting.table import Table
     from amulett_gym.tasks.suites import SPLITS, describe_suite, suite_names
 
     names = {
@@ -45,11 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
         "profiles": {name: load_profile(name).description for name in profile_names()},
     }
     if arguments.json:
-        print(json.dumps(names, indent=2))
+        print_json(names)
         return 0
     for heading, entries in names.items():
-        print(heading)
-        width = max(map(len, entries))
-        for name, description in entries.items():
-            print(f"  {name:{width}}  {description}")
+        print(Table(heading, ("", ""), list(entries.items()), left=(0, 1)).text() + "\n")
     return 0

@@ -5,7 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import textwrap
 from typing import Any
+
+TEXT_WIDTH = 80
+"""Columns of a terminal."""
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:
@@ -16,6 +20,11 @@ def add_json(parser: argparse.ArgumentParser, content: str) -> None:
 def print_json(content: Any) -> None:
     """Print plain data as one JSON document; a number that is not finite is null."""
     print(json.dumps(_finite(content), indent=2, allow_nan=False, default=str), flush=True)
+
+
+def wrapped(text: str, indent: str = "") -> str:
+    """Return a text in lines of at most 80 characters, of which all but the first are indented."""
+    return textwrap.fill(text, TEXT_WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _finite(tree: Any) -> Any:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from amulett_gym.laws.contenders import (
 )
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
@@ -225,7 +227,7 @@ def evaluate(
     duration, agent_period : float
         Length of an episode, and time between two actions of a contender that has none of its own [s].
     progress : bool
-        Whether to show a progress bar on stderr.
+        Whether to show progress on stderr.
 
     Returns
     -------
@@ -241,8 +243,6 @@ def evaluate(
     asked = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
     contenders, remarks = _unique(asked if listed else [parse_contender(YARDSTICK), *asked])
     remarks += _remarks(protocol, contenders)
-
-    from tqdm import tqdm
 
     with ExitStack() as stack:
 
@@ -264,12 +264,12 @@ def evaluate(
             contenders={contender.name: contender for contender in contenders},
         )
         total = sum(env.max_episode_steps for env, _ in [*players, *pushed_players])
-        bar = stack.enter_context(tqdm(total=total, unit="step", disable=not progress, leave=False))
+        bar = stack.enter_context(Progress(total, f"{protocol.episodes} episodes at once", "steps", progress))
         for k, contender in enumerate(contenders):
-            bar.set_description(contender.name[-30:])
-            run = play(protocol, *players[k], bar.update)
+            advance = partial(bar.update, note=contender.name)
+            run = play(protocol, *players[k], advance)
             if push_protocol is not None:
-                pushed = play(push_protocol, *pushed_players[k], bar.update)
+                pushed = play(push_protocol, *pushed_players[k], advance)
                 run.values["push_deflection"] = pushed.values["push_deflection"]
                 results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
