@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from amulett_gym.cli.output import add_json, print_json
 from amulett_gym.cli.own_policies import add_trust
 from amulett_gym.errors import AmulettError
 
-HELP = "watch a law or a trained policy, in a window or as a video"
+HELP = "watch laws and trained policies, in a window or as a video"
 EXAMPLES = """  amulett play eq6
+  amulett play eq6 pretrained --video side-by-side.gif
   amulett play constant:8 --suite hold-push --video hold-push.gif
   amulett play runs/first --episodes 3 --json
   amulett play position-only --scenario my-scenario.json --steps 200 --video step.mp4
@@ -32,8 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     policy = parser.add_argument(
         "policy",
+        nargs="+",
         metavar="POLICY",
-        help="%(names)s; a zip of Stable-Baselines3 that you trust",
+        help="%(names)s; a function of your own, mylaw.py:function (the file is run); a zip of Stable-Baselines3 that "
+        "you trust; several play the same scenario side by side",
     )
     setattr(policy, "names", _Names())  # noqa: B010
     add_trust(parser)
@@ -68,36 +72,44 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.reporting.progress import Progress
 
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
-    (named,) = own_contenders([arguments.policy], protocol.profile, protocol.env_id, arguments.trust_pickle)
-    contender = named if isinstance(named, Contender) else parse_contender(named)
-    remarks = device_remarks(protocol.profile, [arguments.policy])
+    names = list(dict.fromkeys(arguments.policy))
+    found = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
+    contenders = [one if isinstance(one, Contender) else parse_contender(one) for one in found]
+    remarks = device_remarks(protocol.profile, names)
     print_remarks(remarks)
-    keywords = protocol.keywords(contender)
-    steps = keywords.pop("max_episode_steps") if arguments.steps is None else arguments.steps
-    env = gym.make(protocol.env_id, **{**keywords, "max_episode_steps": steps})
-    rate = env.metadata["render_fps"]
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
     mode = "human" if arguments.video is None else "rgb_array"
-    renderer = Renderer(mode, rate, f"{labels([arguments.policy])[arguments.policy]}, {task}")
-    played: list[dict[str, Any]] = []
-    written = None
+    stages: list[_Stage] = []
+    written = renderer = None
     try:
-        pictures = _play(env, contender, renderer, arguments, played)
+        for contender in contenders:
+            keywords = protocol.keywords(contender)
+            steps = keywords.pop("max_episode_steps") if arguments.steps is None else arguments.steps
+            env = gym.make(protocol.env_id, **{**keywords, "max_episode_steps": steps})
+            stages.append(_Stage(contender, env, keywords["agent_period"], steps))
+        rate = max(stage.env.metadata["render_fps"] for stage in stages)
+        label = labels(names)
+        renderer = Renderer(mode, rate, *(f"{label[name]}, {task}" for name in names))
+        pictures = _play(stages, renderer, arguments)
         if arguments.video is None:
             for _ in pictures:
                 if not renderer.is_open:
                     break
         else:
-            with Progress(arguments.episodes * (steps + 1), "play", "pictures") as bar:
+            shortest, longest = min(stage.period for stage in stages), max(s.period * s.most_steps for s in stages)
+            with Progress(arguments.episodes * (round(longest / shortest) + 1), "play", "pictures") as bar:
                 frames, seconds = write_video(arguments.video, _counted(pictures, bar), rate, arguments.fps)
             written = {"file": arguments.video, "frames": frames, "seconds": seconds}
     finally:
-        renderer.close()
-        env.close()
+        if renderer is not None:
+            renderer.close()
+        for stage in stages:
+            stage.env.close()
     if arguments.json:
-        about = {key: getattr(arguments, key) for key in ("policy", "suite", "split", "seed", "scenario")}
-        about |= {"profile": protocol.profile.name, "remarks": remarks}
-        print_json({**about, "episodes": played, "video": written})
+        about = {key: getattr(arguments, key) for key in ("suite", "split", "seed", "scenario")}
+        about |= {"profile": protocol.profile.name, "remarks": remarks, "video": written}
+        played = [{"policy": name, "episodes": stage.played} for name, stage in zip(names, stages, strict=True)]
+        print_json({**about, **(played[0] if len(played) == 1 else {"policies": played})})
     elif written is not None:
         print(f"wrote {arguments.video}: {frames} frames, {seconds:.1f} s")
     return 0
@@ -124,29 +136,47 @@ def _check(arguments: argparse.Namespace) -> None:
         raise AmulettError(f"there is no display for a window; --video FILE writes a video ({', '.join(SUFFIXES)})")
 
 
-def _play(
-    env: Any, contender: Any, renderer: Any, arguments: argparse.Namespace, played: list[dict[str, Any]]
-) -> Iterator[Any]:
-    """Play all episodes; draw and yield the picture at each one's start and after each of its steps.
+class _Stage:
+    """One contender in an environment of its own."""
 
-    What came of an episode that was played to its end is appended to `played`.
-    """
-    from amulett_gym.envs.rendering.frame import frame_of
-    from amulett_gym.evaluation.runner import load_contender
+    def __init__(self, contender: Any, env: Any, period: float, most_steps: int) -> None:
+        self.contender, self.env, self.period, self.most_steps = contender, env, period, most_steps
+        self.played: list[dict[str, Any]] = []
+        """What came of each episode that was played to its end."""
 
-    episodes = env.unwrapped.episodes
-    options = None if arguments.scenario is None else {"scenario": arguments.scenario}
-    for number in range(arguments.episodes):
-        observation, _ = env.reset(seed=arguments.seed if number == 0 else None, options=options)
-        policy = load_contender(contender, env)
-        renderer.clear()
-        yield renderer.draw(frame_of(episodes, 0))
-        terminated = truncated = False
-        total, steps = 0.0, 0
-        while not (terminated or truncated):
-            observation, reward, terminated, truncated, info = env.step(policy(observation[None])[0])
-            total, steps = total + float(reward), steps + 1
-            if terminated or truncated:
+    def begin(self, seed: int | None, options: Any) -> None:
+        """Begin an episode."""
+        from amulett_gym.evaluation.runner import load_contender
+
+        self.observation, _ = self.env.reset(seed=seed, options=options)
+        self.policy = load_contender(self.contender, self.env)
+        self.ended, self.steps, self.total = False, 0, 0.0
+
+    def advance(self, time: float) -> None:
+        """Take the steps that end by a time [s], unless the episode ends before."""
+        while not self.ended and (self.steps + 1) * self.period <= time * (1.0 + 1e-9):
+            action = self.policy(self.observation[None])[0]
+            self.observation, reward, terminated, truncated, info = self.env.step(action)
+            self.steps, self.total = self.steps + 1, self.total + float(reward)
+            self.ended = terminated or truncated
+            if self.ended:
                 failure, metrics = info["failure"], info["metrics"]
-                played.append({"steps": steps, "return": total, "failure": failure, "metrics": metrics})
-            yield renderer.draw(frame_of(episodes, 0))
+                self.played.append({"steps": self.steps, "return": self.total, "failure": failure, "metrics": metrics})
+
+
+def _play(stages: list[_Stage], renderer: Any, arguments: argparse.Namespace) -> Iterator[Any]:
+    """Play all episodes; draw and yield the picture at each one's start and after each step of the fastest policy."""
+    from amulett_gym.envs.rendering.frame import frame_of
+
+    options = None if arguments.scenario is None else {"scenario": arguments.scenario}
+    shortest = min(stage.period for stage in stages)
+    for number in range(arguments.episodes):
+        for stage in stages:
+            stage.begin(arguments.seed if number == 0 else None, options)
+        renderer.clear()
+        for step in count():
+            for stage in stages:
+                stage.advance(step * shortest)
+            yield renderer.draw(*(frame_of(stage.env.unwrapped.episodes, 0) for stage in stages))
+            if all(stage.ended for stage in stages):
+                break

@@ -220,6 +220,19 @@ def test_a_vector_environment_draws_each_of_its_arms():
         np.testing.assert_array_equal(single.render(), pictures[9])
 
 
+def test_several_arms_stand_side_by_side(rest):
+    other = replace(rest, joint_angle=0.6)
+    both = Renderer("rgb_array", 50, "one", "two")
+    for left, right in ((rest, other), (replace(rest, time=0.5), replace(other, time=0.5))):
+        picture = both.draw(left, right)
+    assert picture.shape == (560, 1440, 3)
+    for columns, title, frame in ((slice(720), "one", rest), (slice(720, None), "two", other)):
+        alone = Renderer("rgb_array", 50, title)
+        alone.draw(frame)
+        np.testing.assert_array_equal(picture[:, columns], alone.draw(replace(frame, time=0.5)))
+    assert Renderer("rgb_array", 50, "one", "two", "three").draw(rest, other, rest).shape == (1120, 1440, 3)
+
+
 # Displays
 
 
@@ -372,6 +385,37 @@ def test_play_gives_a_trained_policy_the_period_it_was_trained_with(tmp_path):
     play_command(folder, "--steps", 4, "--video", tmp_path / "video.gif")
     with Image.open(tmp_path / "video.gif") as video:
         assert (video.n_frames, video.info["duration"]) == (5, 100)
+
+
+def test_play_shows_several_policies_in_one_scenario_each_at_its_own_period(tmp_path, capsys):
+    layers = [(np.zeros((1, len(OBSERVATIONS)), np.float32), np.zeros(1, np.float32))]
+    slow = str(keep_network(tmp_path / "slow", layers, agent_period=0.1))
+    play_command("eq6", slow, "eq6", "--steps", 4, "--video", tmp_path / "both.png", "--fps", 50, "--json")
+    both = json.loads(capsys.readouterr().out)
+    assert [(entry["policy"], entry["episodes"][0]["steps"]) for entry in both["policies"]] == [("eq6", 4), (slow, 4)]
+    assert both["video"]["frames"] == 21  # at the pace of the faster one, until the slower one has taken its steps
+    with Image.open(tmp_path / "both.png") as video:
+        assert video.size == (1440, 560)
+        video.seek(video.n_frames - 1)
+        last = np.asarray(video.convert("RGB"))
+    for entry, columns in zip(both["policies"], (slice(720), slice(720, None)), strict=True):
+        play_command(entry["policy"], "--steps", 4, "--video", tmp_path / "one.png", "--fps", 50, "--json")
+        alone = json.loads(capsys.readouterr().out)
+        assert alone["episodes"] == entry["episodes"]
+        with Image.open(tmp_path / "one.png") as video:
+            video.seek(video.n_frames - 1)
+            np.testing.assert_array_equal(np.asarray(video.convert("RGB")), last[:, columns])
+
+
+def test_play_shows_a_law_of_the_users_own(tmp_path, capsys):
+    law = tmp_path / "mine.py"
+    law.write_text("def mine(observations): return observations[:, 99]\n")
+    with pytest.raises(AmulettError, match=r"mine\.py:mine' raised IndexError in line 1"):
+        play_command(f"{law}:mine", "--steps", 2, "--video", tmp_path / "video.png")
+    law.write_text("def mine(observations): return observations[:, 0]\n")
+    play_command(f"{law}:mine", "--steps", 2, "--video", tmp_path / "video.png")
+    with Image.open(tmp_path / "video.png") as video:
+        assert video.size == (720, 560)
 
 
 def test_play_opens_a_window_where_there_is_a_display():

@@ -52,6 +52,25 @@ _GAUGE = (256.0, 314.0, 192.0, 6.0)  # of the joint stiffness: left, top, width,
 _STRETCH = 2.0  # springs are shown stretched by this much more than the pulleys' scale gives
 
 
+def size_of(arms: int) -> tuple[int, int]:
+    """Return width and height of a picture of some arms: side by side, in as many rows as columns or one fewer."""
+    columns = math.ceil(math.sqrt(arms))
+    return columns * SIZE[0], math.ceil(arms / columns) * SIZE[1]
+
+
+def paint_all(histories: Sequence[Sequence[Frame]], titles: Sequence[str]) -> pygame.Surface:
+    """Paint each arm's last frame, with its past, side by side."""
+    pictures = [paint(past[-1], past, title) for past, title in zip(histories, titles, strict=True)]
+    if len(pictures) == 1:
+        return pictures[0]
+    whole = pygame.Surface(size_of(len(pictures)), depth=32)
+    whole.fill(_PAGE)
+    for k, picture in enumerate(pictures):
+        row, column = divmod(k, whole.get_width() // SIZE[0])
+        whole.blit(picture, (column * SIZE[0], row * SIZE[1]))
+    return whole
+
+
 def paint(frame: Frame, history: Sequence[Frame], title: str) -> pygame.Surface:
     """Paint a frame.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import suppress
 from importlib.util import find_spec
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -88,13 +88,13 @@ def _write_images(path: Path, pictures: Iterable[Any], rate: float) -> int:
 def _write_mp4(path: Path, pictures: Iterable[Any], rate: float) -> int:
     import imageio_ffmpeg
 
-    from amulett_gym.envs.rendering.picture import SIZE
-
-    count = 0
-    writer = imageio_ffmpeg.write_frames(str(path), SIZE, fps=rate, quality=8, ffmpeg_log_level="error")
+    pictures = iter(pictures)
+    first = next(pictures)
+    count, size = 0, first.shape[1::-1]
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=rate, quality=8, ffmpeg_log_level="error")
     writer.send(None)
     try:
-        for picture in pictures:
+        for picture in chain([first], pictures):
             writer.send(picture)
             count += 1
     except BaseException:

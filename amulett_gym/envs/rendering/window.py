@@ -26,7 +26,7 @@ _DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 
 
 class Renderer:
-    """Draws frames, into an array or a window, and remembers the last seconds for the strip below the arm.
+    """Draws one or more arms, into an array or a window, and remembers the last seconds for the strips below them.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ class Renderer:
         Gymnasium's own environments do, so that their checks run anywhere.
     fps : float
         Frames a second, for the window.
-    title : str
-        Written above the arm.
+    titles : str
+        One for each arm, written above it.
 
     Raises
     ------
@@ -44,14 +44,14 @@ class Renderer:
         If the mode is unknown, pygame is not installed, or the window cannot be opened.
     """
 
-    def __init__(self, mode: str, fps: float, title: str = "AMULETT elbow") -> None:
+    def __init__(self, mode: str, fps: float, *titles: str) -> None:
         if mode not in MODES:
             raise unknown("render_mode", mode, MODES)
         self._pygame = _import_pygame()
         # Real time first: where more frames are due than a display shows, only some of them are drawn.
         self._stride = max(math.ceil(fps / _MOST_FPS), 1)
-        self._fps, self._title = fps, title
-        self._history: deque[Frame] = deque()
+        self._fps, self._titles = fps, titles or ("AMULETT elbow",)
+        self._histories: list[deque[Frame]] = [deque() for _ in self._titles]
         self._in_window = mode == "human"
         self._window: Any = self._open() if self._in_window else None
         self._clock = self._pygame.time.Clock()
@@ -62,34 +62,36 @@ class Renderer:
         """Whether there is a window, and nobody has closed it."""
         return self._window is not None
 
-    def draw(self, frame: Frame) -> NDArray[np.uint8] | None:
-        """Draw a frame.
+    def draw(self, *frames: Frame) -> NDArray[np.uint8] | None:
+        """Draw a frame of each arm.
 
         Returns
         -------
         ndarray of uint8, shape (height, width, 3), or None for "human"
             A window that was closed stays closed: the simulation goes on, and nothing is drawn.
         """
-        from amulett_gym.envs.rendering.picture import paint
+        from amulett_gym.envs.rendering.picture import paint_all
 
-        self._remember(frame)
+        for history, frame in zip(self._histories, frames, strict=True):
+            _remember(history, frame)
         if self._in_window:
             self._handle_events()
             self._due -= 1
             if self._window is not None and self._due <= 0:
                 self._due = self._stride
-                self._window.blit(paint(frame, self._history, self._title), (0, 0))
+                self._window.blit(paint_all(self._histories, self._titles), (0, 0))
                 self._pygame.display.flip()
                 self._clock.tick(self._fps / self._stride)
             return None
-        surface = paint(frame, self._history, self._title)
+        surface = paint_all(self._histories, self._titles)
         width, height = surface.get_size()
         pixels = bytearray(self._pygame.image.tobytes(surface, "RGB"))
         return np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
 
     def clear(self) -> None:
-        """Forget the strip's past: a new episode begins."""
-        self._history.clear()
+        """Forget the strips' past: a new episode begins."""
+        for history in self._histories:
+            history.clear()
 
     def close(self) -> None:
         """Close the window, if there is one; may be called again."""
@@ -97,29 +99,20 @@ class Renderer:
             self._window = None
             self._pygame.display.quit()
 
-    def _remember(self, frame: Frame) -> None:
-        # An episode that restarted or went back to a snapshot takes the strip back with it.
-        while self._history and self._history[-1].time >= frame.time:
-            self._history.pop()
-        self._history.append(frame)
-        # One frame before the strip's edge stays, so that the curves reach it.
-        while len(self._history) > 2 and self._history[1].time < frame.time - STRIP_SECONDS:
-            self._history.popleft()
-
     def _open(self) -> Any:
-        from amulett_gym.envs.rendering.picture import SIZE
+        from amulett_gym.envs.rendering.picture import size_of
 
         display = self._pygame.display
         try:
             with nullcontext() if has_display() else _unseen():
                 display.init()
-            window = display.set_mode(SIZE)
+            window = display.set_mode(size_of(len(self._titles)))
         except self._pygame.error as error:
             raise AmulettError(
                 f"cannot open a window: {error}; "
                 "render_mode='rgb_array' needs none, nor does 'amulett play' with '--video FILE'"
             ) from error
-        display.set_caption(self._title)
+        display.set_caption(" | ".join(self._titles))
         return window
 
     def _handle_events(self) -> None:
@@ -133,6 +126,16 @@ class Renderer:
             if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
                 self.close()
                 return
+
+
+def _remember(history: deque[Frame], frame: Frame) -> None:
+    # An episode that restarted or went back to a snapshot takes the strip back with it.
+    while history and history[-1].time >= frame.time:
+        history.pop()
+    history.append(frame)
+    # One frame before the strip's edge stays, so that the curves reach it.
+    while len(history) > 2 and history[1].time < frame.time - STRIP_SECONDS:
+        history.popleft()
 
 
 def has_display() -> bool:
