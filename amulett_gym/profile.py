@@ -18,7 +18,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
 from amulett_gym.storage.curve import Curve, read_curve
-from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.reading import user_path, visible
 from amulett_gym.storage.safe_yaml import read_yaml
 
 Positive = Annotated[float, Field(gt=0)]
@@ -261,8 +261,8 @@ def is_shipped(profile: Profile) -> bool:
 
 def profile_names() -> list[str]:
     """Return the names of the shipped profiles."""
-    folder = resources.files("amulett_gym") / "profiles"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    with resources.as_file(resources.files("amulett_gym") / "profiles") as folder:
+        return [path.stem for path in visible(folder, "*.yaml")]
 
 
 def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from amulett_gym.errors import AmulettError, nearest
-from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.reading import user_path, visible
 
 SOURCES = ("paper", "datasheet", "identified", "assumed", "given")
 _MOST_ERRORS = 10
@@ -80,7 +80,7 @@ def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
     exists = os.path.exists(place)  # noqa: PTH110  (a Path's raises for names that are too long)
     if exists and not place.is_dir():
         return place
-    files = [file for kind in ("yaml", "json") for file in packaged.rglob(f"*.{kind}")]
+    files = [file for kind in ("yaml", "json") for file in visible(packaged, f"**/*.{kind}")]
     names = sorted(file.relative_to(packaged).as_posix() for file in files)
     asked = Path(path).as_posix().removeprefix("configs/")
     for name in names:

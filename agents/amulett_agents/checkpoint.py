@@ -39,7 +39,7 @@ from amulett_agents.model import Model
 from amulett_agents.wrappers import ActorView
 from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, visible
 from amulett_gym.storage.writing import write_json
 
 FOLDER = "checkpoints"
@@ -447,7 +447,7 @@ def _found(out: Path) -> Sequence[Path]:
 
 
 def _files(folder: Path) -> set[str]:
-    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+    return {path.relative_to(folder).as_posix() for path in visible(folder, "**/*") if not path.is_dir()}
 
 
 def _digest(path: Path) -> str:

@@ -55,11 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Run it again; exit code 1 if a number differs."""
     from amulett_gym.laws.contenders import python_file
     from amulett_gym.storage.provenance import read_provenance, software_changes
+    from amulett_gym.storage.reading import visible
 
     old, new = Path(arguments.folder).resolve(), Path(arguments.out).resolve()
     if old == new or old in new.parents or new in old.parents:
         raise AmulettError(f"--out '{arguments.out}' has to be another folder than '{arguments.folder}', and not in it")
-    if new.exists() and (not new.is_dir() or any(new.iterdir())):
+    if new.exists() and (not new.is_dir() or visible(new)):
         raise AmulettError(f"--out '{arguments.out}' is there already; choose a new folder")
     note = read_provenance(old)
     kind = note.kind or "train"
@@ -211,9 +212,9 @@ def _reader(pattern: str) -> Callable[[Path], Numbers]:
     """Return a reader of the JSON files of a finished folder that match a pattern."""
 
     def read(folder: Path) -> Numbers:
-        from amulett_gym.storage.reading import read_json
+        from amulett_gym.storage.reading import read_json, visible
 
-        found = sorted(folder.glob(pattern))
+        found = visible(folder, pattern)
         if not found:
             raise AmulettError(f"'{folder}' is not finished: there is no {pattern}")
         return {path.relative_to(folder).as_posix(): read_json(path, "results", 400_000_000) for path in found}

@@ -40,7 +40,7 @@ from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path
+from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path, visible
 from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
@@ -264,7 +264,7 @@ def write_bundle(
         If the bundle would not be valid, `folder` holds something else than a bundle, or cannot be written.
     """
     folder = user_path(folder)
-    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or any(folder.iterdir())):
+    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or visible(folder)):
         raise AmulettError(f"'{folder}' holds something else than a policy bundle; it is left as it is")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -314,7 +314,7 @@ def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
         lists = "lists" if name in manifest.sha256 else "does not list"
         raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}")
     try:
-        for path in folder.iterdir():
+        for path in visible(folder):
             if path.name not in manifest.sha256 and path.name != MANIFEST:
                 raise AmulettError(f"'{path}' is not listed in the bundle's manifest")
     except OSError as error:

@@ -28,6 +28,15 @@ def user_path(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))  # noqa: PTH111  (a Path's raises where there is no home)
 
 
+def visible(folder: Path, pattern: str = "*") -> list[Path]:
+    """Return what a folder holds that matches a glob pattern, sorted.
+
+    Hidden files, and what is in hidden folders, are no content: file managers leave some behind.
+    """
+    paths = folder.iterdir() if pattern == "*" else folder.glob(pattern)  # a glob does not report what it cannot read
+    return sorted(path for path in paths if not any(part.startswith(".") for part in path.relative_to(folder).parts))
+
+
 def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool = True) -> bytes:
     """Read an ordinary file; a pipe or a device might never end.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.reading import user_path, visible
 
 
 @contextmanager
@@ -120,7 +120,7 @@ def output_folder(path: str | Path, what: str, marks: Sequence[Sequence[str]]) -
     try:
         made = [parent for parent in (folder, *folder.parents) if not parent.exists()]
         earlier = any(all((folder / name).is_file() for name in mark) for mark in marks)
-        if not made and not earlier and any(not place.name.startswith(".") for place in folder.iterdir()):
+        if not made and not earlier and visible(folder):
             raise AmulettError(f"'{path}' is not empty and holds no {what}; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -156,6 +156,18 @@ def test_an_extra_file_is_named(folder):
         read_bundle(folder)
 
 
+def test_hidden_files_are_no_content(folder, tmp_path):
+    for name in (".DS_Store", "._manifest.json", ".git/config"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(b"\0\1")
+    expected = read_bundle(folder)
+    new = tmp_path / "new"
+    new.mkdir()
+    (new / ".DS_Store").write_bytes(b"\0")
+    write_bundle(new, expected.layers, expected.policy, expected.env, expected.provenance)
+    assert read_bundle(new).policy == expected.policy
+
+
 @pytest.mark.parametrize("name", ["../secret", "/etc/hostname", "a/b", "..", ".", "", ".hidden", MANIFEST, "a\n"])
 def test_a_manifest_cannot_reach_outside_its_folder(folder, name):
     manifest = json.loads((folder / MANIFEST).read_text())
