@@ -486,12 +486,7 @@ def test_if_all_are_damaged_the_error_names_them(broken_off):
 
 
 def test_hidden_files_are_no_part_of_a_checkpoint(uninterrupted, broken_off):
-    for folder in [
-        *(broken_off / "checkpoints").iterdir(),
-        broken_off / "checkpoints",
-        broken_off,
-        broken_off / "best",
-    ]:
+    for folder in [broken_off / "checkpoints", *(broken_off / "checkpoints").iterdir()]:
         (folder / ".DS_Store").write_bytes(b"\0")
         (folder / "._state.json").write_bytes(b"\0")
     resume(broken_off, progress=False)
