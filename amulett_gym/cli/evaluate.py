@@ -18,6 +18,7 @@ HELP = "compare laws and policies with eq. 6 on the same scenarios"
 EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:10 position-only --out comparison
   amulett evaluate --policies runs/mine constant:10 --suite reach --episodes 200 --seed 1000 --out comparison
   amulett evaluate --policies mylaw.py:softer constant:8 --episodes 20 --json
+  amulett evaluate --policies pretrained constant:6 --scenario lift.yaml reach.json --out own
 """
 
 
@@ -34,7 +35,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_trust(parser)
     parser.add_argument("--suite", default="steps", help="suite of scenarios (default: steps)")
     parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
-    parser.add_argument("--episodes", type=int, default=100, help="number of scenarios (default: 100)")
+    parser.add_argument(
+        "--scenario",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="own scenarios (JSON or YAML), played in turn instead of the suite's",
+    )
+    parser.add_argument(
+        "--episodes", type=int, metavar="N", help="number of scenarios (default: 100, or one of each own scenario)"
+    )
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="of an episode [s] (default: 10)")
     parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i (default: 0)")
     parser.add_argument("--env-id", default="Amulett/Scaling-v0", help="environment (default: Amulett/Scaling-v0)")
     parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
@@ -62,7 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
 def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return all that a comparison hangs on, as plain data: the profile whole, and the SHA-256 of learned policies."""
     from amulett_gym.profile import load_profile
+    from amulett_gym.tasks.scenario import load_scenario
 
+    scenarios = [load_scenario(file).model_dump() for file in arguments.scenario]
     return {
         "policies": list(arguments.policies),
         "sha256": {name: digest for name in arguments.policies if (digest := policy_digest(name))},
@@ -70,7 +83,9 @@ def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
         "split": arguments.split,
         "profile": load_profile(arguments.profile).model_dump(),
         "env_id": arguments.env_id.split(":")[-1],
-        "episodes": arguments.episodes,
+        "scenarios": scenarios,
+        "duration": arguments.duration,
+        "episodes": (len(scenarios) or 100) if arguments.episodes is None else arguments.episodes,
         "seed": arguments.seed,
         "trust_pickle": arguments.trust_pickle,
     }
@@ -106,6 +121,7 @@ def compare(
 
     profile = load_profile(config["profile"])
     keywords = {key: config[key] for key in ("suite", "split", "env_id", "episodes", "seed")}
+    keywords |= {key: config[key] for key in ("scenarios", "duration") if key in config}  # not in older folders
     policies = own_contenders(config["policies"], profile, config["env_id"], config["trust_pickle"])
     with ExitStack() as stack:
         earlier = False
@@ -127,7 +143,8 @@ def compare(
 
 def _command(arguments: argparse.Namespace) -> list[str]:
     words = ["amulett", "evaluate", "--policies", *arguments.policies]
-    for option in ("suite", "profile", "episodes", "seed", "env_id", "split", "out"):
+    words += ["--scenario", *arguments.scenario] if arguments.scenario else []
+    for option in ("suite", "profile", "episodes", "duration", "seed", "env_id", "split", "out"):
         value = getattr(arguments, option)
         if value is not None:
             words += [f"--{option.replace('_', '-')}", str(value)]

@@ -17,7 +17,6 @@ from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, 
 from amulett_gym.reporting.table import Table, csv_text, fill
 from amulett_gym.reporting.words import span
 from amulett_gym.storage.writing import write_text
-from amulett_gym.tasks.suites import families_of
 
 Summary = dict[str, Any]
 
@@ -36,7 +35,7 @@ def summarise(results: Results) -> Summary:
         that does not exist is None; metrics that some scenarios do not have count those as ``"not_reached"``.
     """
     protocol = results.protocol
-    families = families_of(protocol.suite)
+    families = protocol.families
     weights = draw_weights(protocol.episodes)
     yardstick = results.values[YARDSTICK]
     policies: dict[str, dict[str, Any]] = {}
@@ -52,6 +51,8 @@ def summarise(results: Results) -> Summary:
             policies[name][metric] = entry
     return {
         "suite": protocol.suite,
+        "task": protocol.task,
+        "scenarios": [scenario.model_dump() for scenario in protocol.scenarios],
         "profile": protocol.profile.name,
         "env_id": protocol.env_id,
         "split": protocol.split,
@@ -84,7 +85,8 @@ def verdict(results: Results) -> str:
     protocol = results.protocol
     label = labels(list(results.values))
     costs = {label[name]: values["cost"] for name, values in results.values.items()}
-    scenarios = f"{protocol.episodes} {protocol.split} scenarios of {protocol.suite} on the {protocol.profile.name}"
+    kind = "own scenarios" if protocol.scenarios else f"{protocol.split} scenarios of {protocol.suite}"
+    scenarios = f"{protocol.episodes} {kind} on the {protocol.profile.name}"
     scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
     failed = [
         f"{label[name]} failed in {count} of {protocol.episodes}"

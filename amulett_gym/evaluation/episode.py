@@ -58,7 +58,7 @@ def record_episode(
     protocol : Protocol
         Its first scenario is played; `episodes` does not matter.
     scenario : str, Path, mapping or Scenario, optional
-        Played in the place of the suite's.
+        Played instead of the protocol's.
 
     Raises
     ------
@@ -69,6 +69,8 @@ def record_episode(
     keywords = protocol.keywords(contender)
     env: Any = gym.make(protocol.env_id, disable_env_checker=True, **keywords).unwrapped
     policy = load_contender(contender, env)
+    if scenario is None and protocol.scenarios:
+        scenario = protocol.scenarios[0]
     env.reset(seed=protocol.seed, options=None if scenario is None else {"scenario": scenario})
     episodes = env.episodes
     simulation = episodes.simulation

@@ -182,5 +182,5 @@ def _call(results: Results) -> str:
     return (
         f"evaluate({names}, suite={protocol.suite!r}, profile=<{protocol.profile.name}>, episodes={protocol.episodes}, "
         f"seed={protocol.seed}, env_id={protocol.env_id!r}, split={protocol.split!r}, duration={protocol.duration}, "
-        f"agent_period={protocol.agent_period})"
+        f"agent_period={protocol.agent_period}{', scenarios=<own>' * bool(protocol.scenarios)})"
     )

@@ -33,8 +33,10 @@ from amulett_gym.laws.contenders import (
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
+from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.reading import user_path
-from amulett_gym.tasks.suites import SPLITS, suite_names
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
 
 YARDSTICK = "eq6"
 """The contender that all others are compared with; it always runs."""
@@ -71,6 +73,8 @@ class Protocol:
         Length of an episode [s].
     agent_period : float
         Time between two actions of a contender that has no period of its own [s].
+    scenarios : tuple of Scenario
+        Own scenarios to play instead of the suite's, in turn; the suite then charges those without a family.
     """
 
     profile: Profile
@@ -81,6 +85,7 @@ class Protocol:
     seed: int = 0
     duration: float = 10.0
     agent_period: float = 0.02
+    scenarios: tuple[Scenario, ...] = ()
 
     def __post_init__(self) -> None:
         for kind, name, choices in (
@@ -98,6 +103,33 @@ class Protocol:
         for key in ("duration", "agent_period"):
             if not 0.0 < getattr(self, key) < math.inf:
                 raise AmulettError(f"{key} is {getattr(self, key)} s; it has to be a positive number of seconds")
+        if self.episodes < len(self.scenarios):
+            raise AmulettError(f"episodes is {self.episodes}; there are {len(self.scenarios)} own scenarios to play")
+        for scenario in self.scenarios[: self.episodes - len(self.scenarios)]:
+            if scenario.noise_seed is not None:
+                raise AmulettError(
+                    f"{self.episodes} episodes would repeat a scenario with the same sensor noise: its noise_seed is "
+                    f"{scenario.noise_seed}; set that to null, or play {len(self.scenarios)} episodes"
+                )
+
+    @property
+    def task(self) -> str:
+        """Return what is played, in a word or two: the suite's name or ``"own scenarios"``."""
+        return "own scenarios" if self.scenarios else self.suite
+
+    @property
+    def families(self) -> list[str]:
+        """Return the suites by whose weights and divisors the scenarios are charged."""
+        if not self.scenarios:
+            return families_of(self.suite)
+        rows = (pack(scenario, self.profile) for scenario in self.scenarios)
+        return list(dict.fromkeys(FAMILIES[int(row["family"][0])] or self.suite for row in rows))
+
+    def options(self, episodes: int) -> dict[str, Any] | None:
+        """Return the vector environment's reset options for own scenarios; None for those of the suite."""
+        if not self.scenarios:
+            return None
+        return {"scenario": [self.scenarios[k % len(self.scenarios)] for k in range(episodes)]}
 
     def keywords(self, contender: Contender) -> dict[str, Any]:
         """Return the environment's keywords for a contender, ``max_episode_steps`` among them.
@@ -172,7 +204,7 @@ class Results:
     listed : bool
         Whether the yardstick was asked for by name.
     push_suite : str
-        Suite in which `push_deflection` was measured.
+        Suite in which `push_deflection` was measured; the protocol's `task` if that has pushes.
     push_failures : dict of str to int
         Contender -> in how many scenarios its device failed there, if `push_suite` is another suite.
     remarks : list of str
@@ -202,13 +234,14 @@ def evaluate(
     policies: Sequence[str | Contender],
     suite: str = "steps",
     profile: str | Path | Mapping[str, Any] | Profile = "testbed",
-    episodes: int = 100,
+    episodes: int | None = None,
     seed: int = 0,
     env_id: str = ENV_IDS[0],
     split: str = "held-out",
     duration: float = 10.0,
     agent_period: float = 0.02,
     progress: bool = False,
+    scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] = (),
 ) -> Results:
     """Run contenders, and the yardstick eq. 6, on the same scenarios.
 
@@ -222,12 +255,16 @@ def evaluate(
         (:class:`Own`). One that is named twice, in whatever words, runs once.
     suite, split, env_id : str
     profile : str, Path, mapping or Profile
-    episodes, seed : int
+    episodes : int, optional
+        100, or one of each of `scenarios`, if None.
+    seed : int
         Scenario i belongs to seed ``seed + i``: comparisons whose seeds are closer than `episodes` share scenarios.
     duration, agent_period : float
         Length of an episode, and time between two actions of a contender that has none of its own [s].
     progress : bool
         Whether to show progress on stderr.
+    scenarios : sequence of str, Path, mapping or Scenario
+        Own scenarios, or their files, to play in turn instead of the suite's.
 
     Returns
     -------
@@ -238,7 +275,9 @@ def evaluate(
     AmulettError
         If a name is unknown or a value is out of its range; nothing runs then.
     """
-    protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period)
+    own = tuple(load_scenario(scenario) for scenario in scenarios)
+    episodes = (len(own) or 100) if episodes is None else episodes
+    protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period, own)
     listed = YARDSTICK in policies
     asked = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
     contenders, remarks = _unique(asked if listed else [parse_contender(YARDSTICK), *asked])
@@ -252,14 +291,15 @@ def evaluate(
             return env, load_contender(contender, env)
 
         players = [make(protocol, contender) for contender in contenders]
-        push_protocol = None if _has_pushes(players[0][0], seed) else replace(protocol, suite=PUSH_SUITE)
+        without_pushes = not _has_pushes(players[0][0], protocol)
+        push_protocol = replace(protocol, suite=PUSH_SUITE, scenarios=()) if without_pushes else None
         pushed_players = [] if push_protocol is None else [make(push_protocol, contender) for contender in contenders]
         results = Results(
             protocol,
             {},
             {},
             listed=listed,
-            push_suite=suite if push_protocol is None else PUSH_SUITE,
+            push_suite=protocol.task if push_protocol is None else PUSH_SUITE,
             remarks=remarks,
             contenders={contender.name: contender for contender in contenders},
         )
@@ -314,7 +354,7 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
             other = "another version of the " if profile.name == protocol.profile.name else "the "
             places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
     for preposition, there, here in (
-        ("for", trained.keywords.get("suite", "steps"), protocol.suite),
+        ("for", trained.keywords.get("suite", "steps"), protocol.task),
         ("in", trained.id, protocol.env_id),
     ):
         if there != here:
@@ -404,8 +444,8 @@ def play_alone(protocol: Protocol, contender: Contender) -> Run:
         env.close()
 
 
-def _has_pushes(env: Any, seed: int) -> bool:
-    env.reset(seed=seed)
+def _has_pushes(env: Any, protocol: Protocol) -> bool:
+    env.reset(seed=protocol.seed, options=protocol.options(protocol.episodes))
     return any(scenario.pushes for scenario in env.scenarios)
 
 
@@ -417,7 +457,7 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
     failures = [""] * count
     running = np.ones(count, dtype=bool)
     seen: list[tuple[Values, Values, NDArray[np.int64], Values]] = []
-    observations, _ = env.reset(seed=protocol.seed)
+    observations, _ = env.reset(seed=protocol.seed, options=protocol.options(count))
     begin_episode(policy)
     families = env.episodes.simulation.read_scenarios(np.arange(count))["family"]
     for _ in range(env.max_episode_steps):

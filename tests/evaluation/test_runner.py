@@ -422,3 +422,38 @@ def write_page(results: Results) -> str:
     summary = summarise(results)
     figure = cost_figure(summary)
     return render(results, summary, {"cost": figure, "trade_off": trade_off_figure(summary), "responses": figure})
+
+
+LIFT = {"initial_angle_deg": 20, "moves": [{"time": 0.1, "angle_deg": 50}], "orientation": "vertical"}
+PUSHED = {"pushes": [{"time": 0.2, "duration": 0.2, "torque": 0.1}], "noise_seed": 5}
+TOUCH = {"moves": [{"time": 0.1, "angle_deg": 40}], "obstacle": {"angle_deg": 20, "stiffness": 1.0}}
+
+
+def test_own_scenarios_are_played_in_turn_by_all_contenders():
+    results = evaluate(["constant:8"], scenarios=[LIFT, PUSHED], duration=1.0)
+    assert (results.protocol.episodes, results.push_suite) == (2, "own scenarios")
+    protocol = Protocol(load_profile("testbed"), episodes=1, duration=1.0)
+    for name in ("eq6", "constant:8"):
+        for k, scenario in enumerate((LIFT, PUSHED)):
+            alone = record_episode(name, replace(protocol, seed=k), scenario)
+            for metric, value in alone.metrics.items():
+                np.testing.assert_equal(results.values[name][metric][k], value, err_msg=metric)
+
+
+def test_own_scenarios_repeat_with_other_noise_only():
+    again = evaluate(["constant:8"], scenarios=[LIFT], episodes=3, duration=0.6)
+    assert len(set(again.values["constant:8"]["position_ise"])) == 3
+    assert again.push_suite == "hold-push"  # of a scenario without pushes
+    with pytest.raises(AmulettError, match="3 episodes would repeat a scenario .* its noise_seed is 5"):
+        evaluate(["constant:8"], scenarios=[PUSHED, LIFT], episodes=3)
+    with pytest.raises(AmulettError, match="episodes is 1; there are 2 own scenarios"):
+        evaluate(["constant:8"], scenarios=[PUSHED, LIFT], episodes=1)
+
+
+def test_a_summary_of_own_scenarios_says_so_and_names_what_they_are_charged_by():
+    results = evaluate(["constant:8"], scenarios=[LIFT, TOUCH], suite="reach", duration=0.5)
+    summary = summarise(results)
+    assert summary["task"] == "own scenarios"
+    assert [scenario["initial_angle_deg"] for scenario in summary["scenarios"]] == [20.0, 0.0]
+    assert list(summary["cost"]["divisors"]) == ["reach", "contact"]
+    assert "in 2 own scenarios on the testbed" in summary["verdict"]
