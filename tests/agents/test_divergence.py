@@ -108,8 +108,8 @@ def test_a_study_goes_on_after_a_failed_trial_and_its_resume_comes_to_the_same(m
     with monkeypatch.context() as patch:
         exploding(patch, 1)  # every run that begins
         trials = tune(config, space, 6, tmp_path / "study")
-    reasons = {trial.error.split(" ")[0] for trial in trials}
-    assert reasons == {"diverged", "agent_period"}, [trial.error for trial in trials]
+    reasons = [next((word for word in ("diverged", "agent_period") if word in trial.error), "") for trial in trials]
+    assert set(reasons) == {"diverged", "agent_period"}
     assert all(trial.cost is None for trial in trials)
     kept = (tmp_path / "study" / "trials.json").read_text()
     again = tune(config, space, 8, tmp_path / "study")
