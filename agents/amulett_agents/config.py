@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import MOST_TENSION
+from amulett_gym.profile import MOST_TENSION, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 from amulett_gym.tasks.suites import suite_names
@@ -26,7 +26,9 @@ class EnvSettings(Group):
     """The environment that is trained in."""
 
     id: str = Field(default=ENV_IDS[0], description="environment; see `amulett list`")
-    profile: str | dict[str, Any] = Field(default="testbed", description="shipped profile, YAML file or mapping")
+    profile: str | dict[str, Any] = Field(
+        default="testbed", description="shipped profile, or a YAML file or mapping, whose content is kept"
+    )
     suite: str = Field(default="mixed", description="scenarios; see `amulett list`")
     tension_range: list[float] = Field(
         default=[4.0, 15.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
@@ -62,6 +64,12 @@ class EnvSettings(Group):
         if name not in ENV_IDS:
             raise unknown("environment", name, ENV_IDS)
         return name
+
+    @field_validator("profile")
+    @classmethod
+    def _keep_profile(cls, profile: str | dict[str, Any]) -> str | dict[str, Any]:
+        """Return a shipped profile's name, or all that an own one says: its files may change, or be elsewhere."""
+        return profile if profile in profile_names() else load_profile(profile).model_dump(mode="json")
 
     @field_validator("suite")
     @classmethod

@@ -97,6 +97,14 @@ def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) ->
     write_provenance(out, "train", {"profile": profile}, [config.seed], command)
 
 
+def with_start(config: TrainConfig, out: Path) -> TrainConfig:
+    """Return a run's recipe, with the copy in its folder instead of the bundle that it starts from."""
+    if not (out / START).is_dir():
+        return config
+    network = config.network.model_copy(update={"start": str((out / START).resolve())})
+    return config.model_copy(update={"network": network})
+
+
 def remove_leftovers(out: Path) -> None:
     """Remove half-written files of a killed process; the folder has to be locked."""
     for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES, START):

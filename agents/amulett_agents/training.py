@@ -25,6 +25,7 @@ from amulett_agents.run_folder import (
     prepare,
     read_result,
     remove_leftovers,
+    with_start,
     write_note,
     write_result,
 )
@@ -132,7 +133,8 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
         command = check_versions(out)
         with torch_threads(config.threads):
             warm_up(config)
-            model, validation = make_model(config, checkpoint is not None, progress), make_validation_env(config)
+            model = make_model(with_start(config, out), checkpoint is not None, progress)
+            validation = make_validation_env(config)
             if checkpoint is not None:
                 _check_recipe(checkpoint, config, model)
             remove_leftovers(out)

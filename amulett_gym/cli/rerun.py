@@ -136,11 +136,7 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
         print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
     if "profile" in note.config:  # as it was, whatever the file that described it says by now
         config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
-    start = old / "start"
-    if start.is_dir():  # the bundle that it started from, as it was
-        network = config.network.model_copy(update={"start": str(start.resolve())})
-        config = config.model_copy(update={"network": network})
-    result = training.train(config, new, command=note.command)
+    result = training.train(training.with_start(config, old), new, command=note.command)
     if result.interrupted:
         raise KeyboardInterrupt
 

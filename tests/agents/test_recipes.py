@@ -26,6 +26,12 @@ def test_a_recipe_gives_what_differs_from_the_default_and_nothing_else(name):
     assert {key for key in given if not any(one.startswith(key) for one in changed)} == set()
 
 
+def test_the_default_recipe_writes_out_every_key_with_its_default():
+    default = TrainConfig().model_dump()
+    del default["sac"]
+    assert differences(default, read_yaml(CONFIGS / "ppo.yaml", "recipe")) == []
+
+
 def test_each_recipe_is_of_its_kind():
     history, causal, sac = (load_train_config(CONFIGS / f"{name}.yaml") for name in RECIPES)
     assert (history.algorithm, causal.algorithm, sac.algorithm) == ("ppo", "ppo", "sac")

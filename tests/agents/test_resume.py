@@ -4,10 +4,12 @@ With AMULETT_KILLS=20 in the environment each kind of killing is done 20 times i
 """
 
 import csv
+import hashlib
 import json
 import multiprocessing
 import os
 import re
+import shutil
 import signal
 import socket
 import sys
@@ -41,6 +43,7 @@ from amulett_agents.validation import torch_threads  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.profile import load_profile  # noqa: E402
 from amulett_gym.storage import lock  # noqa: E402
 from amulett_gym.storage.lock import LOCK, locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
@@ -543,9 +546,15 @@ def test_a_changed_recipe_is_refused(broken_off):
         resume(broken_off, progress=False)
 
 
-def test_a_changed_profile_is_refused(tmp_path, monkeypatch):
-    profile = tmp_path / "mine.yaml"
-    profile.write_text("base: testbed\nloop: {offset_deg: 25.0}\n")
+def test_a_run_is_resumed_and_run_again_without_the_files_of_its_device(tmp_path, monkeypatch, capsys):
+    """The profile, with its measured curve, is kept by content: relative paths mean nothing elsewhere."""
+    (tmp_path / "dev").mkdir()
+    curve = "deflection_m,force_N\n0,0\n0.01,5\n0.02,12\n0.04,40\n"
+    (tmp_path / "dev" / "curve.csv").write_text(curve)
+    (tmp_path / "dev" / "mine.yaml").write_text("{name: mine, base: testbed, spring: {measured_curve: curve.csv}}")
+    monkeypatch.chdir(tmp_path)
+    config = recipe(["env.profile=dev/mine.yaml", "total_steps=1024"])
+    train(config, tmp_path / "whole", progress=False)
 
     def die(*arguments):
         raise Died
@@ -553,10 +562,28 @@ def test_a_changed_profile_is_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(Run, "_validate", die)
         with pytest.raises(Died):
-            train(recipe([f"env.profile={profile}"]), tmp_path / "run", progress=False)
-    profile.write_text("base: testbed\nloop: {offset_deg: 26.0}\n")
-    with pytest.raises(AmulettError, match=r"mine\.yaml' was changed.*loop\.offset_deg was 25\.0 and is 26\.0"):
-        resume(tmp_path / "run", progress=False)
+            train(config, tmp_path / "run", progress=False)
+    shutil.rmtree(tmp_path / "dev")
+    monkeypatch.chdir("/")
+    resume(tmp_path / "run", progress=False)
+    weights = [(tmp_path / run / "last" / "weights.safetensors").read_bytes() for run in ("run", "whole")]
+    assert weights[0] == weights[1]
+    assert main(["rerun", str(tmp_path / "whole"), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    for own in (config.env.profile, read_bundle(tmp_path / "run" / "last").env.keywords["profile"]):
+        assert load_profile(own).spring.measured_curve.force_N == [0.0, 5.0, 12.0, 40.0]
+
+
+def test_a_shipped_profile_of_another_version_is_refused(broken_off):
+    path = newest_checkpoint(broken_off).folder
+    state = json.loads((path / STATE).read_text())
+    state["profile"]["loop"]["offset_deg"] = 25.5
+    (path / STATE).write_text(json.dumps(state))
+    manifest = json.loads((path / MANIFEST).read_text())
+    manifest["sha256"][STATE] = hashlib.sha256((path / STATE).read_bytes()).hexdigest()
+    (path / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(AmulettError, match=r"profile 'testbed' was changed .*loop\.offset_deg was 25\.5 and is"):
+        resume(broken_off, progress=False)
 
 
 def test_other_software_is_warned_of(broken_off):
