@@ -1,33 +1,58 @@
-"""Policies from Stable-Baselines3's zips, which are pickles: only for those who trust whoever made them."""
+"""Policies from Stable-Baselines3's zips, which are pickles: only for those who trust their makers."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, ValidationError, field_validator
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from amulett_agents.config import load_train_config
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.transition import OBSERVATIONS
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.contenders import Own
 from amulett_gym.profile import Profile
-from amulett_gym.storage.reading import user_path
+from amulett_gym.settings import Group, describe
+from amulett_gym.storage.reading import read_json, user_path
 
 _SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}
 
 
-def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], trust_pickle: bool = False) -> Own:
+class About(Group):
+    """What a policy's observations and actions mean, which its zip does not say: content of ``<zip's name>.json``."""
+
+    env_id: str = Field(description="environment that it was trained in; its version is that of the observations")
+    agent_period: float = Field(gt=0, le=100, description="time an action is held [s]")
+    tension_range: list[float] = Field(min_length=2, max_length=2, description="tension at action -1 and +1 [N]")
+
+    @field_validator("env_id")
+    @classmethod
+    def _check_id(cls, name: str) -> str:
+        if name not in ENV_IDS:
+            raise unknown("environment", name, ENV_IDS)
+        return name
+
+
+def load_sb3_zip(
+    path: str | Path,
+    profile: Profile,
+    env_id: str = ENV_IDS[0],
+    trust_pickle: bool = False,
+    about: Mapping[str, Any] | None = None,
+) -> Own:
     """Make a contender of a model that Stable-Baselines3 saved; it acts deterministically.
 
-    A zip does not say for how long its actions are held, nor which tensions they mean. If a recipe (``config.yaml``)
-    lies beside it, that tells; otherwise they are those of the environment's defaults. What stands between a recipe's
-    network and the environment (features, a low-pass, a history) is not in a zip: that of such a run is refused, for
-    there is a bundle beside it.
+    A zip does not say for how long its actions are held, nor which tensions they mean. That has to be given: by
+    `about`, by a file of the same name that ends in ``.json`` (:class:`About`), or by the recipe (``config.yaml``) of
+    our own training beside it. What stands between a recipe's network and the environment (features, a low-pass, a
+    history) is not in a zip: one of such a run is refused, for there is a bundle beside it.
 
     Parameters
     ----------
@@ -37,7 +62,9 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
     env_id : str
         Neither changes anything any more: what an action means is kept in N.
     trust_pickle : bool
-        Whether whoever made the zip is trusted: to open it means to run what is in it.
+        Whether the zip's maker is trusted: to open it means to run what is in it.
+    about : mapping, optional
+        ``env_id``, ``agent_period`` [s] and ``tension_range`` [N] of the training.
 
     Returns
     -------
@@ -46,7 +73,8 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
     Raises
     ------
     AmulettError
-        If the zip is not trusted, cannot be read, or holds no such policy, or not all of it.
+        If the zip is not trusted, cannot be read, holds no such policy or not all of it, or if nothing says what its
+        actions mean.
     """
     path = user_path(path)
     if not trust_pickle:
@@ -57,7 +85,7 @@ def load_sb3_zip(path: str | Path, profile: Profile, env_id: str = ENV_IDS[0], t
         )
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
-    keywords = _keywords(path.parent / "config.yaml")
+    keywords = _keywords(path, about)
     return Own(str(path), keywords, act=_Acting(_load(path)))
 
 
@@ -100,9 +128,27 @@ def _load(path: Path) -> BasePolicy:
     return policy
 
 
-def _keywords(recipe: Path) -> dict[str, Any]:
-    if not recipe.is_file():
-        return {}
+def _keywords(path: Path, about: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the environment's keywords that a zip's actions are meant for."""
+    beside, recipe = path.with_suffix(".json"), path.with_name("config.yaml")
+    if about is None and not beside.is_file() and recipe.is_file():
+        return _keywords_of(recipe)
+    if about is None and not beside.is_file():
+        example = {"env_id": ENV_IDS[0], "agent_period": 0.02, "tension_range": [4.0, 15.0]}
+        raise AmulettError(
+            f"'{path}' does not say for how long its actions are held, nor which tensions they mean. Write what it was "
+            f"trained with into '{beside}', for example {json.dumps(example)}; or keep it as a bundle, which says so "
+            "itself (amulett_agents.save_policy)"
+        )
+    content = read_json(beside, "description of a zip") if about is None else dict(about)
+    try:
+        found = About.model_validate(content)
+    except ValidationError as error:
+        raise describe(error, About, f"'{beside}'" if about is None else "about") from error
+    return {"agent_period": found.agent_period, "tension_range": found.tension_range}
+
+
+def _keywords_of(recipe: Path) -> dict[str, Any]:
     config = load_train_config(recipe)
     env = config.env
     if config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:

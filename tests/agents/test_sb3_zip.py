@@ -1,4 +1,4 @@
-"""Zips of Stable-Baselines3 are pickles: they compete if somebody vouches for them, and stay shut otherwise."""
+"""Zips of Stable-Baselines3 are pickles, which say little: they compete if they are trusted and described."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.profile import load_profile
 
 TESTBED = load_profile("testbed")
+ABOUT = {"env_id": ENV_IDS[0], "agent_period": 0.1, "tension_range": [5.0, 12.0]}
 OBSERVATIONS = np.random.default_rng(0).uniform(-1, 1, (20, 13)).astype(np.float32)
 
 
@@ -33,6 +34,7 @@ def saved(folder: Path, algorithm=PPO, env: str | gym.Env = ENV_IDS[0], **keywor
         keywords |= {"n_steps": 8, "batch_size": 8}
     path = folder / f"{algorithm.__name__}.zip"
     algorithm("MlpPolicy", env, **keywords).save(path)
+    path.with_suffix(".json").write_text(json.dumps(ABOUT))
     return path
 
 
@@ -78,7 +80,7 @@ def test_without_trust_nothing_in_a_zip_is_run(tmp_path, capsys):
         evaluate([str(path)], episodes=1)
     assert not trap.exists()
     with pytest.raises(AmulettError, match="no model that this Stable-Baselines3 can load"):
-        load_sb3_zip(path, TESTBED, trust_pickle=True)
+        load_sb3_zip(path, TESTBED, trust_pickle=True, about=ABOUT)
     assert trap.exists(), "the trap would not have worked"
 
 
@@ -86,7 +88,7 @@ def test_without_trust_nothing_in_a_zip_is_run(tmp_path, capsys):
 def test_what_is_no_model_is_refused(tmp_path, content):
     (tmp_path / "model.zip").write_bytes(content)
     with pytest.raises(AmulettError, match=r"model\.zip.*no model"):
-        load_sb3_zip(tmp_path / "model.zip", TESTBED, trust_pickle=True)
+        load_sb3_zip(tmp_path / "model.zip", TESTBED, trust_pickle=True, about=ABOUT)
     with pytest.raises(AmulettError, match="no such file"):
         load_sb3_zip(tmp_path / "none.zip", TESTBED, trust_pickle=True)
 
@@ -96,9 +98,37 @@ def test_a_model_of_another_environment_is_refused(tmp_path):
         load_sb3_zip(saved(tmp_path, env="Pendulum-v1"), TESTBED, trust_pickle=True)
 
 
+def test_what_its_actions_mean_is_asked_for_and_used(tmp_path):
+    path = saved(tmp_path)
+    contender = load_sb3_zip(path, TESTBED, trust_pickle=True)
+    assert contender.env_keywords == {"agent_period": 0.1, "tension_range": [5.0, 12.0]}
+    env = evaluate([contender], episodes=1, duration=1.0).schedules[str(path)]
+    assert env.tension_range == (5.0, 12.0) and env.error.size == 10  # agent steps of 0.1 s
+    given = load_sb3_zip(path, TESTBED, trust_pickle=True, about={**ABOUT, "agent_period": 0.05})
+    assert given.env_keywords["agent_period"] == 0.05
+    path.with_suffix(".json").unlink()
+    with pytest.raises(AmulettError, match=r"does not say for how long .*PPO\.json', for example .*agent_period"):
+        load_sb3_zip(path, TESTBED, trust_pickle=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"env_id": "Amulett/Scaling-v1"}, "did you mean 'Amulett/Scaling-v0'"),
+        ({"agent_period": -0.1}, r"PPO\.json'.*'agent_period' is -0\.1"),
+        ({"period": 0.1}, "unknown key 'period'"),
+    ],
+)
+def test_a_wrong_description_is_refused(changes, message, tmp_path):
+    path = saved(tmp_path)
+    path.with_suffix(".json").write_text(json.dumps({**ABOUT, **changes}))
+    with pytest.raises(AmulettError, match=message):
+        load_sb3_zip(path, TESTBED, trust_pickle=True)
+
+
 def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
     path = saved(tmp_path)
-    assert load_sb3_zip(path, TESTBED, trust_pickle=True).env_keywords == {}
+    path.with_suffix(".json").unlink()
     (tmp_path / "config.yaml").write_text(
         "env: {agent_period: 0.1, tension_range: [5.0, 8.0]}\nnetwork: {features: false}"
     )
@@ -117,6 +147,7 @@ def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
 )
 def test_a_zip_of_a_recipe_that_shows_or_does_something_else_is_refused(tmp_path, settings):
     path = saved(tmp_path)
+    path.with_suffix(".json").unlink()
     (tmp_path / "config.yaml").write_text(yaml.safe_dump(settings))
     with pytest.raises(AmulettError, match="which its zip does not hold; use the bundle"):
         load_sb3_zip(path, TESTBED, trust_pickle=True)
