@@ -12,6 +12,7 @@ from helpers import BUSY
 import amulett_gym  # noqa: F401  (registers the ids)
 from amulett_gym.envs.reward import divisors
 from amulett_gym.envs.transition import METRICS, OBSERVATIONS
+from amulett_gym.simulation.random import normal
 
 ID = "amulett_gym:Amulett/Tension-v0"
 
@@ -110,7 +111,7 @@ def test_each_step_is_charged_for_what_it_added_to_the_metrics(suite):
     weights = {"position": 0.5, "effort": 0.3, "tension": 0.2, "contact": 0.7}
     env = gym.make(ID, suite=suite, reward_weights=weights).unwrapped
     _, info = env.reset(seed=0, options={"scenario": BUSY})
-    paid = divisors(env.profile, suite)  # what eq. 6 costs
+    paid = divisors(env.profile, "contact")  # what eq. 6 costs; there is an obstacle
     before = info["metrics"]
     for _ in range(80):
         _, reward, _, _, info = env.step(np.zeros(1, dtype=np.float32))
@@ -144,3 +145,18 @@ def test_a_failure_costs_the_cap_for_each_step_that_was_left(horizon):
     assert 5 <= before < 20
     assert info["reward_terms"]["failure"] == -max(horizon - before, 1)
     assert -max(horizon - before, 1) - 1 <= reward <= -max(horizon - before, 1)
+
+
+def test_observation_noise_is_drawn_anew_for_each_entry_and_step_and_apart_from_the_sensors():
+    scenario = {"initial_angle_deg": 40.0, "noise_seed": 9}  # no entry but the agonist near -1 or 1
+    seen = []
+    for noise in (0.0, 0.02):
+        env = gym.make(ID, observation_noise=noise).unwrapped
+        env.reset(seed=0, options={"scenario": scenario})
+        seen.append([env.step(np.zeros(1, dtype=np.float32))[0] for _ in range(300)])
+    drawn = np.delete(np.diff(seen, axis=0)[0], OBSERVATIONS.index("agonist"), axis=1) / 0.02
+    assert drawn.std() == pytest.approx(1.0, abs=0.05) and abs(drawn.mean()) < 0.05
+    assert len(np.unique(np.round(drawn, 4))) > 0.9 * drawn.size  # of 3600 numbers few are alike by chance
+    ticks = np.arange(1, 301) * round(0.02 / env.profile.loop.control_period)
+    sensors = normal(np.full(300, 9, dtype=np.uint64), ticks.astype(np.uint64), 4)[:, 0]  # the encoder's
+    assert max(abs(np.corrcoef(sensors, column)[0, 1]) for column in drawn.T) < 0.3

@@ -201,6 +201,52 @@ def test_nothing_counts_before_the_scenario_says_so():
     np.testing.assert_array_equal(late["angle"], full["angle"])
 
 
+def test_contact_pushes_steps_and_switches_count_from_the_same_moment_on():
+    """A scenario whose first half holds more of everything than its second, which alone is counted."""
+    moves = [{"time": 0.1, "angle_deg": 40.0}, {"time": 0.8, "angle_deg": 34.0}]
+    first = {"moves": moves, "pushes": [{"time": 0.4, "duration": 0.1, "torque": 0.3}]}
+    second = {"moves": [{"time": 1.3, "angle_deg": 33.0}], "pushes": [{"time": 1.6, "duration": 0.1, "torque": 0.05}]}
+    both = {key: first[key] + second[key] for key in first}
+    obstacle = {"angle_deg": 32.0, "stiffness": 2.0, "damping": 0.02}
+    scenario = {"initial_angle_deg": 10.0, "initial_tension": 8.0, "obstacle": obstacle, "noise_seed": 7, **both}
+    full, late = (run(load_profile("testbed"), {**scenario, "measure_from": start}, 2.0) for start in (0.0, 1.2))
+    np.testing.assert_array_equal(late["angle"], full["angle"])
+    period, begin = late.control_period, round(1.2 / late.control_period)
+    for name in METRICS:
+        assert np.nan_to_num(late[name][: begin + 1]).max() == 0, name
+    torque = late["contact_torque"][begin + 1 :]
+    assert late["contact_ise"][-1] == pytest.approx(np.sum(torque**2) * period, rel=1e-9)
+    assert late["contact_peak"][-1] == np.abs(torque).max() < full["contact_peak"][-1]
+    pushed = late["push_torque"][begin + 1 :] != 0
+    deflected = np.abs(late["setpoint"][begin:-1] - late["angle"][begin + 1 :])
+    assert late["push_deflection"][-1] == deflected[pushed].max() < full["push_deflection"][-1]
+    assert (late["step_count"][-1], full["step_count"][-1]) == (1, 3)
+    switches = np.count_nonzero(np.diff(late["agonist"])[begin:])
+    assert late["switch_count"][-1] == switches < full["switch_count"][-1]
+
+
+def test_the_joint_rests_where_it_is_within_the_margin_of_a_standing_setpoint(motion):
+    setpoint, error = motion["setpoint"], motion["setpoint"] - motion["angle"]
+    rests = (np.abs(error[1:]) <= MARGIN) & (setpoint[1:] == setpoint[:-1])
+    assert 0.1 < rests.mean() < 0.9
+    assert ((np.abs(error[1:]) <= MARGIN) & ~rests).any()  # it is near a moving setpoint, too
+    assert motion["resting_time"][-1] == pytest.approx(rests.sum() * motion.control_period)
+    expected = motion["joint_stiffness"][1:][rests].sum() * motion.control_period
+    assert motion["resting_stiffness_sum"][-1] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_a_late_control_tick_loses_no_setpoint_jump(base):
+    step = {"moves": [{"time": 0.1, "angle_deg": 30.0}]}
+    on_time, late = (
+        run(load_profile(base), {**step, "noise_seed": seed, "device": {"late_probability": probability}}, 1.5)
+        for seed, probability in ((0, 0.0), (1, 0.8))
+    )
+    held = np.diff(late["command_biceps"]) == 0
+    assert held[np.flatnonzero(np.diff(late["setpoint"]))[0] + 1]  # the tick that would have seen it came too late
+    assert late["isav_kick"][-1] == pytest.approx(on_time["isav_kick"][-1], rel=1e-6)
+
+
 def test_a_reset_starts_all_metrics_from_nothing():
     profile = load_profile("testbed")
     simulation = start(profile, STEPS)
