@@ -259,10 +259,11 @@ def is_shipped(profile: Profile) -> bool:
     return profile.name in profile_names() and profile == load_profile(profile.name)
 
 
-def profile_names() -> list[str]:
+@cache
+def profile_names() -> tuple[str, ...]:
     """Return the names of the shipped profiles."""
     with resources.as_file(resources.files("amulett_gym") / "profiles") as folder:
-        return [path.stem for path in visible(folder, "*.yaml")]
+        return tuple(path.stem for path in visible(folder, "*.yaml"))
 
 
 def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:

@@ -71,7 +71,8 @@ def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[st
 
 def divisors_owner(profile: Profile) -> str:
     """Return the name of the shipped profile whose divisors charge a profile."""
-    return profile.root if profile.root in _frozen()["divisors"] else "testbed"
+    root = profile.root
+    return root if root in _frozen()["divisors"] else "testbed"
 
 
 def default_weights(suite: str) -> dict[str, float]:

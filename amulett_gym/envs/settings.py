@@ -13,7 +13,7 @@ from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import RewardFunction, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile, profile_names
+from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
 from amulett_gym.simulation.layout import CONTROLS, TENSION_LAWS, Control
 from amulett_gym.tasks.scenario import empty_rows
@@ -148,9 +148,8 @@ class Settings(Group):
         """
         given = self.model_fields_set & Settings.model_fields.keys() - {"render_mode"}
         found = self.model_dump(mode="json", include=given)
-        name = self.profile.name
-        if "profile" in found and name in profile_names() and self.profile == load_profile(name):
-            found["profile"] = name
+        if "profile" in found and is_shipped(self.profile):
+            found["profile"] = self.profile.name
         return found
 
 

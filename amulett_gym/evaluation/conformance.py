@@ -113,11 +113,7 @@ def _reward_terms(subject: Subject) -> None:
 
 def _same_seed(subject: Subject) -> None:
     _assert(_rollout(subject.make(), 4) == _rollout(subject.make(), 4), "two runs with one seed differ")
-    script = (
-        "import json, sys; from amulett_gym.evaluation import conformance as c; "
-        f"s = c.Subject({subject.env_id!r}, {subject.keywords!r}); sys.stdout.write(c.fingerprint(s, 4))"
-    )
-    other = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    (other,) = elsewhere([subject], 4)
     _assert(other == fingerprint(subject, 4), "another process gives another trajectory")
 
 
@@ -225,6 +221,20 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
 def fingerprint(subject: Subject, seed: int) -> str:
     """Return an episode's beginning as text, each number to its last bit."""
     return repr(_rollout(subject.make(), seed))
+
+
+def elsewhere(subjects: list[Subject], seed: int) -> list[str]:
+    """Return the fingerprints of some environments in another process."""
+    script = (
+        "import pickle, sys; from amulett_gym.evaluation.conformance import fingerprint; "
+        "given = pickle.load(sys.stdin.buffer); "
+        "sys.stdout.buffer.write(pickle.dumps([fingerprint(*each) for each in given]))"
+    )
+    given = pickle.dumps([(subject, seed) for subject in subjects])
+    found: list[str] = pickle.loads(
+        subprocess.run([sys.executable, "-c", script], input=given, capture_output=True, check=True).stdout
+    )
+    return found
 
 
 def _drawn(env: Any, seed: int) -> Any:

@@ -178,5 +178,5 @@ def test_a_mask_resets_some_and_states_can_be_put_back():
 
 
 def test_the_keyword_is_true_or_false():
-    with pytest.raises(AmulettError, match="privileged is 1; it has to be True or False"):
+    with pytest.raises(AmulettError, match="'privileged' is 1: Input should be a valid boolean"):
         gym.make(SCALING, privileged=1)
