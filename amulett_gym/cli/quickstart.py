@@ -136,15 +136,15 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
 
 def beside_best_constant(results: Results, policy: str) -> str:
     """Return in words how a policy stands against the constant that costs least on the same scenarios."""
-    from amulett_gym.evaluation.comparison import span_of
     from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
     from amulett_gym.laws.contenders import CONSTANT
+    from amulett_gym.reporting.words import span
 
     costs = {name: values["cost"] for name, values in results.values.items()}
     best = min((name for name in costs if name.startswith(CONSTANT)), key=lambda name: float(costs[name].sum()))
     ratio = ratio_of_sums(costs[policy], costs[best], draw_weights(len(costs[best])))
     tension = best.removeprefix(CONSTANT)
-    return f"the best constant on these scenarios is {tension} N; the policy costs {span_of(ratio)} of it"
+    return f"the best constant on these scenarios is {tension} N; the policy costs {span(ratio.plain())} of it"
 
 
 def _stands_on(trained: Any) -> str:

@@ -43,8 +43,8 @@ def summarise(results: Results) -> Summary:
         policies[name] = {}
         for metric, values in metrics.items():
             entry: dict[str, Any] = {
-                **_numbers(mean(values, weights)),
-                "ratio_to_eq6": _numbers(ratio_of_sums(values, yardstick[metric], weights)),
+                **mean(values, weights).plain(),
+                "ratio_to_eq6": ratio_of_sums(values, yardstick[metric], weights).plain(),
             }
             if metric in MAY_BE_MISSING:
                 entry["not_reached"] = sum(map(math.isnan, values.tolist()))
@@ -107,10 +107,10 @@ def verdict(results: Results) -> str:
     against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
     text = f"{best} has the lowest cost in {scenarios}"
     if best != YARDSTICK:
-        text += f": {span_of(against)} relative to {YARDSTICK}{_doubt(against)}"
+        text += f": {span(against.plain())} relative to {YARDSTICK}{_doubt(against)}"
     if best == YARDSTICK or ranking[1] != YARDSTICK:
         lead = ratio_of_sums(costs[ranking[1]], costs[best], weights)
-        text += f". Next is {ranking[1]}: {span_of(lead)} relative to {best}{_doubt(lead)}"
+        text += f". Next is {ranking[1]}: {span(lead.plain())} relative to {best}{_doubt(lead)}"
     return f"{text}.{ending}"
 
 
@@ -156,16 +156,6 @@ def write_scenarios(results: Results, path: str | Path) -> None:
         for i, failure in enumerate(results.failures[name])
     )
     write_text(path, csv_text(["policy", "scenario", "seed", "failure", *METRICS], rows))
-
-
-def _numbers(estimate: Estimate) -> dict[str, float | None]:
-    numbers = {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
-    return {key: value if math.isfinite(value) else None for key, value in numbers.items()}
-
-
-def span_of(ratio: Estimate) -> str:
-    """Return an estimated ratio in words, as `span` does."""
-    return span({"mean": ratio.mean, "low": ratio.low, "high": ratio.high})
 
 
 def _doubt(ratio: Estimate) -> str:

@@ -55,13 +55,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @style.styled
 def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
-    """Draw one episode: joint angle, string tensions, joint stiffness, drive commands, and external torques if any.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    title : str
-    """
+    """Draw one episode: joint angle, string tensions, joint stiffness, drive commands, and external torques if any."""
     time = trajectory["time"]
     torques = {
         "push": trajectory["push_torque"],
@@ -73,9 +67,8 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights)
     angle, tension, stiffness, command = axes[:4]
 
-    angle.plot(
-        time, np.degrees(trajectory["setpoint"]), color=style.SETPOINT, linestyle="--", linewidth=1.0, label="setpoint"
-    )
+    dashed = {"color": style.SETPOINT, "linestyle": "--", "linewidth": 1.0}
+    angle.plot(time, np.degrees(trajectory["setpoint"]), label="setpoint", **dashed)
     angle.plot(time, np.degrees(trajectory["angle"]), color=style.JOINT, label="joint angle")
     angle.set_ylabel("joint angle [deg]")
 
@@ -85,15 +78,8 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
         tension.plot(time, trajectory[f"force_{string}"], color=colour, label=f"{string}, true")
         commanded = np.degrees(trajectory[f"command_{string}"])
         command.plot(time, commanded, color=colour, drawstyle="steps-pre", label=string)
-    tension.plot(
-        time,
-        trajectory["tension_setpoint"],
-        color=style.SETPOINT,
-        linestyle="--",
-        linewidth=1.0,
-        drawstyle="steps-pre",
-        label="antagonist's setpoint",
-    )
+    wanted = trajectory["tension_setpoint"]
+    tension.plot(time, wanted, drawstyle="steps-pre", label="antagonist's setpoint", **dashed)
     tension.set_ylabel("string tension [N]")
     tension.set_ylim(bottom=0.0)
     stiffness.plot(time, trajectory["joint_stiffness"], color=style.JOINT, label="of both strings")
@@ -109,24 +95,12 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
         if panel is angle and shaded:
             handles, names = [*handles, shaded], [*names, "triceps is agonist"]
         style.legend_beside(panel, handles=handles, labels=names)
-    figure.align_ylabels(axes)
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
-    if title:
-        figure.suptitle(title, fontsize=10.5)
-    return figure
+    return _over_time(figure, axes, time, title)
 
 
 @style.styled
 def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
-    """Draw what several contenders do in the same scenario, each as one curve in every panel.
-
-    Parameters
-    ----------
-    trajectories : mapping of str to Trajectory
-        By contender.
-    title : str
-    """
+    """Draw what several contenders, by name, do in the same scenario: each as one curve in every panel."""
     label, colour = labels(list(trajectories)), colours(list(trajectories))
     figure = style.new_figure(6.4, 7.2)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.4, 1.9])
@@ -144,12 +118,7 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
     for panel in axes[1:]:
         panel.set_ylim(bottom=0.0)
     style.legend_beside(axes[0])
-    figure.align_ylabels(axes)
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
-    if title:
-        figure.suptitle(title, fontsize=10.5)
-    return figure
+    return _over_time(figure, axes, time, title)
 
 
 @style.styled
@@ -268,13 +237,7 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
 
 @style.styled
 def cost_figure(summary: Mapping[str, Any]) -> Figure:
-    """Draw each contender's mean cost as a bar of its terms, with the interval of the whole.
-
-    Parameters
-    ----------
-    summary : mapping
-        From :func:`amulett_gym.evaluation.comparison.summarise`.
-    """
+    """Draw each contender's mean cost as a bar of its terms, with the sum's interval; see `comparison.summarise`."""
     policies = summary["policies"]
     names = list(policies)
     label = labels(names)
@@ -312,10 +275,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
 def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw position ISE against both drives' effort, as ratios to eq. 6 with their intervals: lower left is better.
 
-    Parameters
-    ----------
-    summary : mapping
-        From :func:`amulett_gym.evaluation.comparison.summarise`. A contender without ratios is left out.
+    `summary` is from `comparison.summarise`; a contender without ratios is left out.
     """
     policies = summary["policies"]
     label, colour = labels(list(policies)), colours(list(policies))
@@ -512,6 +472,16 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
 
 _COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
 _ARROW = {"arrowstyle": "->", "color": style.GREY}
+
+
+def _over_time(figure: Figure, axes: Sequence[Any], time: NDArray[Any], title: str) -> Figure:
+    """Return a figure with labels on the common time axis of its panels, and a title if there is one."""
+    figure.align_ylabels(axes)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
+    if title:
+        figure.suptitle(title, fontsize=10.5)
+    return figure
 
 
 def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:

@@ -17,7 +17,8 @@ learning at the edge of the statistical precipice" (2021); here low values are g
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,10 @@ class Estimate:
     mean: float
     low: float
     high: float
+
+    def plain(self) -> dict[str, float | None]:
+        """Return ``{"mean", "low", "high"}``, with None for what is no finite number."""
+        return {key: float(value) if math.isfinite(value) else None for key, value in asdict(self).items()}
 
 
 UNDEFINED = Estimate(np.nan, np.nan, np.nan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable
 from functools import cache
@@ -177,23 +176,23 @@ def _numbers(
     draws = _draws(evidence, *cost.shape)
     others = {other: results[other].values["cost"] for other in against}
     found: Content = {
-        "cost": plain(nested_mean(cost, draws)),
-        "ratio": {other: plain(nested_ratio(cost, theirs[0], draws)) for other, theirs in others.items()},
+        "cost": nested_mean(cost, draws).plain(),
+        "ratio": {other: _ratio(cost, theirs[0], evidence).plain() for other, theirs in others.items()},
         "failures": _failures(results[name]),
         "seeds": cost.mean(axis=1).tolist(),
-        "metrics": {metric: plain(nested_mean(values[metric], draws)) for metric in REPORTED},
+        "metrics": {metric: nested_mean(values[metric], draws).plain() for metric in REPORTED},
     }
     if not everything:
         return found
     yardstick = results[YARDSTICK].values
     for metric, numbers in found["metrics"].items():
-        numbers["ratio_to_eq6"] = plain(nested_ratio(values[metric], yardstick[metric][0], draws))
+        numbers["ratio_to_eq6"] = _ratio(values[metric], yardstick[metric][0], evidence).plain()
     return {
         **found,
-        "iqm": plain(interquartile_mean(cost, draws)),
-        "worst_decile": plain(worst_mean(cost, draws)),
+        "iqm": interquartile_mean(cost, draws).plain(),
+        "worst_decile": worst_mean(cost, draws).plain(),
         "better_than": {
-            other: plain(probability_of_improvement(cost, theirs, draws)) for other, theirs in others.items()
+            other: probability_of_improvement(cost, theirs, draws).plain() for other, theirs in others.items()
         },
         "seed_ratios": {other: (cost.sum(axis=1) / theirs.sum()).tolist() for other, theirs in others.items()},
     }
@@ -215,13 +214,9 @@ def _by_family(evidence: Evidence) -> Content:
         found[FAMILIES[code] or evidence.protocol.suite] = {
             "scenarios": int(chosen.sum()),
             "ratio_to_eq6": {
-                name: plain(
-                    nested_ratio(
-                        results[name].values["cost"][:, chosen],
-                        results[YARDSTICK].values["cost"][0, chosen],
-                        _draws(evidence, len(results[name].values["cost"]), int(chosen.sum())),
-                    )
-                )
+                name: _ratio(
+                    results[name].values["cost"][:, chosen], results[YARDSTICK].values["cost"][0, chosen], evidence
+                ).plain()
                 for name in shown(evidence)
             },
         }
@@ -235,7 +230,7 @@ def _profiles(evidence: Evidence) -> Content:
         if evidence.entries[name].kind != "ablation":
             cost = evidence.headline()[name].values["cost"]
             draws = _draws(evidence, *cost.shape)
-            found[name] = [plain(share) for share in performance_profile(cost, PROFILE_COSTS, draws)]
+            found[name] = [share.plain() for share in performance_profile(cost, PROFILE_COSTS, draws)]
     return found
 
 
@@ -250,9 +245,9 @@ def _references(evidence: Evidence, hand: str) -> Content:
             goal, by_hand = results[name].values["cost"].mean(axis=0), results[hand].values["cost"][0]
             causal[name] = {
                 "cost": float(goal.mean()),
-                "ratio_to_eq6": plain(_ratio(goal[None], results[YARDSTICK].values["cost"][0], evidence)),
+                "ratio_to_eq6": _ratio(goal[None], results[YARDSTICK].values["cost"][0], evidence).plain(),
                 "share_from_hand": {
-                    other: plain(_share(by_hand, results[other].values["cost"], goal, evidence))
+                    other: _share(by_hand, results[other].values["cost"], goal, evidence).plain()
                     for other in shown(evidence)
                     if other != name
                 },
@@ -275,10 +270,10 @@ def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Cont
     return {
         **searched.evidence,
         "cost": float(goal.mean()),
-        "ratio_to_eq6": plain(_ratio(goal[None], eq6, evidence)),
-        "entries_to_eq6": {name: plain(_ratio(cost, eq6, evidence)) for name, cost in costs.items()},
-        "score": {name: plain(_share(start, cost, goal, evidence)) for name, cost in costs.items()},
-        "share_from_hand": {name: plain(_share(by_hand, cost, goal, evidence)) for name, cost in costs.items()},
+        "ratio_to_eq6": _ratio(goal[None], eq6, evidence).plain(),
+        "entries_to_eq6": {name: _ratio(cost, eq6, evidence).plain() for name, cost in costs.items()},
+        "score": {name: _share(start, cost, goal, evidence).plain() for name, cost in costs.items()},
+        "share_from_hand": {name: _share(by_hand, cost, goal, evidence).plain() for name, cost in costs.items()},
         "cost_more_than_an_entry": int(
             (np.min([cost.min(axis=0) for cost in costs.values()], axis=0) < goal * (1 - 1e-9)).sum()
         ),
@@ -297,7 +292,7 @@ def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Es
     """
     if not goal.mean() < start.mean():
         return UNDEFINED
-    return nested_ratio(start - costs, start - goal, _draws(evidence, *costs.shape))
+    return _ratio(start - costs, start - goal, evidence)
 
 
 def _training(evidence: Evidence) -> Content:
@@ -336,12 +331,6 @@ def _worst(evidence: Evidence, hand: str) -> list[Content]:
             }
         )
     return found
-
-
-def plain(estimate: Estimate) -> Content:
-    """Return an estimate as plain data, with None for what is no finite number."""
-    numbers = {"mean": estimate.mean, "low": estimate.low, "high": estimate.high}
-    return {key: float(value) if math.isfinite(value) else None for key, value in numbers.items()}
 
 
 def _draws(evidence: Evidence, seeds: int, scenarios: int) -> Draws:

@@ -19,7 +19,8 @@ Data = Mapping[str, Any]
 
 def tables(section: str, data: Data) -> list[Table]:
     """Return the tables of one of `SECTIONS`; empty if it was not measured."""
-    return _TABLES[section](data)
+    key, make = _TABLES[section]
+    return make(data) if key in data else []
 
 
 def section_marks(section: str) -> Marks:
@@ -28,57 +29,43 @@ def section_marks(section: str) -> Marks:
 
 
 def _speed(data: Data) -> list[Table]:
-    if "environments" not in data:
-        return []
+    keys = ("steps_per_s", "slowest", "fastest", "ticks_per_s")
     rows = [
-        [
-            name,
-            *(f"{row[key]:,.0f}" for key in ("steps_per_s", "slowest", "fastest", "ticks_per_s")),
-            "-" if row["ratio"] is None else f"{row['ratio']:.2f}",
-        ]
+        [name, *(f"{row[key]:,.0f}" for key in keys), "-" if row["ratio"] is None else f"{row['ratio']:.2f}"]
         for name, row in data["environments"].items()
     ]
+    head = ("", "agent steps/s", "slowest", "fastest", "ticks/s", "ratio")
     note = (
         "Medians of interleaved turns. Ratio: to Pendulum-v1 (single), to CartPole-v1 (vector); 1.3 or less is a tie."
     )
-    return [
-        Table("Kernel and environments", ("", "agent steps/s", "slowest", "fastest", "ticks/s", "ratio"), rows, note),
-    ]
+    return [Table("Kernel and environments", head, rows, note)]
 
 
 def _c(data: Data) -> list[Table]:
-    if "ratio_to_c" not in data:
-        return []
-    rows = []
-    for profile, ratio in data["ratio_to_c"].items():
-        least, most = data["ratio_to_c_spread"][profile]
-        rows.append(
-            [
-                profile,
-                *(
-                    f"{data[key][profile] / 1e6:.2f}"
-                    for key in (
-                        "kernel_ticks_per_s",
-                        "c_ticks_per_s",
-                        "c_strict_simd_ticks_per_s",
-                        "c_limit_ticks_per_s",
-                    )
-                ),
-                f"{ratio:.2f} ({least:.2f}-{most:.2f})",
-            ]
-        )
-    columns = ("", "kernel", "C, strict scalar", "C, strict SIMD", "C, SIMD, fast math", "kernel to strict scalar C")
+    columns = {
+        "kernel": "kernel_ticks_per_s",
+        "C, strict scalar": "c_ticks_per_s",
+        "C, strict SIMD": "c_strict_simd_ticks_per_s",
+        "C, SIMD, fast math": "c_limit_ticks_per_s",
+    }
+    spreads: Mapping[str, tuple[float, float]] = data["ratio_to_c_spread"]
+    rows = [
+        [
+            profile,
+            *(f"{data[key][profile] / 1e6:.2f}" for key in columns.values()),
+            _spread(ratio, *spreads[profile], digits=2),
+        ]
+        for profile, ratio in data["ratio_to_c"].items()
+    ]
     note = "Million ticks a second on one core; medians of interleaved turns; the ratio turn by turn (least-most)."
-    return [Table(f"The kernel beside the same tick in C, {data['c_devices']:,} devices", columns, rows, note)]
+    title = f"The kernel beside the same tick in C, {data['c_devices']:,} devices"
+    return [Table(title, ("", *columns, "kernel to strict scalar C"), rows, note)]
 
 
 def _ppo(data: Data) -> list[Table]:
-    if "ppo" not in data:
-        return []
-    ppo = data["ppo"]
+    ppo, parts = data["ppo"], ("rollout", "update")
     least, most = ppo["ratio_spread"]
-    parts = ("rollout", "update")
-    ratios = {"env": f"{ppo['ratio']:.3f} ({least:.3f}-{most:.3f})", "null": "1"}
+    ratios = {"env": _spread(ppo["ratio"], least, most, digits=3), "null": "1"}
     rows = [
         [label, f"{ppo[name]:,.0f}", *(f"{ppo['step_ms'][name][part]:.2f}" for part in parts), ratios[name]]
         for name, label in (("env", "our environment"), ("null", "null environment"))
@@ -88,78 +75,49 @@ def _ppo(data: Data) -> list[Table]:
         "is as many of each as an episode takes, the ratio turn by turn (least-most). Milliseconds are what a step "
         "of all devices takes on average: in the rollout, and as its share of the update."
     )
-    columns = ("", "agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
-    return [Table("PPO of Stable-Baselines3", columns, rows, note)]
+    head = ("", "agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
+    return [Table("PPO of Stable-Baselines3", head, rows, note)]
 
 
 def _time_to_beat(data: Data) -> list[Table]:
-    if "time_to_beat" not in data:
-        return []
-    found = data["time_to_beat"]
-    lines = found["lines"]["validation"]
-    rows = []
+    found, rows = data["time_to_beat"], []
+    lines, keys = found["lines"]["validation"], ("eq6_s", "lower_s")
     for run in found["runs"]:
         costs = [cost for _, _, cost in run["curve"]]
-        rows.append(
-            [
-                f"seed {run['seed']}",
-                f"{costs[0]:.3f}",
-                seconds(run["eq6_s"]),
-                seconds(run["lower_s"]),
-                f"{min(costs):.3f}",
-                f"{run['curve'][-1][1]:,}",
-            ]
-        )
-    columns = (
-        "",
-        "first cost",
-        f"below eq. 6 ({lines['eq6']:.3f}) [s]",
-        f"below the lower of eq. 6 and {lines['constant_tension']:g} N ({lines['lower']:.3f}) [s]",
-        "least cost",
-        "agent steps",
-    )
-    rows.append(["median", "", _median(found["runs"], "eq6_s"), _median(found["runs"], "lower_s"), "", ""])
+        times = (seconds(run[key]) for key in keys)
+        rows.append([f"seed {run['seed']}", f"{costs[0]:.3f}", *times, f"{min(costs):.3f}", f"{run['curve'][-1][1]:,}"])
+    rows.append(["median", "", *(_median(found["runs"], key) for key in keys), "", ""])
+    lower = f"below the lower of eq. 6 and {lines['constant_tension']:g} N ({lines['lower']:.3f}) [s]"
+    head = ("", "first cost", f"below eq. 6 ({lines['eq6']:.3f}) [s]", lower, "least cost", "agent steps")
     note = (
         f"Training time on {found['cores']} cores, without judging and compiling, at most {found['limit_s']:g} s. "
         f"The first policy is a constant {found['initial_tension']:g} N. Costs on {found['episodes']} fixed validation "
         "scenarios; a line counts as crossed if the same policy is below it on as many held-out scenarios, too."
     )
-    return [Table("Time to beat", columns, rows, note)]
+    return [Table("Time to beat", head, rows, note)]
 
 
 def _scale(data: Data) -> list[Table]:
-    scale = data.get("scale", {})
-    made = []
+    scale, made = data["scale"], []
     if "device_step_ns" in scale:
-        rows = [
-            [f"{int(size):,}", *(f"{row[key]:,.0f}" for key in ("median", "least", "most"))]
-            for size, row in scale["device_step_ns"].items()
-        ]
-        made.append(
-            Table(
-                "Cost of a device's step [ns], testbed, one core",
-                ("", "median", "least", "most"),
-                rows,
-                "By number of devices in a vector environment: observations, rewards and infos included; "
-                "autoreset where turns are longer than episodes, up to about a thousand devices.",
-            )
+        keys = ("median", "least", "most")
+        costs = scale["device_step_ns"].items()
+        rows = [[f"{int(size):,}", *(f"{row[key]:,.0f}" for key in keys)] for size, row in costs]
+        note = (
+            "By number of devices in a vector environment: observations, rewards and infos included; "
+            "autoreset where turns are longer than episodes, up to about a thousand devices."
         )
+        made.append(Table("Cost of a device's step [ns], testbed, one core", ("", *keys), rows, note))
     if "two_threads" in scale:
-        rows = [
-            [f"{int(size):,}", f"{row['median']:.2f} ({row['least']:.2f}-{row['most']:.2f})"]
-            for size, row in scale["two_threads"].items()
-        ]
+        rows = [[f"{int(size):,}", _spread(**row, digits=2)] for size, row in scale["two_threads"].items()]
         note = "By number of devices; turn by turn (least-most). Faster where a second core is free."
         made.append(Table("Two threads to one, testbed", ("", "times as fast"), rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
         rows = [
-            ["simulated devices: parameters, scenarios, states", f"{memory['simulation']:,.0f}"],
-            ["all arrays of the environment, Gymnasium's spaces included", f"{memory['arrays']:,.0f}"],
-            [
-                "growth of resident memory, room for what a step returns included",
-                "not measured here" if memory["resident"] is None else f"{memory['resident']:,.0f}",
-            ],
+            ["simulated devices: parameters, scenarios, states", _bytes(memory["simulation"])],
+            ["all arrays of the environment, Gymnasium's spaces included", _bytes(memory["arrays"])],
+            ["growth of resident memory, room for what a step returns included", _bytes(memory["resident"])],
         ]
         made.append(Table("Memory of a device [bytes]", ("", f"{memory['devices']:,} devices"), rows))
     if "long_run" in scale:
@@ -168,10 +126,9 @@ def _scale(data: Data) -> list[Table]:
 
 
 def _long_run(run: Data) -> Table:
-    grown = run["resident_growth_bytes_per_device"]
     rows = [
         ["last third's speed to the first third's", f"{run['speed_ratio']:.3f}"],
-        ["growth of resident memory, bytes a device", "not measured here" if grown is None else f"{grown:,.0f}"],
+        ["growth of resident memory, bytes a device", _bytes(run["resident_growth_bytes_per_device"])],
         ["devices that failed", f"{run['failures']}"],
         ["the episode after it is bit for bit a new environment's", "yes" if run["last_episode_is_exact"] else "NO"],
         ["error of the clock in one episode as long as all of it [s]", f"{run['lone_clock_error_s']:.1e}"],
@@ -183,31 +140,24 @@ def _long_run(run: Data) -> Table:
 
 
 def _peers(data: Data) -> list[Table]:
-    if "peers" not in data:
-        return []
     found: dict[str, Data] = data["peers"]
     ours = [name for name, row in found.items() if row.get("ours")]
-    rows = []
+    rows, skipped = [], []
     for name, row in found.items():
         if "skipped" in row:
+            skipped.append(f"Skipped: {name}: {row['skipped']}.")
             continue
-        cells = [f"{row['steps_per_s']:,.0f}", f"{row['ticks_per_s']:,.0f}"]
-        for key in ("ratio_steps", "ratio_ticks"):
-            cells += [_spread(row[key][own]) if key in row else "-" for own in ours]
-        rows.append([name, *cells])
+        ratios = [row[key] for key in ("ratio_steps", "ratio_ticks") if key in row]
+        cells = [_spread(**ratio[own], digits=1) for ratio in ratios for own in ours] or ["-"] * 2 * len(ours)
+        rows.append([name, f"{row['steps_per_s']:,.0f}", f"{row['ticks_per_s']:,.0f}", *cells])
     profiles = [name.removeprefix("single, ") for name in ours]
-    columns = (
-        "",
-        "agent steps/s",
-        "inner ticks/s",
-        *(f"{what}: {profile} to it" for what in ("steps", "ticks") for profile in profiles),
-    )
+    columns = (f"{what}: {profile} to it" for what in ("steps", "ticks") for profile in profiles)
     note = (
         "Medians of interleaved turns; ratios turn by turn (least-most): how many times as fast ours is. A step is an "
         "agent's, a tick the physics'."
     )
-    skipped = [f"Skipped: {name}: {row['skipped']}." for name, row in found.items() if "skipped" in row]
-    return [Table("Peers, one environment on one core each", columns, rows, "\n".join([note, *skipped]))]
+    head = ("", "agent steps/s", "inner ticks/s", *columns)
+    return [Table("Peers, one environment on one core each", head, rows, "\n".join([note, *skipped]))]
 
 
 def seconds(value: float | None) -> str:
@@ -221,8 +171,19 @@ def _median(runs: Sequence[Data], key: str) -> str:
     return seconds(None if median == float("inf") else median)
 
 
-def _spread(ratio: Data) -> str:
-    return f"{ratio['median']:.1f} ({ratio['least']:.1f}-{ratio['most']:.1f})"
+def _spread(median: float, least: float, most: float, *, digits: int) -> str:
+    return f"{median:.{digits}f} ({least:.{digits}f}-{most:.{digits}f})"
 
 
-_TABLES = dict(zip(SECTIONS, (_speed, _c, _ppo, _time_to_beat, _scale, _peers), strict=True))
+def _bytes(value: float | None) -> str:
+    return "not measured here" if value is None else f"{value:,.0f}"
+
+
+_TABLES = {
+    "speed": ("environments", _speed),
+    "c": ("ratio_to_c", _c),
+    "ppo": ("ppo", _ppo),
+    "time-to-beat": ("time_to_beat", _time_to_beat),
+    "scale": ("scale", _scale),
+    "peers": ("peers", _peers),
+}
