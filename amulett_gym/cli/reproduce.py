@@ -6,6 +6,7 @@ import argparse
 import json
 from contextlib import nullcontext
 
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import output_folder
 
 HELP = "run what the paper measured, and compare Tables 2-5 with ours"
@@ -23,31 +24,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--study",
         metavar="DIR",
-        help="devices that `amulett identify` wrote to a folder, in the place of the shipped ones",
+        help="devices that `amulett identify` wrote to a folder, instead of the shipped ones",
     )
     parser.add_argument("--json", action="store_true", help="print the content of reproduction.json and nothing else")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
-    from amulett_gym.studies.paper.document import check
-    from amulett_gym.studies.paper.evidence import gather
-    from amulett_gym.studies.paper.own_study import read_study
+    from amulett_gym.reporting.document import check_document
     from amulett_gym.studies.paper.report import (
+        MARKS,
         REPRODUCTION_MARKS,
         draw,
+        in_words,
         write_document,
         write_numbers,
         write_pictures,
     )
-    from amulett_gym.studies.paper.results import content, in_words
+    from amulett_gym.studies.paper.results import PARTS, content, gather
+    from amulett_gym.studies.paper.study import read_study
 
     out = arguments.out
     study = None if arguments.study is None else read_study(arguments.study)
     if arguments.doc is not None:
-        check(arguments.doc)
+        check_document(arguments.doc, [MARKS], images=True)
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
-        evidence = gather(study)
+        with Progress(PARTS, "reproduce", "parts", show=not arguments.json) as progress:
+            evidence = gather(study, lambda part: progress.update(note=part))
         result = content(evidence) if out is None else write_numbers(evidence, out)
         if out is not None:
             figures = write_pictures(evidence, out)
@@ -60,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(in_words(evidence))
     if out is not None:
-        replaced = ", in the place of the reproduction that was there" if earlier else ""
+        replaced = ", instead of the reproduction that was there" if earlier else ""
         print(f"Written to {out}: reproduction.html, reproduction.json, CSV files and figures{replaced}.")
     if arguments.doc is not None:
         print(f"Renewed: {arguments.doc}")

@@ -63,7 +63,7 @@ def span(ratio: Mapping[str, float | None]) -> str:
 def pretty(text: str) -> str:
     """Return a text with numbers as people write them: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
     text = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda match: f"×10{str(int(match[1])).translate(_SUPERSCRIPTS)}", text)
-    text = re.sub(r"\b(deg|N|m)2\b", r"\1²", text)
+    text = re.sub(r"\b(deg|rad|N|m)2\b", r"\1²", text)
     return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
 
 

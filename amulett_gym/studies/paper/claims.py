@@ -1,36 +1,165 @@
-"""What sections 3 to 5 say about the results, claim by claim, tried on our numbers and on the paper's own.
+"""What sections 1.2 and 3 to 5 say about the results, tried on our numbers and on the paper's own.
 
 A claim is data: quantities, and bounds between which they have to lie. The same statements are tried on both sets of
 numbers, so that a sentence which the paper's own tables contradict shows as one. What a sentence leaves open, such as
-"practically" or "slightly", is settled beside it.
+"practically" or "slightly", is settled beside it. The three hypotheses of section 1.2 are answered by our numbers.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from amulett_gym.studies.paper.motion import Key
+from amulett_gym.evaluation import metrics as registry
+from amulett_gym.studies.paper.motion import UNITS, Key
 from amulett_gym.studies.paper.reproduction import Reproduction
-from amulett_gym.studies.paper.statements import (
-    METRICS,
-    NAMES,
-    Numbers,
-    Quantity,
-    Verdict,
-    Within,
-    bound,
-    difference,
-    extreme,
-    judge,
-    our_numbers,
-    paper_numbers,
-    ratio,
-    value,
-)
-from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, PROTOCOL
+from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, FIGURE_6, PROTOCOL, TABLES_2_TO_5
+
+Numbers = Mapping[Key, float]
+"""Metric, device, configuration and drive -> a number; one that does not exist is not there."""
+
+NAMES = dict(zip(CONFIGURATIONS, ("position only", "5 N", "10 N", "variable"), strict=True))
+"""Configurations in words."""
+
+METRICS = {name: registry.METRICS[name].name for name in ("rise_time", "position_ise", "tension_ise")} | {
+    "isav": "ISAV"
+}
+"""Metrics of Tables 2-5 in words, in the order of the tables."""
+
+_UNITS = {cell.metric: cell.unit for cell in TABLES_2_TO_5} | UNITS
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that numbers give.
+
+    Attributes
+    ----------
+    of : callable
+        Numbers -> its value, NaN if a number is missing.
+    say : callable
+        Numbers -> what it is, and its value with a unit.
+    """
+
+    of: Callable[[Numbers], float]
+    say: Callable[[Numbers], str]
+
+
+@dataclass(frozen=True)
+class Within:
+    """The statement that a quantity lies between two bounds, both excluded."""
+
+    quantity: Quantity
+    low: float | Quantity = -math.inf
+    high: float | Quantity = math.inf
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether statements hold (None: a number that decides it is missing), and the numbers that say so."""
+
+    holds: bool | None
+    words: str
+
+
+def judge(statements: Sequence[Within], numbers: Numbers) -> Verdict:
+    """Try statements, all of which have to be true, on a set of numbers."""
+    true = [_is_true(statement, numbers) for statement in statements]
+    said: dict[str, None] = {}  # an ordered set: a quantity may be bounded twice
+    for statement in statements:
+        for part in (statement.quantity, statement.low, statement.high):
+            if isinstance(part, Quantity):
+                said[part.say(numbers)] = None
+    return Verdict(False if False in true else None if None in true else True, "; ".join(said))
+
+
+def our_numbers(reproduction: Reproduction) -> dict[Key, float]:
+    """Return our numbers of Tables 2-5."""
+    return {
+        (row.cell.metric, row.cell.profile, row.cell.configuration, row.cell.drive): row.ours
+        for row in reproduction.rows
+        if row.ours is not None
+    }
+
+
+def paper_numbers() -> dict[Key, float]:
+    """Return the paper's numbers of Tables 2-5."""
+    return {(cell.metric, cell.profile, cell.configuration, cell.drive): cell.value for cell in TABLES_2_TO_5}
+
+
+def _key(metric: str, device: str, configuration: str, drive: str | None = None) -> Key:
+    return metric, device, configuration, drive
+
+
+def value(key: Key, label: str = "") -> Quantity:
+    """Return a number as it is; the label replaces device, configuration and drive."""
+    unit = _UNITS[key[0]].replace("^2", "²")
+    suffix = "" if unit in ("", "1") else f" {unit}"
+    return _quantity(label or _label(key), lambda numbers: numbers.get(key, math.nan), lambda x: f"{x:.3g}{suffix}")
+
+
+def ratio(top: Key, bottom: Key, label: str = "") -> Quantity:
+    """Return one number over another."""
+
+    def of(numbers: Numbers) -> float:
+        below = numbers.get(bottom, math.nan)
+        return numbers.get(top, math.nan) / below if below else math.nan
+
+    return _quantity(label or _label(top), of, _ratio_in_words)
+
+
+def difference(one: Key, other: Key, label: str = "") -> Quantity:
+    """Return one number minus another of the same metric."""
+    unit = _UNITS[one[0]].replace("^2", "²")
+    return _quantity(
+        label or _label(one),
+        lambda numbers: numbers.get(one, math.nan) - numbers.get(other, math.nan),
+        lambda x: f"{x:+.2g} {unit}",
+    )
+
+
+def extreme(pick: Callable[[list[float]], float], quantities: Sequence[Quantity], label: str) -> Quantity:
+    """Return the largest or smallest (`max` or `min`) of several ratios; NaN if one is missing."""
+
+    def of(numbers: Numbers) -> float:
+        values = [quantity.of(numbers) for quantity in quantities]
+        return math.nan if any(map(math.isnan, values)) else pick(values)
+
+    return _quantity(label, of, _ratio_in_words)
+
+
+def bound(quantity: Quantity, transform: Callable[[float], float]) -> Quantity:
+    """Return a bound that depends on a quantity, and names that quantity."""
+    return Quantity(lambda numbers: transform(quantity.of(numbers)), quantity.say)
+
+
+def _is_true(statement: Within, numbers: Numbers) -> bool | None:
+    low, middle, high = (
+        part.of(numbers) if isinstance(part, Quantity) else part
+        for part in (statement.low, statement.quantity, statement.high)
+    )
+    return None if any(map(math.isnan, (low, middle, high))) else low < middle < high
+
+
+def _quantity(label: str, of: Callable[[Numbers], float], words: Callable[[float], str]) -> Quantity:
+    def say(numbers: Numbers) -> str:
+        result = of(numbers)
+        return f"{label} {'has no number' if math.isnan(result) else words(result)}"
+
+    return Quantity(of, say)
+
+
+def _label(key: Key) -> str:
+    _, device, configuration, drive = key
+    return " ".join([device, NAMES[configuration], *([drive] if drive else [])])
+
+
+def _ratio_in_words(ratio: float) -> str:
+    """Return a ratio as a change in percent, or as a factor if percents would not show it."""
+    return f"{100.0 * (ratio - 1.0):+.1f} %" if ratio == 0.0 or 0.01 <= ratio < 2.0 else f"×{ratio:.3g}"
+
 
 PLAIN, FIVE, TEN, VARIABLE = CONFIGURATIONS
 WITH_TENSION = (FIVE, TEN, VARIABLE)
@@ -116,10 +245,6 @@ def claims_content(claims: Sequence[CheckedClaim]) -> list[dict[str, Any]]:
 def change(metric: str, device: str, configuration: str, drive: str | None = None, label: str = "") -> Quantity:
     """Return a configuration's number over that of position-only control."""
     return ratio((metric, device, configuration, drive), (metric, device, PLAIN, drive), label)
-
-
-def _key(metric: str, device: str, configuration: str) -> Key:
-    return metric, device, configuration, None
 
 
 def _changes(metric: str, device: str, drives: Sequence[str | None] = (None,)) -> tuple[Quantity, ...]:
@@ -644,3 +769,188 @@ CLAIMS: tuple[Claim, ...] = (
     ),
 )
 """All claims, in the paper's order."""
+
+
+SUPPORTED, PARTLY, NOT, OPEN = "supported", "partly supported", "not supported", "open"
+
+_NOMINAL, _MINIMUM, _ = (item.value for item in FIGURE_6)
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """A part of a hypothesis.
+
+    Attributes
+    ----------
+    case : str
+        Device, configuration or both that it is about.
+    question : str
+        What has to be the case there.
+    holds : bool or None
+        None if a number is missing.
+    words : str
+        The numbers that say so.
+    """
+
+    case: str
+    question: str
+    holds: bool | None
+    words: str
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What our numbers say about a hypothesis.
+
+    Attributes
+    ----------
+    number : int
+    hypothesis : str
+        The paper's words.
+    verdict : {"supported", "partly supported", "not supported", "open"}
+        All of the criteria hold; some do and some do not; none does; none fails, but some lack a number.
+    criteria : tuple of Criterion
+    paper : str
+        What the paper concluded.
+    """
+
+    number: int
+    hypothesis: str
+    verdict: str
+    criteria: tuple[Criterion, ...]
+    paper: str
+
+
+def answer_hypotheses(numbers: Numbers) -> tuple[Answer, ...]:
+    """Answer the three hypotheses.
+
+    Parameters
+    ----------
+    numbers : mapping
+        Those of Tables 2-5 (`our_numbers`) and what was observed (`motion.observe`).
+    """
+    answers = []
+    for number, (hypothesis, parts, paper) in enumerate(_HYPOTHESES, start=1):
+        verdicts = [judge(statements, numbers) for *_, statements in parts]
+        criteria = (
+            Criterion(case, question, found.holds, found.words)
+            for (case, question, _), found in zip(parts, verdicts, strict=True)
+        )
+        answers.append(Answer(number, hypothesis, _overall({found.holds for found in verdicts}), (*criteria,), paper))
+    return tuple(answers)
+
+
+def _overall(holds: set[bool | None]) -> str:
+    if False in holds:
+        return PARTLY if True in holds else NOT
+    return OPEN if None in holds else SUPPORTED
+
+
+def hypotheses_content(answers: Sequence[Answer]) -> list[dict[str, Any]]:
+    """Return answers as JSON content."""
+    return [
+        {
+            "number": answer.number,
+            "hypothesis": answer.hypothesis,
+            "verdict": answer.verdict,
+            "criteria": [
+                {"question": f"{item.case}: {item.question}", "holds": item.holds, "numbers": item.words}
+                for item in answer.criteria
+            ],
+            "paper": answer.paper,
+        }
+        for answer in answers
+    ]
+
+
+_Part = tuple[str, str, Sequence[Within]]
+"""Device or configuration, what has to be the case there, and the same as data."""
+
+
+def _reduced(device: str, configuration: str) -> _Part:
+    """Return what hypothesis 1 asks of a configuration on a device."""
+    ratios = (
+        ratio(_key(metric, device, configuration), _key(metric, device, PLAIN), METRICS[metric])
+        for metric in ("rise_time", "position_ise")
+    )
+    return f"{device}, {NAMES[configuration]}", "both are reduced by more than 1 %", _all([*ratios], high=0.99)
+
+
+def _softened(device: str) -> list[_Part]:
+    """Return what hypothesis 2 asks of a device: in motion softer far from the setpoint, and because of eq. 6."""
+
+    def softening(configuration: str) -> Quantity:
+        far, near = (_key(f"stiffness_{where}", device, configuration) for where in ("far", "near"))
+        return ratio(far, near, f"{NAMES[configuration]}: stiffness far against near")
+
+    def tension(where: str, wanted: float) -> Within:
+        measured = value(_key(f"tension_{where}", device, VARIABLE), f"tension {where}")
+        return Within(measured, 0.75 * wanted, 1.25 * wanted)
+
+    constants = [bound(softening(other), lambda softened: 0.95 * softened) for other in (FIVE, TEN)]
+    return [
+        (
+            device,
+            "with variable stiffness the joint is over 5 % softer far from the setpoint (error above d_offset) than "
+            "near it (within 2 deg)",
+            [Within(softening(VARIABLE), high=0.95)],
+        ),
+        (
+            device,
+            "eq. 6 causes that: at constant tensions the joint softens less, by 5 % or more",
+            [Within(softening(VARIABLE), high=constant) for constant in constants],
+        ),
+        (
+            device,
+            f"it is controlled: the antagonist's tension is within 25 % of eq. 6's {_MINIMUM:g} N far from the "
+            f"setpoint, and of its {_NOMINAL:g} N near it",
+            [tension("far", _MINIMUM), tension("near", _NOMINAL)],
+        ),
+    ]
+
+
+def _switched_smoothly(configuration: str) -> list[_Part]:
+    """Return what hypothesis 3 asks of a configuration: the same moves, with and without switching."""
+    switches, ise, fixed_ise, deviation = (
+        _key(metric, TESTBED, configuration)
+        for metric in ("switches", "switching_ise", "fixed_ise", "switch_deviation")
+    )
+    switched = Within(value(switches, "switches:"), low=0.0)
+    return [
+        (
+            NAMES[configuration],
+            "the agonist switches, and position ISE is less than 5 % larger than with the biceps as agonist throughout",
+            [switched, Within(ratio(ise, fixed_ise, "position ISE"), high=1.05)],
+        ),
+        (
+            NAMES[configuration],
+            "no switch moves the joint by more than the error margin of 2 deg away from where it would be without that "
+            "switch",
+            [switched, Within(value(deviation, "moved by"), high=PROTOCOL.position_margin_deg)],
+        ),
+    ]
+
+
+_HYPOTHESES: tuple[tuple[str, list[_Part], str], ...] = (
+    (
+        "Controlling the string tension has positive effects on position control: Rise time and position error are "
+        "reduced",
+        [_reduced(device, configuration) for device in DEVICES for configuration in WITH_TENSION],
+        "\"Our results don't support hypothesis 1\": section 5.1. Yet in Tables 2 and 3 the simulation's variable "
+        "stiffness reduces both a little.",
+    ),
+    (
+        "Stiffness control allows for more biomimetic behavior: Joint stiffness is variable and controlled during "
+        "motion, depending on the difference between desired and actual joint position",
+        [item for device in DEVICES for item in _softened(device)],
+        '"we don\'t see hypotheses 2 or 3 falsified": section 5.1. Figure 8 shows string forces; the paper gives '
+        "no stiffness.",
+    ),
+    (
+        "The proposed control allows for smooth switching of the agonistically acting drive: The switch does not "
+        "negatively impact position control performance",
+        [item for configuration in WITH_TENSION for item in _switched_smoothly(configuration)],
+        '"we don\'t see hypotheses 2 or 3 falsified": section 5.1. Figure 9 shows no visible peaks of the '
+        "position, and a force signal that jumps.",
+    ),
+)

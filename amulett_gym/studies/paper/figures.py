@@ -22,9 +22,18 @@ from amulett_gym.model.spring import build_tables, estimate_force, look_up
 from amulett_gym.profile import Damping, Profile, VariableStiffness
 from amulett_gym.simulation.random import normal
 from amulett_gym.simulation.trajectory import Trajectory
-from amulett_gym.studies.paper.reproduction import Readings, apply_readings
-from amulett_gym.studies.paper.runs import HOLD, MOVES_FROM, STEPS, follow, paper_step, start, there_and_back
-from amulett_gym.studies.paper.switching import SWITCH_WINDOW, Switch, switching_run
+from amulett_gym.studies.paper.motion import SWITCH_WINDOW, Switch, switching_run
+from amulett_gym.studies.paper.reproduction import (
+    HOLD,
+    MOVES_FROM,
+    STEPS,
+    Readings,
+    apply_readings,
+    follow,
+    paper_step,
+    start,
+    there_and_back,
+)
 from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL, TENSION_SETPOINT
 from amulett_gym.tasks.suites import START
 

@@ -1,34 +1,43 @@
-"""What the paper says about motions without printing a number, read off ours: overshoot, stiffness, switching."""
+"""What is measured beside Tables 2-5: motions without a printed number, switches of the agonist, judgement calls.
+
+Motions show what the paper says of overshoot and joint stiffness, and the string force's rise time. Each switch of the
+agonist (section 3.5, Figure 9) is undone once: from the moment before it, the same device with the same noise goes on
+with the agonist that it had; what then differs is what this switch does. Judgement calls that no table decides are
+varied, each alone.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
-from amulett_gym.evaluation.signals import acting, force_feedback
-from amulett_gym.profile import Profile
-from amulett_gym.simulation.trajectory import record
+from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.settings import merge
+from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.studies.paper.reproduction import (
-    MEASUREMENT_TIME,
-    Readings,
-    Reproduction,
-    apply_readings,
-)
-from amulett_gym.studies.paper.runs import (
     HOLD,
+    MEASUREMENT_TIME,
     MOVES_FROM,
     STEPS,
+    Readings,
+    Reproduction,
     antagonist_force,
+    apply_readings,
+    compare,
+    explained,
     follow,
+    measure,
     paper_step,
     start,
     there_and_back,
+    with_agonist,
 )
-from amulett_gym.studies.paper.switching import switching_run
-from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, repetitions
+from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TENSION_SETPOINT, repetitions
 from amulett_gym.tasks.suites import START
 
 _TO_DEGREES = math.degrees(1.0)
@@ -66,14 +75,14 @@ stiffness_far, stiffness_near
 tension_far, tension_near
     Mean true force of the triceps' string, the antagonist's in flexion, over the same times.
 
-Those of three steps to and fro on the testbed (`runs.there_and_back`):
+Those of three steps to and fro on the testbed (`reproduction.there_and_back`):
 
 force_range
     Largest minus smallest true force of the triceps' string without tension control, over its mean.
 switches
     Of the agonist.
 switch_deviation
-    Largest difference of the joint angle, within `switching.SWITCH_WINDOW`, from what it would be had that one switch
+    Largest difference of the joint angle, within `SWITCH_WINDOW`, from what it would be had that one switch
     not happened.
 force_jump
     Largest difference of both strings' estimated forces at a switch: the jump of the tension controller's feedback.
@@ -220,4 +229,208 @@ def _steps_metrics(device: Profile, configuration: str, readings: Readings) -> d
         "force_swings": float(np.count_nonzero(np.diff(side)) / len(STEPS)),
         "switching_ise": float(path["position_ise"][-1]) * _TO_DEGREES**2,
         "fixed_ise": float(fixed["position_ise"][-1]) * _TO_DEGREES**2,
+    }
+
+
+SWITCH_WINDOW = 0.2
+"""Time after a switch in which its effect on the position is looked for [s]."""
+
+FIGURE_9 = "tension-10"
+"""Its configuration: the paper says "with tension control" only. 10 N is well above the 5 N floor of the estimation."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """One switch of the agonist, beside the same moments without it.
+
+    Attributes
+    ----------
+    time : float
+        When the control tick began in which the drives changed their roles [s].
+    force_jump : float
+        By which the tension controller's feedback jumps: the estimated force of the string that is the antagonist from
+        now on, minus that of the one that was, at the same moment [N].
+    deviation : float
+        Largest difference of the joint angle from that without the switch, within `SWITCH_WINDOW` after it [deg].
+        Within this time the agonist may switch again.
+    without : Trajectory
+        What the device does in this time if its agonist stays the one it was.
+    """
+
+    time: float
+    force_jump: float
+    deviation: float
+    without: Trajectory = field(repr=False)
+
+
+@dataclass(frozen=True)
+class SwitchingRun:
+    """The movements of Figure 9.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+    switches : tuple of Switch
+        In the order of time; empty if the agonist never changes.
+    """
+
+    trajectory: Trajectory
+    switches: tuple[Switch, ...]
+
+
+def switching_run(profile: Profile, readings: Readings, configuration: str = FIGURE_9) -> SwitchingRun:
+    """Do three steps, there, back and there again, with tension control and an agonist that switches.
+
+    Parameters
+    ----------
+    profile : Profile
+        Of the device without readings.
+    readings : Readings
+        Taken as given, but for `agonist`: section 3.5 is about movements with switching enabled.
+    configuration : str
+        One of `tables.CONFIGURATIONS`.
+
+    Raises
+    ------
+    AmulettError
+        If the device cannot hold the starting posture.
+    """
+    device = apply_readings(profile, replace(readings, agonist="switching"))
+    scenario = there_and_back(device, configuration, readings.eq6)
+    trajectory = follow(start(device, configuration, [scenario], readings.eq6), MOVES_FROM + len(STEPS) * HOLD)
+    again = start(device, configuration, [scenario], readings.eq6)
+    switches = []
+    for row in switch_rows(trajectory):
+        again.advance(int(row - again.read("tick")[0]))
+        stays = {+1: "biceps", -1: "triceps"}[int(trajectory["agonist"][row])]
+        fixed = start(with_agonist(device, stays), configuration, [scenario], readings.eq6)
+        fixed.set_state(again.get_state())
+        switches.append(_switch(trajectory, int(row), follow(fixed, SWITCH_WINDOW)))
+    return SwitchingRun(trajectory, tuple(switches))
+
+
+def _switch(trajectory: Trajectory, row: int, without: Trajectory) -> Switch:
+    rows = min(len(without), len(trajectory) - row)
+    angle, angle_without = (np.degrees(values)[:rows] for values in (trajectory["angle"][row:], without["angle"]))
+    after, before = (f"estimate_{ANTAGONIST[int(trajectory['agonist'][place])]}" for place in (row + 1, row))
+    return Switch(
+        time=float(trajectory["time"][row]),
+        force_jump=float(trajectory[after][row] - trajectory[before][row]),
+        deviation=float(np.abs(angle - angle_without).max(initial=0.0)),
+        without=without,
+    )
+
+
+FIRST_KEYS = (1, 11, 21, 31, 41, 51)
+"""Keys of the first repetition's noise."""
+
+MEASUREMENT_TIMES = (3.0, 5.0, 10.0, 20.0)
+"""T [s]."""
+
+HYSTERESES = (0.6, 1.0, 1.6, 2.4)
+"""Factors of the testbed's `switch_hysteresis`; the shipped one is 5 standard deviations of the noise."""
+
+FLOORS: tuple[Literal["clamp", "hold", "ignore"], ...] = ("clamp", "hold", "ignore")
+"""Treatments of forces estimated below the floor (`Readings.floor`)."""
+
+REST = (5.0, 20.0)
+"""When an arm at rest with a tension setpoint of 5 N is looked at [s]."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What the variations give.
+
+    Attributes
+    ----------
+    by_noise : dict of int to tuple of int
+        Key of the first repetition's noise -> numbers explained of each table.
+    by_time : dict of float to tuple of int
+        T [s] -> numbers explained of each table.
+    by_hysteresis : dict of float to dict of str to tuple of int and float
+        Factor -> configuration with tension control -> switches in the movements of Figure 9, and the largest
+        difference of the joint angle that one of them makes [deg].
+    by_floor : dict of str to tuple of float
+        Treatment -> the antagonist's true force [N] after each of `REST`, mean of all repetitions: the testbed at rest
+        on the posture of the paper's step, before it, with a setpoint of 5 N.
+    by_setpoint : dict of str to float
+        What the error is taken against -> tension ISE of the testbed without tension control [N^2 s], mean of all
+        repetitions: the true force at rest, as in Table 4, or as in the paper the force signal's mean over the two
+        seconds before the step.
+    """
+
+    by_noise: dict[int, tuple[int, ...]]
+    by_time: dict[float, tuple[int, ...]]
+    by_hysteresis: dict[float, dict[str, tuple[int, float]]]
+    by_floor: dict[str, tuple[float, ...]]
+    by_setpoint: dict[str, float]
+
+
+def vary(profiles: Mapping[str, Profile], readings: Readings) -> Sensitivity:
+    """Vary the judgement calls, each alone.
+
+    Parameters
+    ----------
+    profiles : mapping of str to Profile
+        The devices, by `tables.DEVICES`.
+    readings : Readings
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+    testbed = profiles["testbed"]
+    return Sensitivity(
+        {key: _explained(profiles, readings, MEASUREMENT_TIME, key) for key in FIRST_KEYS},
+        {time: _explained(profiles, readings, time) for time in MEASUREMENT_TIMES},
+        {factor: _switches(testbed, readings, factor) for factor in HYSTERESES},
+        {floor: _forces_at_rest(testbed, replace(readings, floor=floor)) for floor in FLOORS},
+        _position_only_ise(apply_readings(testbed, readings)),
+    )
+
+
+def _explained(profiles: Mapping[str, Profile], readings: Readings, time: float, first_key: int = 1) -> tuple[int, ...]:
+    durations = dict.fromkeys(DEVICES, time)
+    rows = compare(measure(profiles, readings, duration=durations, first_key=first_key), readings)
+    return tuple(count for count, _ in explained(rows).values())
+
+
+def _switches(testbed: Profile, readings: Readings, factor: float) -> dict[str, tuple[int, float]]:
+    loop = {"switch_hysteresis": factor * testbed.loop.switch_hysteresis}
+    loop["tie_width"] = min(testbed.loop.tie_width, loop["switch_hysteresis"])
+    device = load_profile(merge(testbed.model_dump(), {"loop": loop}))
+    found = {}
+    for configuration in (*TENSION_SETPOINT, "variable"):
+        switches = switching_run(device, readings, configuration).switches
+        found[configuration] = len(switches), max((switch.deviation for switch in switches), default=0.0)
+    return found
+
+
+def _forces_at_rest(testbed: Profile, readings: Readings) -> tuple[float, ...]:
+    device = apply_readings(testbed, readings)
+    repetitions = range(1, PROTOCOL.repetitions_testbed + 1)
+    still = [paper_step(device, "tension-5", noise_seed=key).model_copy(update={"moves": []}) for key in repetitions]
+    simulation = start(device, "tension-5", still)
+    forces, passed = [], 0.0
+    for time in REST:
+        simulation.advance(round((time - passed) / simulation.control_period))
+        forces.append(float(np.mean(simulation.read("force_triceps"))))
+        passed = time
+    return tuple(forces)
+
+
+def _position_only_ise(testbed: Profile) -> dict[str, float]:
+    scenario = paper_step(testbed, "position-only")
+    late = {"moves": [scenario.moves[0].model_copy(update={"time": MOVES_FROM})], "measure_from": MOVES_FROM}
+    keys = range(1, PROTOCOL.repetitions_testbed + 1)
+    scenarios = [scenario.model_copy(update={**late, "noise_seed": key}) for key in keys]
+    simulation = start(testbed, "position-only", scenarios)
+    force, at_rest = antagonist_force(simulation, MOVES_FROM + MEASUREMENT_TIME, estimated=True)
+    first = round(MOVES_FROM / simulation.control_period)
+    mean = force[:first].mean(axis=0)
+    setpoints = {"true force at rest (as in Table 4 here)": at_rest[0], "mean of the signal before the step": mean}
+    return {
+        name: float(np.mean(np.sum((force[first:] - setpoint) ** 2, axis=0)) * simulation.control_period)
+        for name, setpoint in setpoints.items()
     }

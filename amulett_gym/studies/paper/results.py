@@ -1,34 +1,43 @@
-"""The evidence as JSON content, rows of CSV files, and text for the terminal."""
+"""All that the study shows on our devices, as one object, as JSON and CSV content, as tables, and in sentences."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
 from amulett_gym import __version__
-from amulett_gym.studies.paper.claims import claims_content
-from amulett_gym.studies.paper.evidence import Evidence
-from amulett_gym.studies.paper.hypotheses import Answer, hypotheses_content
-from amulett_gym.studies.paper.identification import WEIGHTS
+from amulett_gym.identification.ensemble import DETERMINED
+from amulett_gym.reporting.table import Table
+from amulett_gym.reporting.words import number
+from amulett_gym.studies.paper.claims import (
+    METRICS,
+    NAMES,
+    Answer,
+    CheckedClaim,
+    answer_hypotheses,
+    check_claims,
+    claims_content,
+    hypotheses_content,
+    our_numbers,
+)
+from amulett_gym.studies.paper.figures import remarks
+from amulett_gym.studies.paper.motion import REST, ForceRise, Sensitivity, force_rise_times, observe, vary
 from amulett_gym.studies.paper.reproduction import (
     BOUNDS,
     MEASUREMENT_TIME,
+    MOVES_FROM,
     Reproduction,
     Row,
     best_reading,
     explained,
     moved,
+    reproduce,
 )
-from amulett_gym.studies.paper.runs import MOVES_FROM
-from amulett_gym.studies.paper.sensitivity import REST
-from amulett_gym.studies.paper.statements import METRICS, NAMES
-from amulett_gym.studies.paper.study import DETERMINED
-from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL, published
+from amulett_gym.studies.paper.study import WEIGHTS, OwnStudy, cross_check, shipped, spring_laws
+from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, PROTOCOL, published
 from amulett_gym.tasks.suites import START
 
 STATUS = (
@@ -37,7 +46,114 @@ STATUS = (
 )
 """How the parameters of any study came about."""
 
+TABLES = dict(zip((2, 3, 4, 5), METRICS, strict=True))
+"""Number of a table of the paper -> its metric."""
+
+READINGS = {
+    "eq6": "form of eq. 6",
+    "damping": "form of Figure 3's fit",
+    "preload": "which preload damps",
+    "wiring": "what the antagonist follows",
+    "agonist": "which drive is the agonist",
+    "floor": "forces below the 5 N floor",
+    "derivative_on": "what the derivatives are of",
+    "rise_time": "rise time",
+    "tension_error": "force in the tension ISE",
+    "isav_unit": "unit of ISAV",
+    "isav_kick": "jump at the step, in ISAV",
+    "isav_columns": "columns of Table 5",
+}
+"""Readings in words; one that is not here goes by its name."""
+
+_PAPER_NOTES = {
+    2: "Compared with the settling time: the last entry into the error margin.",
+    5: "The paper prints no unit in Table 5. ±, in all four tables: standard deviation of the testbed's "
+    f"{PROTOCOL.repetitions_testbed} repetitions, which differ by their sensor noise.",
+}
+
+HOLDS = {True: "yes", False: "no", None: "open"}
+
+_EACH = [f"Table {table}" for table in TABLES]
 _ROW_KEYS = ("table", "profile", "configuration", "metric", "drive")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that the study shows on our devices.
+
+    Attributes
+    ----------
+    reproduction : Reproduction
+    identification : dict
+        How the parameters came about (`study.shipped`).
+    predicted : dict of str to tuple of Row
+        What the fits to three configurations predict for the fourth (`study.cross_check`).
+    springs : dict of str to tuple of Row
+        What the best fit with each spring law gives (`study.spring_laws`).
+    claims : tuple of CheckedClaim
+    hypotheses : tuple of Answer
+    remarks : dict of str to str
+        What the figures show on these devices, by the figures' names (`figures.remarks`).
+    sensitivity : Sensitivity
+        What changes with the judgement calls that no table decides (`motion.vary`).
+    force_rises : tuple of ForceRise
+        The string force's rise times (`motion.force_rise_times`).
+    folder : str or None
+        Of the study that the devices come from; None for the shipped one.
+    """
+
+    reproduction: Reproduction
+    identification: dict[str, Any]
+    predicted: dict[str, tuple[Row, ...]]
+    springs: dict[str, tuple[Row, ...]]
+    claims: tuple[CheckedClaim, ...]
+    hypotheses: tuple[Answer, ...]
+    remarks: dict[str, str]
+    sensitivity: Sensitivity
+    force_rises: tuple[ForceRise, ...]
+    folder: str | None = None
+
+
+PARTS = 7
+"""Parts of the work of `gather`."""
+
+
+def gather(study: OwnStudy | None = None, report: Callable[[str], None] = lambda part: None) -> Evidence:
+    """Run the paper's protocol, and try its claims and hypotheses.
+
+    Parameters
+    ----------
+    study : OwnStudy, optional
+        Devices, and how they came about, instead of the shipped ones (`study.read_study`).
+    report : callable
+        Called with a word when each of the `PARTS` is done.
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+
+    def done(part: str, result: Any) -> Any:
+        report(part)
+        return result
+
+    identification = shipped() if study is None else study.identification
+    reproduction = done("step responses", reproduce(None if study is None else study.profiles))
+    profiles, readings = reproduction.profiles, reproduction.readings
+    observed = done("motions", observe(reproduction))
+    return Evidence(
+        reproduction,
+        identification,
+        done("cross-check", cross_check(identification, readings)),
+        done("spring laws", spring_laws(identification, readings)),
+        check_claims(reproduction, observed),
+        answer_hypotheses({**our_numbers(reproduction), **observed}),
+        done("figures' data", remarks(profiles, readings)),
+        done("judgement calls", vary(profiles, readings)),
+        done("string force", force_rise_times(profiles, readings)),
+        None if study is None else study.folder,
+    )
 
 
 def content(evidence: Evidence) -> dict[str, Any]:
@@ -61,9 +177,9 @@ def content(evidence: Evidence) -> dict[str, Any]:
             "bounds": {f"{metric}, {device}": list(ratios) for (metric, device), ratios in BOUNDS.items()},
             "versions": {"amulett-gym": __version__, "numba": version("numba"), "numpy": version("numpy")},
         },
-        "rows": [{**entry(row), "note": note(reproduction, index)} for index, row in enumerate(reproduction.rows)],
+        "rows": [{**_entry(row), "note": _note(reproduction, index)} for index, row in enumerate(reproduction.rows)],
         "cross_check": [
-            {**entry(row), "left_out": left_out} for left_out, rows in evidence.predicted.items() for row in rows
+            {**_entry(row), "left_out": left_out} for left_out, rows in evidence.predicted.items() for row in rows
         ],
         "claims": claims_content(evidence.claims),
         "hypotheses": hypotheses_content(evidence.hypotheses),
@@ -72,15 +188,88 @@ def content(evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def force_rise_table(evidence: Evidence) -> dict[str, Any]:
-    """Return the string force's rise times as a table: ``title``, ``head`` and ``body``, all of them words."""
-    return {
-        "title": "Time after the step until the string force is within 5 % of its setpoint (section 2.2). The paper "
-        "defines this rise time and prints no number. Force and setpoint are those of Table 4; 0 s: the step finds "
-        "the force within the margin. On the testbed, noise takes the estimate out of the margin again and again: the "
-        "last entry is when it last came back",
-        "head": ["device", "configuration", "first entry [s]", "last entry [s]", "within at T", "of the last second"],
-        "body": [
+def rows_content(evidence: Evidence, result: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of ``reproduction.json`` with their spread and the reading under which they come nearest."""
+    rows = []
+    for index, (written, row) in enumerate(zip(result["rows"], evidence.reproduction.rows, strict=True)):
+        key, nearest = best_reading(evidence.reproduction, index)
+        best = {"nearest_reading": "as taken" if key is None else " ".join(key), "nearest_ratio": nearest.ratio}
+        rows.append({**written, "spread": row.spread, **best})
+    return rows
+
+
+def readings_content(reproduction: Reproduction) -> list[dict[str, Any]]:
+    """Return every row under every reading."""
+    return [
+        {"reading": name, "choice": choice, **_entry(row), "than_as_taken": move}
+        for (name, choice), under in {("as taken", ""): reproduction.rows, **reproduction.alternatives}.items()
+        for row, move in zip(under, moved(under, reproduction.rows), strict=True)
+    ]
+
+
+def paper_table(reproduction: Reproduction, table: int, short: bool = False) -> Table:
+    """Return one of the paper's Tables 2-5 with ours beside it, and for each row the reading that comes nearest.
+
+    `short` names readings as `Readings` does.
+    """
+    places = [index for index, row in enumerate(reproduction.rows) if row.cell.table == table]
+    rows = [reproduction.rows[index] for index in places]
+    nearest = "nearest under" if short else "reading, alone, that comes nearer"
+    paper, ours = (f" [{unit.replace('^2', '2')}]" if unit else "" for unit in (rows[0].cell.unit, rows[0].unit))
+    return Table(
+        f"Table {table}: {METRICS[TABLES[table]]}",
+        ("", f"paper{paper}", f"ours{ours}", "±", "ratio", "explained", nearest),
+        [
+            [
+                place(row),
+                f"{row.cell.value:g}",
+                number(row.ours, 4),
+                "" if row.spread is None else number(row.spread, 2),
+                number(row.ratio),
+                HOLDS[row.explained],
+                "; ".join(filter(None, [_nearest(reproduction, index, short), row.trouble])),
+            ]
+            for index, row in zip(places, rows, strict=True)
+        ],
+        left=(0, 6),
+    )
+
+
+def overview(reproduction: Reproduction) -> Table:
+    """Return all numbers in eight rows, as paper / ours (ratio), for a document; bold: not explained."""
+
+    def cell(row: Row) -> str:
+        text = f"{_short(row.cell.value)} / "
+        text += "-" if row.ours is None or row.ratio is None else f"{_short(row.ours)} ({row.ratio:.2f})"
+        return text if row.explained else f"**{text}**"
+
+    columns: list[tuple[str, str | None]] = [(metric, None) for metric in METRICS if metric != "isav"]
+    columns += [("isav", drive) for drive in reversed(DRIVES)]
+    numbers = {
+        (row.cell.profile, row.cell.configuration, row.cell.metric, row.cell.drive): row for row in reproduction.rows
+    }
+    units = {(row.cell.metric, row.cell.drive): row.unit.replace("^2", "2") for row in reproduction.rows}
+    head = [
+        f"{METRICS[metric]}{f', column {drive}' if drive else ''} [{units[metric, drive]}]" for metric, drive in columns
+    ]
+    return Table(
+        "",
+        ("device", "configuration", *head),
+        [
+            [device, NAMES[configuration], *(cell(numbers[device, configuration, *column]) for column in columns)]
+            for device in DEVICES
+            for configuration in CONFIGURATIONS
+        ],
+        left=(0, 1),
+    )
+
+
+def force_rise_table(evidence: Evidence) -> Table:
+    """Return the string force's rise times."""
+    return Table(
+        "Rise time of the string force",
+        ("device", "configuration", "first entry [s]", "last entry [s]", "within at T", "of the last second"),
+        [
             [
                 item.profile,
                 NAMES[item.configuration],
@@ -90,96 +279,198 @@ def force_rise_table(evidence: Evidence) -> dict[str, Any]:
             ]
             for item in evidence.force_rises
         ],
-    }
+        "Time after the step until the string force is within 5 % of its setpoint (section 2.2). The paper defines "
+        "this rise time and prints no number. Force and setpoint are those of Table 4; 0 s: the step finds the force "
+        "within the margin. On the testbed, noise takes the estimate out of the margin again and again: the last entry "
+        "is when it last came back.",
+        left=(0, 1),
+    )
 
 
-def springs_table(evidence: Evidence) -> dict[str, Any]:
-    """Return what the best fit with each spring law gives as a table: ``head`` and ``body``, all of them words."""
+def readings_table(evidence: Evidence) -> Table:
+    """Return the readings: numbers explained of each table, rows that come nearer, and what fitting again gives."""
+    reproduction, found = evidence.reproduction, evidence.identification
+    refitted = {(item["reading"], item["choice"]): item for item in found["readings_refitted"]}
+
+    def line(name: str, rows: Sequence[Row], again: Mapping[str, Any], moves: Sequence[str]) -> list[str]:
+        return [name, *_counts(rows), *moves, str(again["explained"]), f"{again['cost']:.1f}"]
+
+    body = [line("as taken", reproduction.rows, found, ["", ""])]
+    for (name, choice), rows in reproduction.alternatives.items():
+        moves = moved(rows, reproduction.rows)
+        counts = [str(moves.count(way)) for way in ("nearer", "farther")]
+        body.append(line(f"{READINGS.get(name, name)}: `{choice}`", rows, refitted[name, choice], counts))
+    weights = " and ".join(f"{METRICS[metric]} {weight:g}" for metric, weight in WEIGHTS.items() if weight != 1.0)
+    least = found["ensemble"]["least_cost"]
+    above = sorted({f"{start['cost'] - least:.1f}" for start in found["starts"]}, key=float)
+    taken = ", ".join(f"{READINGS.get(name, name)} `{item}`" for name, item in asdict(reproduction.readings).items())
+    return Table(
+        "Readings",
+        ("reading, each alone", *_EACH, "nearer", "farther", "fitted again", "cost"),
+        body,
+        "What the paper leaves open, each alternative tried alone: how many numbers of each table it explains (of 8, "
+        "8, 8 and 16), and how many come nearer to the paper's or go farther from it than as taken. The last two "
+        "columns: how many of all it explains when the parameters are fitted again with it, and the cost of that fit. "
+        "The cost is a smooth count of the rows that are out of their bounds, which goes on growing a little for a row "
+        f"far off; rows weigh 1, those of {weights}. The search itself varies: its independent starts ended "
+        f"{' to '.join(dict.fromkeys((above[0], above[-1])))} above the least cost that was found, so that smaller "
+        f"differences of costs say nothing. As taken: {taken}.",
+    )
+
+
+def cross_check_table(evidence: Evidence) -> Table:
+    """Return what the fits to three configurations predict for the fourth."""
+    return Table(
+        "Cross-check: fit three configurations, predict the fourth",
+        ("left out of the fit", "explained", *(f"ratios, {device}" for device in DEVICES)),
+        [
+            [
+                NAMES[left_out],
+                f"{sum(row.explained for row in rows)} of {len(rows)}",
+                *(", ".join(number(row.ratio) for row in rows if row.cell.profile == device) for device in DEVICES),
+            ]
+            for left_out, rows in evidence.predicted.items()
+        ],
+        "Ratios to the paper's numbers, in the order of Tables 2, 3, 4, 5 biceps, 5 triceps. These are single fits, "
+        "the first seed's, with any spring and without the choice among equally good sets.",
+        left=(0, 2, 3),
+    )
+
+
+def predictions_table(evidence: Evidence) -> Table:
+    """Return every number that the cross-check predicts."""
+    return Table(
+        "Every predicted number",
+        ("left out", "table", "", "paper", "predicted", "unit", "ratio", "explained"),
+        [
+            [
+                *(NAMES[left_out], str(row.cell.table), f"{row.cell.profile} {row.cell.drive or ''}".rstrip()),
+                *(f"{row.cell.value:g}", number(row.ours, 4), row.unit.replace("^2", "2")),
+                *(number(row.ratio), HOLDS[row.explained]),
+            ]
+            for left_out, rows in evidence.predicted.items()
+            for row in rows
+        ],
+        left=(0, 2, 5),
+    )
+
+
+def spread_table(evidence: Evidence) -> Table:
+    """Return the identified parameters, and which of them the tables determine."""
+    weight = PROTOCOL.damping_mass * PROTOCOL.damping_arm**2
+    return Table(
+        "What the tables determine",
+        ("parameter", "value", "unit", "as good", "searched", "determined", "source of the search range"),
+        [
+            [
+                f"`{item['name']}`",
+                _short(item["value"]),
+                item["unit"],
+                f"{_short(item['low'])} to {_short(item['high'])}",
+                "{} to {}".format(*map(_short, item["bounds"])),
+                HOLDS[item["determined"]],
+                item["source"],
+            ]
+            for item in evidence.identification["spread"]
+        ],
+        f"As good: sets of parameters whose cost is within {evidence.identification['ensemble']['equal_cost']:g} of "
+        f"the least one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, "
+        "and touch none of its bounds; a parameter that is not may be anywhere in its range. For comparison with the "
+        f"inertia: the weight of the damping experiment alone, {1000.0 * PROTOCOL.damping_mass:g} g at "
+        f"{1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
+        left=(0, 2, 6),
+    )
+
+
+def springs_table(evidence: Evidence) -> Table:
+    """Return what the best fit with each spring law gives."""
     body = []
     for spring in evidence.identification["springs"]:
         rows = evidence.springs[spring["law"]]
         variable = {
-            row.cell.metric: "-" if row.ratio is None else f"{row.ratio:.2f}"
+            row.cell.metric: number(row.ratio)
             for row in rows
             if (row.cell.profile, row.cell.configuration) == ("testbed", "variable")
         }
-        counts = [count for count, _ in explained(rows).values()]
         body.append(
             [
                 spring["law"],
-                f"{spring['length_ratio']:g}",
-                f"{spring['stiffening']:.2f}",
-                f"{spring['cost']:.1f}",
-                ", ".join(map(str, counts)),
-                str(sum(counts)),
+                *(f"{spring['length_ratio']:g}", f"{spring['stiffening']:.2f}", f"{spring['cost']:.1f}"),
+                *_counts(rows),
+                str(sum(row.explained for row in rows)),
                 f"{variable['rise_time']}, {variable['position_ise']}",
             ]
         )
-    head = [
-        "spring law",
-        "free length / half width",
-        "stiffness at 10 N / at 4 N",
-        "cost",
-        "explained of Tables 2, 3, 4, 5",
-        f"of {len(evidence.reproduction.rows)}",
-        "ratios of the rise time and the position ISE measured with variable stiffness",
-    ]
-    return {"head": head, "body": body}
+    return Table(
+        "Which spring laws the tables allow",
+        ("spring law", "free length / half width", "stiffness at 10 N / at 4 N", "cost", *_EACH, "of 40", "ratios"),
+        body,
+        "The best fit with each law, all other parameters fitted again. Ratios: the rise time and the position ISE "
+        "measured with variable stiffness.",
+    )
 
 
-def sensitivity_tables(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return the variations as tables: ``title``, ``head`` and ``body``, all of them words."""
+def sensitivity_tables(evidence: Evidence) -> list[Table]:
+    """Return the variations of the judgement calls that no table decides."""
     found, hysteresis = evidence.sensitivity, evidence.reproduction.profiles["testbed"].loop.switch_hysteresis
     configurations = list(next(iter(found.by_hysteresis.values())))
+    last = PROTOCOL.repetitions_testbed - 1
+    reference = published("tension_ise", "testbed", "position-only").value
+
+    def explained_by(name: Callable[[Any], str], counts: Mapping[Any, Sequence[int]]) -> list[list[str]]:
+        return [[name(key), *map(str, numbers), str(sum(numbers))] for key, numbers in counts.items()]
+
     return [
-        {
-            "title": f"Sensor noise: numbers explained by {PROTOCOL.repetitions_testbed} repetitions",
-            "head": ["repetitions", *(f"Table {table}" for table in (2, 3, 4, 5)), "of 40"],
-            "body": [
+        Table(
+            "Sensor noise: numbers explained",
+            ("repetitions", *_EACH, "of 40"),
+            explained_by(lambda key: f"{key} to {key + last}{' (reported)' * (key == 1)}", found.by_noise),
+        ),
+        Table(
+            "T of eqs. 7 and 8: numbers explained",
+            ("T [s]", *_EACH, "of 40"),
+            explained_by(lambda time: f"{time:g}", found.by_time),
+        ),
+        Table(
+            "Hysteresis of the agonist's switch on the testbed",
+            ("hysteresis [mm]", *(NAMES[name] for name in configurations)),
+            [
                 [
-                    f"{key} to {key + PROTOCOL.repetitions_testbed - 1}" + (" (reported)" if key == 1 else ""),
-                    *map(str, counts),
-                    str(sum(counts)),
-                ]
-                for key, counts in found.by_noise.items()
-            ],
-        },
-        {
-            "title": "T of eqs. 7 and 8: numbers explained",
-            "head": ["T [s]", *(f"Table {table}" for table in (2, 3, 4, 5)), "of 40"],
-            "body": [[f"{time:g}", *map(str, counts), str(sum(counts))] for time, counts in found.by_time.items()],
-        },
-        {
-            "title": "Hysteresis of the agonist's switch on the testbed: switches in the movements of Figure 9, and "
-            "the most that one of them moves the joint",
-            "head": ["hysteresis [mm]", *(NAMES[name] for name in configurations)],
-            "body": [
-                [
-                    f"{1000 * factor * hysteresis:.2g}" + (" (shipped)" if factor == 1.0 else ""),
+                    f"{1000 * factor * hysteresis:.2g}{' (shipped)' * (factor == 1.0)}",
                     *(f"{count}, {deviation:.1f} deg" for count, deviation in switches.values()),
                 ]
                 for factor, switches in found.by_hysteresis.items()
             ],
-        },
-        {
-            "title": "Forces estimated below the floor: the antagonist's true force at rest, with a setpoint of 5 N",
-            "head": ["treatment", *(f"after {time:g} s [N]" for time in REST)],
-            "body": [[floor, *(f"{force:.1f}" for force in forces)] for floor, forces in found.by_floor.items()],
-        },
-        {
-            "title": "Setpoint of the tension ISE without tension control, on the testbed: the paper takes the mean of "
-            f"the signal over {MOVES_FROM:g} s",
-            "head": ["error against the", "tension ISE [N² s]", "over the paper's"],
-            "body": [
-                [name, f"{ise:.3f}", f"{ise / published('tension_ise', 'testbed', 'position-only').value:.2f}"]
-                for name, ise in found.by_setpoint.items()
-            ],
-        },
+            "Switches in the movements of Figure 9, and the most that one of them moves the joint.",
+        ),
+        Table(
+            "Forces estimated below the floor",
+            ("treatment", *(f"after {time:g} s [N]" for time in REST)),
+            [[floor, *(f"{force:.1f}" for force in forces)] for floor, forces in found.by_floor.items()],
+            "The antagonist's true force at rest, with a setpoint of 5 N.",
+        ),
+        Table(
+            "Setpoint of the tension ISE without tension control",
+            ("error against the", "tension ISE [N2 s]", "over the paper's"),
+            [[name, f"{ise:.3f}", f"{ise / reference:.2f}"] for name, ise in found.by_setpoint.items()],
+            f"On the testbed; the paper takes the mean of the signal over {MOVES_FROM:g} s.",
+        ),
     ]
 
 
+def hypothesis_table(answer: Answer) -> Table:
+    """Return what our numbers say about a hypothesis."""
+    return Table(
+        "",
+        ("on our devices", "holds", "numbers"),
+        [[f"{item.case}: {item.question}", HOLDS[item.holds], item.words] for item in answer.criteria],
+        f"The paper: {answer.paper}",
+        left=(0, 1, 2),
+    )
+
+
 def status(evidence: Evidence) -> str:
-    """Say how the parameters came about, and by whose study if it is not the shipped one."""
+    """Return how the parameters came about, and in whose study if it is not the shipped one."""
     if evidence.folder is None:
         return STATUS
     recipe = evidence.identification["recipe"]
@@ -189,7 +480,7 @@ def status(evidence: Evidence) -> str:
 
 
 def within(metric: str, device: str) -> str:
-    """Say how far ours may be from the paper's number for that one to count as explained."""
+    """Return how far ours may be from the paper's number for that one to count as explained, in words."""
     low, high = BOUNDS[metric, device]
     if math.isclose(low + high, 2.0):
         return f"within {100.0 * (high - 1.0):.3g} %"
@@ -199,7 +490,7 @@ def within(metric: str, device: str) -> str:
 
 
 def bounds_in_words() -> str:
-    """Say which numbers count as explained; a bound that holds for both devices is said once."""
+    """Return which numbers count as explained; a bound that holds for both devices is named once."""
     parts = []
     for metric, name in METRICS.items():
         bounds = {device: within(metric, device) for device in DEVICES}
@@ -209,38 +500,42 @@ def bounds_in_words() -> str:
     return f"A number is explained if ours over the paper's is within its bounds: {'; '.join(parts)}."
 
 
-def cost_in_words() -> str:
-    """Say what the cost of a fit is."""
-    weights = " and ".join(f"{METRICS[metric]} {weight:g}" for metric, weight in WEIGHTS.items() if weight != 1.0)
+def counts_in_words(evidence: Evidence) -> str:
+    """Return how many numbers are explained and how many claims hold."""
+    rows, claims = evidence.reproduction.rows, evidence.claims
+    tried = [item for item in claims if item.paper is not None]
+    borne_out = [item for item in tried if not item.contradicted]
+    hold = [sum(item.ours.holds is True for item in some) for some in (claims, borne_out)]
+    undecided = sum(item.ours.holds is None for item in claims)
+    by_table = ", ".join(f"{count} of {size} of Table {table}" for table, (count, size) in explained(rows).items())
     return (
-        "The cost of a fit is a smooth count of the rows that are out of their bounds, which goes on growing a little "
-        f"for a row far off; rows weigh 1, those of {weights}."
+        f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: {by_table}. "
+        f"{hold[0]} of {len(claims)} claims of sections 3 to 5 hold on our devices"
+        f"{f', {undecided} cannot be decided' if undecided else ''}. The paper's own tables contradict "
+        f"{len(tried) - len(borne_out)} of the {len(tried)} that are about them; of the others {hold[1]} of "
+        f"{len(borne_out)} hold on ours."
     )
 
 
-def determined_in_words(identification: Mapping[str, Any]) -> str:
-    """Say which parameter sets are as good as the best, and when they determine a parameter."""
-    weight = PROTOCOL.damping_mass * PROTOCOL.damping_arm**2
-    return (
-        f"As good: sets of parameters whose cost is within {identification['ensemble']['equal_cost']:g} of the least "
-        f"one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, and touch "
-        f"none of its bounds. For comparison with the inertia: the weight of the damping experiment alone, "
-        f"{1000.0 * PROTOCOL.damping_mass:g} g at {1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2."
-    )
+def place(row: Row) -> str:
+    """Return device, configuration and drive of a row in words."""
+    return ", ".join(filter(None, [row.cell.profile, NAMES[row.cell.configuration], row.cell.drive]))
 
 
-def search_varies(identification: Mapping[str, Any]) -> str:
-    """Say by how much costs differ although nothing but the search's random numbers does."""
-    least = identification["ensemble"]["least_cost"]
-    above = sorted({f"{start['cost'] - least:.1f}" for start in identification["starts"]}, key=float)
-    return (
-        f"The search itself varies: its independent starts ended {' to '.join(dict.fromkeys((above[0], above[-1])))} "
-        "above the least cost that was found. Smaller differences of costs say nothing."
-    )
+def _entry(row: Row) -> dict[str, Any]:
+    """Return a row as ``reproduction.json`` has it, without its note."""
+    return {
+        **{key: getattr(row.cell, key) for key in _ROW_KEYS},
+        "paper": row.cell.value,
+        "ours": row.ours,
+        "ratio": row.ratio,
+        "unit": row.unit,
+        "explained": row.explained,
+    }
 
 
-def note(reproduction: Reproduction, index: int) -> str:
-    """Say what a reader of one row has to know: its spread, why it is unexplained, and which reading comes nearer."""
+def _note(reproduction: Reproduction, index: int) -> str:
+    """Return what a reader of one row has to know: spread, why it is unexplained, which reading comes nearer."""
     row = reproduction.rows[index]
     cell = row.cell
     parts = []
@@ -254,146 +549,24 @@ def note(reproduction: Reproduction, index: int) -> str:
         parts.append("no other reading comes nearer")
     else:
         verb = "would explain it" if nearest.explained else "comes nearest, and does not explain it either"
-        parts.append(f"{_reading(key)} alone {verb} (ratio {_number(nearest.ratio)})")
+        parts.append(f"{' '.join(key)} alone {verb} (ratio {number(nearest.ratio, 5)})")
     return "; ".join(parts)
 
 
-def in_words(evidence: Evidence) -> str:
-    """Return the evidence for the terminal: the rows, the readings, and what a reader has to know."""
-    reproduction = evidence.reproduction
-    hold = sum(item.ours.holds is True for item in evidence.claims)
-    predicted = [row.explained for rows in evidence.predicted.values() for row in rows]
-    taken = reproduction.readings
-    return (
-        f"{rows_table(reproduction)}\n\n"
-        "Readings, each alone: numbers explained, and how many come nearer to the paper or go farther from it\n"
-        f"{readings_table(reproduction)}\n\n"
-        "Hypotheses of section 1.2: criteria that hold, and the numbers that say so\n"
-        f"{hypotheses_table(evidence.hypotheses)}\n\n"
-        f"Explained: {by_table(reproduction.rows)}.\n"
-        f"{bounds_in_words()}\n"
-        f"The testbed's numbers are means of {PROTOCOL.repetitions_testbed} repetitions with sensor noise, +- their "
-        f"standard deviation; T is {MEASUREMENT_TIME:g} s. Table 2 is compared with the {taken.rise_time} time.\n"
-        f"Fitted to three configurations, the model explains {sum(predicted)} of {len(predicted)} numbers of the one "
-        f"left out, over all four.\n"
-        f"Claims of sections 3 to 5: {hold} of {len(evidence.claims)} hold.\n"
-        f"{status(evidence)}"
-    )
-
-
-def rows_table(reproduction: Reproduction) -> str:
-    """Return all rows as aligned text, and for each the reading under which it comes nearest to the paper."""
-    lines = [["table", "", "", "metric", "", "paper", "ours", "", "ratio", "unit", "", "nearest under (ratio)"]]
-    for index, row in enumerate(reproduction.rows):
-        cell = row.cell
-        key, nearest = best_reading(reproduction, index)
-        lines.append(
-            [
-                str(cell.table),
-                cell.profile,
-                cell.configuration,
-                cell.metric,
-                cell.drive or "",
-                _number(cell.value),
-                _number(row.ours),
-                "" if row.spread is None else f"+-{row.spread:.2g}",
-                _number(row.ratio, 3),
-                row.unit,
-                "explained" if row.explained else "NOT explained",
-                "" if key is None else f"{_reading(key)} ({_number(nearest.ratio, 3)})",
-            ]
-        )
-    return _aligned(lines, right=(5, 6, 8))
-
-
-def readings_table(reproduction: Reproduction) -> str:
-    """Return the readings as aligned text: how many numbers of each table they explain, what gets better or worse."""
-    lines = [["reading", "Table 2", "Table 3", "Table 4", "Table 5", "nearer", "farther"]]
-    lines.append(
-        ["as taken: " + ", ".join(asdict(reproduction.readings).values()), *_counts(reproduction.rows), "", ""]
-    )
-    for key, rows in reproduction.alternatives.items():
-        moves = moved(rows, reproduction.rows)
-        lines.append([_reading(key), *_counts(rows), str(moves.count("nearer")), str(moves.count("farther"))])
-    return _aligned(lines, right=(1, 2, 3, 4, 5, 6))
-
-
-def hypotheses_table(answers: Sequence[Answer]) -> str:
-    """Return the hypotheses as aligned text: for each device or configuration the criteria that hold, and numbers."""
-    lines = []
-    for answer in answers:
-        title = f"{answer.number} {answer.verdict}"
-        for case in dict.fromkeys(item.case for item in answer.criteria):
-            items = [item for item in answer.criteria if item.case == case]
-            numbers = dict.fromkeys(part for item in items for part in item.words.split("; "))
-            lines.append([title, case, f"{sum(item.holds is True for item in items)}/{len(items)}", "; ".join(numbers)])
-            title = ""
-    return _aligned(lines, right=())
-
-
-def rows_content(evidence: Evidence, result: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of ``reproduction.json`` with their spread and the reading under which they come nearest."""
-    rows = []
-    for index, (written, row) in enumerate(zip(result["rows"], evidence.reproduction.rows, strict=True)):
-        key, nearest = best_reading(evidence.reproduction, index)
-        best = {"nearest_reading": "as taken" if key is None else _reading(key), "nearest_ratio": nearest.ratio}
-        rows.append({**written, "spread": row.spread, **best})
-    return rows
-
-
-def readings_content(reproduction: Reproduction) -> list[dict[str, Any]]:
-    """Return every row under every reading."""
-    return [
-        {"reading": name, "choice": choice, **entry(row), "than_as_taken": move}
-        for (name, choice), under in {("as taken", ""): reproduction.rows, **reproduction.alternatives}.items()
-        for row, move in zip(under, moved(under, reproduction.rows), strict=True)
-    ]
-
-
-def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of the same keys as CSV with a header."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def entry(row: Row) -> dict[str, Any]:
-    """Return a row as ``reproduction.json`` has it, without its note."""
-    return {
-        **{key: getattr(row.cell, key) for key in _ROW_KEYS},
-        "paper": row.cell.value,
-        "ours": row.ours,
-        "ratio": row.ratio,
-        "unit": row.unit,
-        "explained": row.explained,
-    }
-
-
-def by_table(rows: Iterable[Row]) -> str:
-    """Say how many rows of each table are explained."""
-    return ", ".join(f"{count} of {size} of Table {table}" for table, (count, size) in explained(rows).items())
+def _nearest(reproduction: Reproduction, index: int, short: bool) -> str:
+    """Return the reading under which a row comes nearest to the paper, its ratio then, and whether that explains it."""
+    key, nearest = best_reading(reproduction, index)
+    if key is None:
+        return "" if nearest.explained else "as taken"
+    if short:
+        return f"{' '.join(key)} ({number(nearest.ratio)})"
+    verdict = "explained" if nearest.explained else "not explained either"
+    return f"{READINGS.get(key[0], key[0])}: `{key[1]}` ({number(nearest.ratio)}, {verdict})"
 
 
 def _counts(rows: Iterable[Row]) -> list[str]:
-    return [f"{count}/{size}" for count, size in explained(rows).values()]
+    return [str(count) for count, _ in explained(rows).values()]
 
 
-def _reading(key: tuple[str, str]) -> str:
-    return f"{key[0]} {key[1]}"
-
-
-def _number(value: float | None, digits: int = 5) -> str:
-    return "-" if value is None else f"{value:.{digits}g}"
-
-
-def _aligned(lines: list[list[str]], right: tuple[int, ...]) -> str:
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            word.rjust(width) if place in right else word.ljust(width)
-            for place, (word, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+def _short(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.4g}"

@@ -1,13 +1,15 @@
-"""How the shipped parameters came about: the searches of `identification`, one after the other, and what they give.
+"""How the shipped parameters came about: searches for those that reproduce Tables 2-5 on both devices.
 
-Each search is a *stage*. A finished stage is kept in the folder and not done again, so a study that was interrupted
-goes on where it was. Stages do not share random numbers: the number of processes changes nothing.
+One set of mechanics holds for both devices. The rows that a parameter set gives become residuals in units of what each
+row may be off by, and these a cost that rows out of reach cannot dominate. Each search is a *stage*. A finished stage
+is kept in the folder and not done again, so an interrupted study goes on where it was. Stages do not share random
+numbers: the number of processes changes nothing.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
+import math
 import os
 import signal
 import time
@@ -19,37 +21,36 @@ from importlib import resources
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
+from amulett_gym.identification.ensemble import ensemble, spread
+from amulett_gym.identification.parameters import (
+    CERTAIN,
+    PARAMETERS,
+    Values,
+    allowed,
+    bare,
+    devices,
+    pack,
+    profile_changes,
+    same_device,
+    unpack,
+)
+from amulett_gym.identification.search import Cost, search
 from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import Profile
-from amulett_gym.storage.provenance import write_provenance
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.reporting.table import Table
+from amulett_gym.settings import describe
+from amulett_gym.storage.kept import digest, read_kept, write_kept
+from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json
 from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import write_json, write_text
-from amulett_gym.studies.paper.identification import (
-    CERTAIN,
-    EQUAL,
-    OUT_OF_REACH,
-    PARAMETERS,
-    ROBUST,
-    SELECTION_KEY,
-    SELECTION_REPETITIONS,
-    SIMULATED,
-    WEIGHTS,
-    devices,
-    ensemble,
-    most_explained,
-    pack,
-    profile_changes,
-    reproduced,
-    search,
-    unpack,
-)
 from amulett_gym.studies.paper.reproduction import (
     ALTERNATIVES,
     BOUNDS,
@@ -60,6 +61,24 @@ from amulett_gym.studies.paper.reproduction import (
     measure,
 )
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL, TABLES_2_TO_5
+
+SIMULATED = {"simulation": 2.0, "testbed": MEASUREMENT_TIME}
+"""T in the search [s]: the simulation is at rest after a second."""
+
+WEIGHTS = {"rise_time": 1.0, "position_ise": 2.0, "tension_ise": 1.0, "isav": 0.5}
+"""Weight of a row in the cost. Position ISE depends on no margin, estimate or unit; the unit of ISAV is not printed."""
+
+SELECTION_KEY, SELECTION_REPETITIONS = 1001, 40
+"""First key and number of the noise that the chosen set is chosen by: none that is reported."""
+
+OUT_OF_REACH = 60.0
+"""Residual of a row that does not exist, because the device failed."""
+
+ROBUST = 0.1
+"""Weight of the part of the cost that goes on growing for a row far off, so that the search knows where to go."""
+
+EQUAL = 2.5
+"""Sets whose cost is above the best one's by at most this are as good: independent starts end as far apart."""
 
 SPRING_LAWS = {
     0.0: "linear",
@@ -82,16 +101,81 @@ STIFFENING = 1.5
 CHOICES = 400
 """Members of the ensemble, about, among which the chosen set is looked for."""
 
-DETERMINED = 0.2
-"""A parameter is determined if the sets as good as the best cover at most this part of its search range, within it."""
-
-AT_BOUND = 0.01
-"""Sets that come this near to a bound, as a part of the search range, may go on beyond it."""
-
 STUDY_MARKS = ("recipe.json",)
 """The file by which a study's folder is recognised."""
 
 _ROWS = len(TABLES_2_TO_5)
+
+
+def reproduced(
+    parameters: Mapping[str, float],
+    readings: Readings,
+    repetitions: int = PROTOCOL.repetitions_testbed,
+    duration: Mapping[str, float] | None = None,
+    first_key: int = 1,
+) -> tuple[Row, ...]:
+    """Return the rows of Tables 2-5 that a set of parameters gives (see `reproduction.measure`).
+
+    Raises
+    ------
+    AmulettError
+        If a device cannot hold a posture at which a configuration starts.
+    """
+    return compare(measure(devices(parameters), readings, repetitions, duration, first_key), readings)
+
+
+def residual(row: Row) -> float:
+    """Return log(ours / paper) in units of what the row may be off by: up to 1 it is explained."""
+    bound = math.log(BOUNDS[row.cell.metric, row.cell.profile][1])
+    if row.failed:
+        return OUT_OF_REACH
+    ours = SIMULATED[row.cell.profile] if row.ours is None else max(row.ours, 1e-6)
+    return float(np.clip(math.log(ours / row.cell.value) / bound, -OUT_OF_REACH, OUT_OF_REACH))
+
+
+def cost(residuals: Sequence[float], weights: Sequence[float] | None = None) -> float:
+    """Return a smooth, weighted count of the rows that are out of their bounds."""
+    squares = np.square(residuals)
+    return float(
+        np.dot(np.log1p(squares**2) + ROBUST * np.log1p(squares), np.ones_like(squares) if weights is None else weights)
+    )
+
+
+def objective(readings: Readings, without: str | None = None) -> Cost:
+    """Return the cost as a function of the search vector; `without` leaves out one configuration, on both devices."""
+
+    def value(vector: Values) -> float:
+        worst = cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
+        if not allowed(vector):
+            return worst
+        try:
+            rows = reproduced(unpack(vector), readings, 1, SIMULATED)
+        except AmulettError:  # springs too weak for a starting posture
+            return worst
+        seen = [row for row in rows if row.cell.configuration != without]
+        return cost([residual(row) for row in seen], [WEIGHTS[row.cell.metric] for row in seen])
+
+    return value
+
+
+def most_explained(readings: Readings, members: Sequence[Mapping[str, float]]) -> tuple[int, float, dict[str, float]]:
+    """Return the set that explains most rows; among several the one of least cost.
+
+    The rows are means of other and more repetitions than those that are reported, so that the choice does not flatter
+    what is reported.
+
+    Returns
+    -------
+    tuple of int, float and dict
+        Rows explained, cost, parameters.
+    """
+    value = objective(readings)
+    ranked = []
+    for member in members:
+        rows = reproduced(member, readings, SELECTION_REPETITIONS, first_key=SELECTION_KEY)
+        ranked.append((-sum(row.explained for row in rows), value(pack(member)), dict(member)))
+    count, least, parameters = min(ranked, key=lambda entry: entry[:2])
+    return -count, least, parameters
 
 
 @dataclass(frozen=True)
@@ -270,7 +354,7 @@ def _run_stages(
     inputs = {name: _inputs(call, readings) for name, call in calls.items()}
     missing = []
     for name in calls:
-        done = _read_stage(folder / f"{name}.json", inputs[name])
+        done = read_kept(folder / f"{name}.json", inputs[name])
         if done is None:
             missing.append(name)
         else:
@@ -279,14 +363,13 @@ def _run_stages(
         return
     workers = min(processes, len(missing))
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_with, initargs=(os.getpid(),)) as pool:
-        with _ctrl_c_later():  # the workers inherit that: theirs to end is the parent
+        with _ctrl_c_later():  # the workers inherit that: the parent ends them
             futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
         try:
             for future in as_completed(futures):
                 name = futures[future]
-                result = future.result()
-                write_json(folder / f"{name}.json", {"inputs": inputs[name], "result": result})
-                yield name, result
+                write_kept(folder / f"{name}.json", inputs[name], future.result())
+                yield name, future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             for worker in active_children():  # or they would finish their searches first
@@ -321,71 +404,47 @@ def _end_with(parent: int) -> None:
 def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
     taken = Readings(**{**readings, **call.get("reading", {})})
     if "members" in call:
-        explained, cost, parameters = most_explained(taken, call["members"])
-        return {"cost": cost, "explained": explained, "parameters": parameters}
+        count, least, parameters = most_explained(taken, call["members"])
+        return {"cost": least, "explained": count, "parameters": parameters}
+    value = objective(taken, call.get("without"))
     if "candidates" in call:
-        places = np.array(call["candidates"])
         sizes = {key: call[key] for key in ("limit", "walkers", "steps")}
-        return ensemble(call["seed"], taken, places, **sizes)
+        return ensemble(value, call["seed"], np.array(call["candidates"]), **sizes)
     population = call["population"] if isinstance(call["population"], int) else np.array(call["population"])
-    found = search(
-        call["seed"],
-        taken,
-        generations=call["generations"],
-        population=population,
-        without=call.get("without"),
-        fixed=call.get("fixed"),
-    )
-    rows = reproduced(found.parameters, taken, PROTOCOL.repetitions_testbed)
+    found = search(value, call["seed"], generations=call["generations"], population=population, fixed=call.get("fixed"))
     return {
         "cost": found.cost,
-        "explained": sum(row.explained for row in rows),
+        "explained": sum(row.explained for row in reproduced(found.parameters, taken, duration=SIMULATED)),
         "parameters": found.parameters,
         "population": found.population.tolist(),
     }
 
 
-def _inputs(call: Mapping[str, Any], readings: Readings) -> dict[str, Any]:
-    """Return everything a stage's result hangs on, what is long as its hash."""
+def _inputs(call: Mapping[str, Any], readings: Readings) -> str:
+    """Return the digest of everything that a stage's result depends on."""
     middle = devices(unpack(np.full(len(PARAMETERS), 0.5)))
-    long = {
-        "call": call,
-        "devices": {name: _bare(profile.model_dump()) for name, profile in middle.items()},
-        "parameters": [asdict(free) for free in PARAMETERS],
-        "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, OUT_OF_REACH],
-        "paper": [asdict(PROTOCOL), [asdict(cell) for cell in TABLES_2_TO_5]],
-        "measured": [SIMULATED, MEASUREMENT_TIME],
-        "version": __version__,
-    }
-    digest = hashlib.sha256(json.dumps(long, sort_keys=True).encode()).hexdigest()
-    short = {key: value for key, value in call.items() if key not in ("candidates", "members", "population")}
-    return {**short, "readings": asdict(readings), "sha256": digest}
-
-
-def _read_stage(path: Path, inputs: Mapping[str, Any]) -> Any:
-    """Return a finished stage's result, None if it is not there or was asked for otherwise."""
-    if not path.exists():
-        return None
-    try:
-        content = read_json(path, "stage", limit=40_000_000)
-    except AmulettError as error:
-        raise AmulettError(f"{error}; delete it to do it again") from error
-    of_these = isinstance(content, dict) and content.get("inputs") == json.loads(json.dumps(inputs))
-    return content.get("result") if of_these else None
+    return digest(
+        {
+            "call": call,
+            "readings": asdict(readings),
+            "devices": {name: bare(profile.model_dump()) for name, profile in middle.items()},
+            "parameters": [asdict(free) for free in PARAMETERS],
+            "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, OUT_OF_REACH],
+            "paper": [asdict(PROTOCOL), [asdict(cell) for cell in TABLES_2_TO_5]],
+            "measured": [SIMULATED, MEASUREMENT_TIME],
+            "version": __version__,
+        }
+    )
 
 
 def _refuse_other_recipe(path: Path, recipe: Recipe) -> None:
-    if not path.exists():
-        return
-    other = read_json(path, "recipe")
-    asked = json.loads(json.dumps(asdict(recipe)))
-    if other != asked:
-        names = [name for name in asked if not isinstance(other, dict) or other.get(name) != asked[name]]
-        differ = ", ".join(f"{name} {other.get(name) if isinstance(other, dict) else None}" for name in names)
-        raise AmulettError(
-            f"'{path.parent}' holds a study with {differ}, not {', '.join(str(asked[name]) for name in names)}; "
-            "choose another folder, or replace it with --overwrite"
-        )
+    if path.exists():
+        found, asked = read_json(path, "recipe"), json.loads(json.dumps(asdict(recipe)))
+        if other := differences(asked, found, "" if isinstance(found, dict) else "the recipe"):
+            raise AmulettError(
+                f"'{path.parent}' holds a study of another recipe ({', '.join(other)}); choose another folder, or "
+                "replace it with --overwrite"
+            )
 
 
 def _fits(recipe: Recipe) -> list[str]:
@@ -416,9 +475,7 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
         "recipe": asdict(recipe),
         "readings": asdict(readings),
         "cost": chosen["cost"],
-        "explained": sum(
-            row.explained for row in reproduced(chosen["parameters"], readings, PROTOCOL.repetitions_testbed)
-        ),
+        "explained": sum(row.explained for row in reproduced(chosen["parameters"], readings, duration=SIMULATED)),
         "of": _ROWS,
         "selection": {"explained": chosen["explained"], "repetitions": SELECTION_REPETITIONS},
         "spread": [
@@ -469,117 +526,218 @@ def progressive(members: Sequence[Mapping[str, float]]) -> list[Mapping[str, flo
     return found or list(members)
 
 
-def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, float, bool]]:
-    """Return what the tables say about each parameter, by its name.
-
-    Parameters
-    ----------
-    members : sequence of mapping
-        Parameter sets that are as good as the best.
-
-    Returns
-    -------
-    dict of str to tuple
-        Smallest and largest value, three digits, and whether that determines it: the values cover at most
-        `DETERMINED` of the search range, and none is at a bound, beyond which they might go on.
-    """
-    places = np.array([pack(member) for member in members])
-    begin, end = places.min(axis=0), places.max(axis=0)
-    low, high = unpack(begin), unpack(end)
-    determined = (end - begin <= DETERMINED) & (begin > AT_BOUND) & (end < 1.0 - AT_BOUND)
-    return {
-        free.name: (float(f"{low[free.name]:.3g}"), float(f"{high[free.name]:.3g}"), bool(known))
-        for free, known in zip(PARAMETERS, determined, strict=True)
-    }
-
-
 def stiffening(profile: Profile) -> float:
     """Return how many times stiffer a string is at 10 N than at 4 N: what a change of tension can do."""
     tables = build_tables(profile.spring)
     return tables.stiffness_at(tables.deflection_at(10.0)) / tables.stiffness_at(tables.deflection_at(4.0))
 
 
-def same_device(profile: Profile, other: Profile) -> bool:
-    """Say whether two profiles describe the same device, whatever their names and sources."""
-    return bool(_bare(profile.model_dump()) == _bare(other.model_dump()))
-
-
-def _bare(value: Any) -> Any:
-    """Return a profile's content without what only explains it."""
-    if isinstance(value, dict):
-        words = ("name", "base", "description", "sources")
-        return {key: _bare(item) for key, item in value.items() if key not in words}
-    return value
-
-
 def in_words(content: Mapping[str, Any]) -> str:
     """Return a study for the terminal: the parameters and their spread, the spring laws, and the starts."""
-    lines = [
+    head = (
         f"Least cost: {content['ensemble']['least_cost']:.3f}. Sets within {content['ensemble']['equal_cost']:g} of "
-        f"it count as equally good; a walk found {content['ensemble']['members']} of them.",
+        f"it count as equally good; a walk found {content['ensemble']['members']} of them.\n"
         f"Chosen among about {CHOICES} of them, whose strings are at least {STIFFENING:g} times stiffer at 10 N than "
-        f"at 4 N if any are: the one that explains most rows, by noise that is not "
-        f"reported. In the report it explains {content['explained']} of {content['of']}, at a cost of "
-        f"{content['cost']:.3f}.",
-        f"{'':28}{'value':>11}  {'as good':>21}  {'searched':>19}",
-    ]
-    for entry in content["spread"]:
-        good = f"{entry['low']:.3g} to {entry['high']:.3g}"
-        searched = f"{entry['bounds'][0]:g} to {entry['bounds'][1]:g}"
-        note = "" if entry["determined"] else "  not determined"
-        unit = f"  {entry['unit']}" if entry["unit"] else ""
-        lines.append(f"  {entry['name']:26}{entry['value']:>11.4g}  {good:>21}  {searched:>19}{unit}{note}")
-    lines.append("Spring laws, all other parameters searched again:")
-    for spring in content["springs"]:
-        lines.append(
-            f"  {spring['law']:22} free length {spring['length_ratio']:g} of half width: cost {spring['cost']:.3f}, "
-            f"{spring['met']} rows, {spring['stiffening']:.2f} times stiffer at 10 N than at 4 N"
-        )
-    lines.append("Readings, each alone, all parameters searched again:")
-    for reading in content["readings_refitted"]:
-        name = f"{reading['reading']} {reading['choice']}"
-        lines.append(f"  {name:28} cost {reading['cost']:7.3f}, {reading['explained']} rows")
+        "at 4 N if any are: the one that explains most rows, by noise that is not reported. In the report it explains "
+        f"{content['explained']} of {content['of']}, at a cost of {content['cost']:.3f}.\n"
+    )
     starts = ", ".join(f"{start['cost']:.3f} (seed {start['seed']})" for start in content["starts"])
-    lines.append(f"Cost of the starts: {starts}")
-    return "\n".join(lines)
+    parameters = Table(
+        "Parameters:",
+        ("", "value", "unit", "as good", "searched", "determined"),
+        [
+            [
+                entry["name"],
+                f"{entry['value']:.4g}",
+                entry["unit"],
+                f"{entry['low']:.3g} to {entry['high']:.3g}",
+                "{:g} to {:g}".format(*entry["bounds"]),
+                "yes" if entry["determined"] else "no",
+            ]
+            for entry in content["spread"]
+        ],
+        left=(0, 2),
+    )
+    springs = Table(
+        "Spring laws, all other parameters searched again:",
+        ("", "free length / half width", "cost", "rows", "stiffness at 10 N / at 4 N"),
+        [
+            [
+                spring["law"],
+                f"{spring['length_ratio']:g}",
+                f"{spring['cost']:.3f}",
+                str(spring["met"]),
+                f"{spring['stiffening']:.2f}",
+            ]
+            for spring in content["springs"]
+        ],
+    )
+    readings = Table(
+        "Readings, each alone, all parameters searched again:",
+        ("", "cost", "rows"),
+        [
+            [f"{item['reading']} {item['choice']}", f"{item['cost']:.3f}", str(item["explained"])]
+            for item in content["readings_refitted"]
+        ],
+        note=f"Cost of the starts: {starts}",
+    )
+    return "\n\n".join([head.rstrip(), *(table.text() for table in (parameters, springs, readings))])
 
 
 def spring_laws(content: Mapping[str, Any], readings: Readings) -> dict[str, tuple[Row, ...]]:
-    """Return the rows of Tables 2-5 that the best fit with each spring law gives, by the law's name.
-
-    Parameters
-    ----------
-    content : mapping
-        From `study` or `shipped`.
-    readings : Readings
-
-    Raises
-    ------
-    AmulettError
-        If a device cannot hold a posture at which a configuration starts.
-    """
-    return {
-        spring["law"]: compare(measure(devices(spring["parameters"]), readings), readings)
-        for spring in content["springs"]
-    }
+    """Return the rows of Tables 2-5 that the best fit with each spring law gives, by the law's name."""
+    return {spring["law"]: reproduced(spring["parameters"], readings) for spring in content["springs"]}
 
 
 def cross_check(content: Mapping[str, Any], readings: Readings) -> dict[str, tuple[Row, ...]]:
-    """Return what the fits to three configurations predict for the fourth, by the configuration that was left out.
+    """Return what the fits to three configurations predict for the fourth, by the configuration that was left out."""
+    return {
+        left_out: tuple(row for row in reproduced(fitted, readings) if row.cell.configuration == left_out)
+        for left_out, fitted in content["without"].items()
+    }
 
-    Parameters
+
+@dataclass(frozen=True)
+class OwnStudy:
+    """A study and its devices.
+
+    Attributes
     ----------
-    content : mapping
-        From `study` or `shipped`.
-    readings : Readings
+    folder : str
+        As it was given.
+    identification : dict
+        As `study` returned it.
+    profiles : dict of str to Profile
+        By `tables.DEVICES`.
+    """
+
+    folder: str
+    identification: dict[str, Any]
+    profiles: dict[str, Profile]
+
+
+def read_study(folder: str | Path) -> OwnStudy:
+    """Read ``identification.json`` and both profiles from a folder that `amulett identify` wrote.
 
     Raises
     ------
     AmulettError
-        If a device cannot hold a posture at which a configuration starts.
+        If there is no study, or one that is not finished, was made under other readings or for other parameters, or
+        whose files cannot be read, lack a key or do not belong together.
     """
-    predicted = {}
-    for left_out, parameters in content["without"].items():
-        rows = compare(measure(devices(parameters), readings), readings)
-        predicted[left_out] = tuple(row for row in rows if row.cell.configuration == left_out)
-    return predicted
+    path = Path(folder) / "identification.json"
+    if not path.is_file():
+        if any((Path(folder) / mark).is_file() for mark in STUDY_MARKS):
+            raise AmulettError(f"the study in '{folder}' is not finished; `amulett identify --out {folder}` goes on")
+        raise AmulettError(f"'{folder}' holds no study: '{path}' is missing; `amulett identify` writes one")
+    content = read_json(path, "study")
+    try:
+        found = _Study.model_validate(content)
+    except ValidationError as error:
+        raise describe(error, _Study, f"study '{path}'") from error
+    _check(found, f"study '{path}'")
+    profiles = {name: load_profile(Path(folder) / f"{name}.yaml") for name in DEVICES}
+    expected = devices({entry.name: entry.value for entry in found.spread})
+    for name, profile in profiles.items():
+        if not same_device(profile, expected[name]):
+            raise AmulettError(
+                f"'{Path(folder) / f'{name}.yaml'}' does not describe the device of '{path}'; "
+                f"`amulett identify --out {folder}` writes both anew"
+            )
+    return OwnStudy(str(folder), content, profiles)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+_NonNegative = Annotated[float, Field(ge=0)]
+
+
+class _Entry(_Part):
+    name: str
+    unit: str
+    value: _NonNegative
+    low: float
+    high: float
+    bounds: Annotated[list[float], Field(min_length=2, max_length=2)]
+    determined: bool
+    source: str
+
+
+class _Start(_Part):
+    seed: int
+    cost: float
+
+
+class _Spring(_Part):
+    law: str
+    length_ratio: float
+    cost: float
+    met: int
+    of: int
+    stiffening: float
+
+
+class _Reading(_Part):
+    reading: str
+    choice: str
+    cost: float
+    explained: int
+
+
+class _Recipe(_Part):
+    seeds: list[int]
+
+
+class _Ensemble(_Part):
+    least_cost: float
+    equal_cost: float
+
+
+class _Study(_Part):
+    """What is read of ``identification.json``."""
+
+    recipe: _Recipe
+    readings: dict[str, str]
+    cost: float
+    explained: int
+    of: int
+    spread: list[_Entry]
+    ensemble: _Ensemble
+    starts: Annotated[list[_Start], Field(min_length=1)]
+    springs: list[_Spring]
+    readings_refitted: list[_Reading]
+    without: dict[str, dict[str, _NonNegative]]
+
+
+def _check(found: _Study, what: str) -> None:
+    """Refuse a study of other readings, parameters or configurations than those of this version."""
+    other = [
+        f"{name} {found.readings.get(name)} (not {choice})"
+        for name, choice in asdict(Readings()).items()
+        if found.readings.get(name) != choice
+    ]
+    if other:
+        raise AmulettError(f"{what} was made under other readings: {', '.join(other)}; identify anew")
+    parameters = [free.name for free in PARAMETERS]
+    _same(f"{what}: 'without'", found.without, CONFIGURATIONS)
+    chosen = {entry.name: entry.value for entry in found.spread}
+    for where, fitted in {
+        "spread": chosen,
+        **{f"without.{name}": found.without[name] for name in CONFIGURATIONS},
+    }.items():
+        _same(f"{what}: '{where}'", fitted, parameters)
+        for free in PARAMETERS:
+            if fitted[free.name] == 0.0 < free.low:
+                raise AmulettError(f"{what}: '{where}.{free.name}' is 0; it has to be greater")
+    refitted = [f"{item.reading} {item.choice}" for item in found.readings_refitted]
+    _same(f"{what}: 'readings_refitted'", refitted, [f"{name} {choice}" for name, choice in ALTERNATIVES])
+
+
+def _same(where: str, given: Iterable[str], names: Iterable[str]) -> None:
+    there, wanted = set(given), set(names)
+    if missing := [name for name in names if name not in there]:
+        raise AmulettError(f"{where} lacks {', '.join(missing)}; identify anew with this version")
+    if unknown := sorted(there - wanted):
+        raise AmulettError(f"{where} has {', '.join(unknown)}, which this version does not know; identify anew")

@@ -10,12 +10,23 @@ import pytest
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.profile import load_profile
-from amulett_gym.studies.paper.claims import CLAIMS, WITH_TENSION, check, check_claims, claims_content
-from amulett_gym.studies.paper.hypotheses import answer_hypotheses, hypotheses_content
+from amulett_gym.studies.paper.claims import (
+    CLAIMS,
+    WITH_TENSION,
+    Within,
+    answer_hypotheses,
+    check,
+    check_claims,
+    claims_content,
+    hypotheses_content,
+    judge,
+    our_numbers,
+    paper_numbers,
+    ratio,
+    value,
+)
 from amulett_gym.studies.paper.motion import UNITS, observe
-from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Reproduction, apply_readings, reproduce
-from amulett_gym.studies.paper.runs import paper_step
-from amulett_gym.studies.paper.statements import Within, judge, our_numbers, paper_numbers, ratio, value
+from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Reproduction, apply_readings, paper_step, reproduce
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES
 from amulett_gym.tasks.suites import START
 

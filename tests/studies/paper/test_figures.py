@@ -26,9 +26,8 @@ from amulett_gym.studies.paper.figures import (
     undamped_below,
     variable_stiffness_step,
 )
-from amulett_gym.studies.paper.reproduction import Readings
-from amulett_gym.studies.paper.runs import HOLD, MOVES_FROM, follow, start, there_and_back
-from amulett_gym.studies.paper.switching import SWITCH_WINDOW, switching_run
+from amulett_gym.studies.paper.motion import SWITCH_WINDOW, switching_run
+from amulett_gym.studies.paper.reproduction import HOLD, MOVES_FROM, Readings, follow, start, there_and_back
 from amulett_gym.studies.paper.tables import DEVICES, PROTOCOL
 
 READINGS = Readings()

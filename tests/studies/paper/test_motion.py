@@ -8,8 +8,15 @@ import pytest
 from amulett_gym.evaluation.signals import acting, force_feedback
 from amulett_gym.profile import load_profile
 from amulett_gym.studies.paper.motion import force_rise_times
-from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Readings, apply_readings
-from amulett_gym.studies.paper.runs import antagonist_force, follow, paper_step, start
+from amulett_gym.studies.paper.reproduction import (
+    MEASUREMENT_TIME,
+    Readings,
+    antagonist_force,
+    apply_readings,
+    follow,
+    paper_step,
+    start,
+)
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES
 from amulett_gym.tasks.suites import START
 

@@ -11,14 +11,19 @@ import pytest
 from amulett_gym.profile import load_profile
 from amulett_gym.studies.paper.motion import _steps_metrics
 from amulett_gym.studies.paper.reproduction import (
+    HOLD,
     MEASUREMENT_TIME,
+    MOVES_FROM,
+    STEPS,
     Readings,
     Response,
     compare,
+    follow,
     measure,
+    start,
     step_response,
+    there_and_back,
 )
-from amulett_gym.studies.paper.runs import HOLD, MOVES_FROM, STEPS, follow, start, there_and_back
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, PROTOCOL
 
 NO_GAINS = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "derivative_filter": 0.01}

@@ -15,11 +15,11 @@ from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.identification.parameters import PARAMETERS
 from amulett_gym.profile import load_profile
-from amulett_gym.studies.paper.document import BEGIN, END, block
-from amulett_gym.studies.paper.evidence import Evidence, gather
+from amulett_gym.studies.paper import results
 from amulett_gym.studies.paper.figures import CAPTIONS
-from amulett_gym.studies.paper.identification import PARAMETERS
+from amulett_gym.studies.paper.report import MARKS, block, in_words
 from amulett_gym.studies.paper.reproduction import (
     ALTERNATIVES,
     BOUNDS,
@@ -32,15 +32,16 @@ from amulett_gym.studies.paper.reproduction import (
     compare,
     explained,
     measure,
+    paper_step,
     reproduce,
     step_response,
 )
-from amulett_gym.studies.paper.results import content, in_words
-from amulett_gym.studies.paper.runs import paper_step
+from amulett_gym.studies.paper.results import Evidence, content, gather
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5
 from amulett_gym.tasks.suites import START
 
 PINNED = Path(__file__).parent / "reproduced.json"
+BEGIN, END = MARKS
 DOCUMENT = Path(__file__).parents[3] / "docs" / "reproduction.md"
 LAWS = {"position-only": "position-only", "tension-5": "constant:5", "tension-10": "constant:10", "variable": "eq6"}
 
@@ -245,7 +246,13 @@ def test_the_cross_check_predicts_what_it_has_not_seen(evidence):
     assert [row["left_out"] for row in written] == [name for name in CONFIGURATIONS for _ in range(10)]
 
 
-def test_the_command_writes_its_files_and_prints_both_tables(tmp_path, capsys, evidence):
+@pytest.fixture
+def gathered(monkeypatch, evidence):
+    """Let the command find the evidence of the other tests."""
+    monkeypatch.setattr(results, "gather", lambda *_: evidence)
+
+
+def test_the_command_writes_its_files_and_prints_both_tables(tmp_path, capsys, evidence, gathered):
     folder = tmp_path / "reproduction"
     assert main(["reproduce", "--out", str(folder)]) == 0
     output = capsys.readouterr().out
@@ -267,7 +274,7 @@ def test_the_command_keeps_off_other_folders(tmp_path, capsys):
     assert "is not empty and holds no reproduction" in capsys.readouterr().err
 
 
-def test_a_document_keeps_what_is_around_the_generated_part(tmp_path, capsys):
+def test_a_document_keeps_what_is_around_the_generated_part(tmp_path, capsys, gathered):
     path = tmp_path / "mine.md"
     path.write_text(f"# Mine\n\n{BEGIN}\nforgotten\n{END}\n\nJudgement.\n")
     assert main(["reproduce", "--doc", str(path)]) == 0
@@ -288,8 +295,7 @@ def test_a_document_keeps_what_is_around_the_generated_part(tmp_path, capsys):
 def test_the_documents_numbers_are_those_of_the_command(evidence):
     """``amulett reproduce --doc docs/reproduction.md`` was run since the last change."""
     text = DOCUMENT.read_text()
-    figures = {f"images/{name}.png": caption for name, caption in CAPTIONS.items()}
-    assert text.split(BEGIN)[1].split(END)[0].strip() == block(evidence, figures)
+    assert text.split(BEGIN)[1].split(END)[0].strip() == block(evidence)
 
 
 if __name__ == "__main__":

@@ -5,9 +5,8 @@ import pytest
 
 from amulett_gym.evaluation.signals import force_feedback
 from amulett_gym.studies.paper.figures import position_only_steps
+from amulett_gym.studies.paper.motion import FIRST_KEYS, FLOORS, HYSTERESES, MEASUREMENT_TIMES, switching_run, vary
 from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, explained, reproduce
-from amulett_gym.studies.paper.sensitivity import FIRST_KEYS, FLOORS, HYSTERESES, MEASUREMENT_TIMES, vary
-from amulett_gym.studies.paper.switching import switching_run
 
 
 @pytest.fixture(scope="module")

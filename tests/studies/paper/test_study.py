@@ -1,49 +1,35 @@
 """The search finds what it is given, the same way every time, and the shipped profiles are what it found."""
 
-import itertools
+import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections import namedtuple
+from contextlib import redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from amulett_gym.cli import main
-from amulett_gym.errors import AmulettError
-from amulett_gym.model.plant import inertia
-from amulett_gym.model.spring import build_tables
+from amulett_gym.identification.ensemble import ensemble
+from amulett_gym.identification.parameters import PARAMETERS, devices, pack, same_device, unpack
+from amulett_gym.identification.search import search
 from amulett_gym.profile import load_profile
-from amulett_gym.studies.paper import identification, reproduction, study
-from amulett_gym.studies.paper.identification import (
-    EQUAL,
-    PARAMETERS,
-    allowed,
-    cost,
-    devices,
-    ensemble,
-    most_explained,
-    objective,
-    pack,
-    reproduced,
-    residual,
-    search,
-    unpack,
-)
+from amulett_gym.studies.paper import reproduction, study
 from amulett_gym.studies.paper.reproduction import Readings
+from amulett_gym.studies.paper.study import EQUAL, cost, most_explained, objective, reproduced, residual
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES
 
 ROOT = Path(__file__).parents[3]
-SHORT = study.Recipe(seeds=(1, 2), population=8, generations=1, refinement=1, steps=1)
+SHORT = study.Recipe(seeds=(1,), population=5, generations=1, refinement=1, steps=1)
+SIZES = ["--seeds", "1", "--population", "5", "--generations", "1", "--refinement", "1", "--steps", "1"]
 Explained = namedtuple("Explained", "explained")
-vectors = st.lists(st.floats(0, 1), min_size=len(PARAMETERS), max_size=len(PARAMETERS)).map(np.array)
 
 
 @pytest.fixture(scope="module")
@@ -56,60 +42,13 @@ def parameters(content):
     return {entry["name"]: entry["value"] for entry in content["spread"]}
 
 
-@given(vectors)
-def test_a_search_vector_turns_into_parameters_and_back(vector):
-    parameters = unpack(vector)
-    assert unpack(pack(parameters)) == pytest.approx(parameters)
-    for free in PARAMETERS:
-        assert free.low * (1 - 1e-9) <= parameters[free.name] <= free.high * (1 + 1e-9)
-
-
-def test_the_whole_box_holds_devices_that_a_profile_allows():
-    """All corners of every two parameters, the others in the middle or at either end, and what is between.
-
-    An integration step of the longest control period is too long for the shortest lag.
-    """
-    size = len(PARAMETERS)
-    corners = {(base,) * size for base in (0.0, 0.5, 1.0)}
-    for base in (0.0, 0.5, 1.0):
-        for i, j in itertools.combinations(range(size), 2):
-            for one, other in itertools.product((0.0, 1.0), repeat=2):
-                corner = [base] * size
-                corner[i], corner[j] = one, other
-                corners.add(tuple(corner))
-    between = np.random.default_rng(0).uniform(size=(100, size))
-    for vector in [*map(np.array, sorted(corners)), *between]:
-        parameters = unpack(vector)
-        devices(parameters)
-
-
 def test_what_no_device_can_be_costs_most_and_is_not_simulated(monkeypatch):
     names = [free.name for free in PARAMETERS]
     corner = np.full(len(names), 0.5)
     corner[names.index("testbed.lag")], corner[names.index("testbed.control_period")] = 0.0, 1.0
-    assert not allowed(corner)
-    assert unpack(corner)["testbed.lag"] == 0.004
-    value = objective(Readings())
-    most = cost([identification.OUT_OF_REACH] * 40)
-    monkeypatch.setattr(identification, "reproduced", lambda *_: pytest.fail("simulated"))
-    assert value(corner) == most
-    corner[names.index("testbed.control_period")] = 0.0
-    assert allowed(corner)
-
-
-@given(vectors)
-@settings(max_examples=25)
-def test_both_devices_get_the_same_mechanics_and_these_mean_what_they_say(vector):
-    parameters = unpack(vector)
-    found = devices(parameters)
-    assert found["simulation"].spring == found["testbed"].spring
-    assert found["simulation"].damping == found["testbed"].damping
-    plant = found["testbed"].plant
-    assert found["simulation"].plant == plant
-    assert inertia([plant.masses[0].mass], [plant.masses[0].arm]) == pytest.approx(parameters["inertia"], rel=1e-4)
-    assert plant.drive_pulley_radius / plant.joint_pulley_radius == pytest.approx(parameters["radius_ratio"], rel=1e-4)
-    # Where the springs are almost in line, the force is a small difference of numbers with five digits.
-    assert build_tables(found["testbed"].spring).max_force == pytest.approx(parameters["max_force"], rel=5e-2)
+    most = cost([study.OUT_OF_REACH] * 40)
+    monkeypatch.setattr(study, "reproduced", lambda *_: pytest.fail("simulated"))
+    assert objective(Readings())(corner) == most
 
 
 def test_scaling_all_lengths_and_the_inertia_changes_no_row(parameters):
@@ -138,7 +77,9 @@ def test_scaling_all_lengths_and_the_inertia_changes_no_row(parameters):
 
 
 def test_a_row_within_its_bound_has_a_residual_below_one(content):
-    rows = reproduced({entry["name"]: entry["value"] for entry in content["spread"]}, Readings(), 10)
+    rows = reproduced(
+        {entry["name"]: entry["value"] for entry in content["spread"]}, Readings(), duration=study.SIMULATED
+    )
     for row in rows:
         assert row.explained or abs(residual(row)) > 0.8, row.cell
         assert abs(residual(row)) > 1.0 or row.explained, row.cell
@@ -153,29 +94,14 @@ def test_a_row_out_of_reach_cannot_dominate_the_cost():
 def test_the_search_comes_back_to_known_parameters(monkeypatch, parameters):
     """A twin experiment: tables that a known set has made are explained by that set, and the search goes there."""
     parameters = unpack(pack(parameters))  # what is written has its digits rounded
-    truth = reproduced(parameters, Readings())
+    truth = reproduced(parameters, Readings(), 1, study.SIMULATED)
     cells = tuple(replace(row.cell, value=row.ours) for row in truth)
     monkeypatch.setattr(reproduction, "TABLES_2_TO_5", cells)
     assert objective(Readings())(pack(parameters)) == 0.0
     fixed = {name: value for name, value in parameters.items() if name not in ("inertia", "max_force")}
-    found = search(1, Readings(), generations=12, population=12, fixed=fixed)
+    found = search(objective(Readings()), 1, generations=12, population=12, fixed=fixed)
     assert found.parameters["inertia"] == pytest.approx(parameters["inertia"], rel=0.05)
     assert found.parameters["max_force"] == pytest.approx(parameters["max_force"], rel=0.05)
-
-
-def test_a_seed_gives_the_same_search_and_another_one_a_different(parameters):
-    first, again, other = (search(seed, Readings(), generations=1, population=6) for seed in (1, 1, 2))
-    assert (first.cost, first.parameters) == (again.cost, again.parameters)
-    np.testing.assert_array_equal(first.population, again.population)
-    assert other.parameters != first.parameters
-
-
-def test_what_is_left_out_is_not_seen(parameters):
-    vector = pack(parameters)
-    whole = objective(Readings())(vector)
-    parts = [objective(Readings(), without)(vector) for without in CONFIGURATIONS]
-    assert sum(whole - part for part in parts) == pytest.approx(whole)
-    assert all(part < whole for part in parts)
 
 
 def test_members_of_the_ensemble_are_as_good_as_the_best(parameters):
@@ -185,11 +111,19 @@ def test_members_of_the_ensemble_are_as_good_as_the_best(parameters):
     value = objective(Readings())
     limit = value(start) + EQUAL
     far = np.clip(start + 0.3, 0.0, 1.0)
-    members = ensemble(1, Readings(), np.vstack([start, population, far]), limit=limit, walkers=6, steps=2)
+    members = ensemble(value, 1, np.vstack([start, population, far]), limit=limit, walkers=6, steps=2)
     assert len(members) >= 2
     assert all(value(pack(member)) <= limit + 1e-6 for member in members)
     assert len({member["inertia"] for member in members}) > 1
-    assert ensemble(1, Readings(), far[None], limit=limit, walkers=6, steps=2) == []
+    assert ensemble(value, 1, far[None], limit=limit, walkers=6, steps=2) == []
+
+
+def test_what_is_left_out_is_not_seen(parameters):
+    vector = pack(parameters)
+    whole = objective(Readings())(vector)
+    parts = [objective(Readings(), without)(vector) for without in CONFIGURATIONS]
+    assert sum(whole - part for part in parts) == pytest.approx(whole)
+    assert all(part < whole for part in parts)
 
 
 def test_the_chosen_set_explains_most(parameters):
@@ -203,11 +137,9 @@ def test_the_chosen_set_explains_most(parameters):
 def test_rows_count_before_cost_and_cost_among_as_many_rows(monkeypatch, parameters):
     # cost, rows explained
     made_up = {0.001: (5.0, 30), 0.002: (7.0, 33), 0.003: (6.0, 33), 0.004: (9.0, 29)}
-    monkeypatch.setattr(identification, "objective", lambda readings: lambda vector: made_up[key(vector)][0])
-    monkeypatch.setattr(identification, "devices", lambda member: member)
-    monkeypatch.setattr(identification, "measure", lambda member, *rest, **keywords: member)
+    monkeypatch.setattr(study, "objective", lambda readings: lambda vector: made_up[key(vector)][0])
     monkeypatch.setattr(
-        identification, "compare", lambda member, readings: [Explained(True)] * made_up[member["inertia"]][1]
+        study, "reproduced", lambda member, *rest, **keywords: [Explained(True)] * made_up[member["inertia"]][1]
     )
 
     def key(vector):
@@ -215,39 +147,6 @@ def test_rows_count_before_cost_and_cost_among_as_many_rows(monkeypatch, paramet
 
     members = [{**parameters, "inertia": inertia} for inertia in made_up]
     assert most_explained(Readings(), members) == (33, 6.0, members[2])
-
-
-def test_the_walk_covers_what_is_as_good_evenly(monkeypatch):
-    """Without the stretch move's factor of the dimension the walkers would drift outwards or contract."""
-
-    def in_box(readings):
-        return lambda vector: float(np.abs(vector - 0.5).max() > 0.2)
-
-    monkeypatch.setattr(identification, "objective", in_box)
-    begin = 0.5 + 0.15 * np.random.default_rng(0).uniform(-1.0, 1.0, (60, len(PARAMETERS)))
-    members = ensemble(1, Readings(), begin, limit=0.5, walkers=60, steps=150)
-    places = np.array([pack(member) for member in members])
-    continuous = [k for k, free in enumerate(PARAMETERS) if not free.choices]
-    late = places[len(places) // 2 :, continuous]
-    assert np.abs(places - 0.5).max() <= 0.2 + 0.5 / 5  # `choices` are rounded to the middle of theirs
-    assert late.mean() == pytest.approx(0.5, abs=0.02)
-    assert late.std() == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
-
-
-def test_a_parameter_is_determined_if_the_sets_are_close_together_and_away_from_the_bounds():
-    middle = np.full(len(PARAMETERS), 0.5)
-    begin, end = middle.copy(), middle.copy()
-    names = [free.name for free in PARAMETERS]
-    for name, low, high in (
-        ("inertia", 0.4, 0.6),  # close together
-        ("radius_ratio", 0.3, 0.6),  # not close
-        ("max_force", 0.0, 0.1),  # close, but at the lower bound
-        ("max_deflection", 0.9, 1.0),  # and at the upper one
-    ):
-        begin[names.index(name)], end[names.index(name)] = low, high
-    found = study.spread([unpack(begin), unpack(middle), unpack(end)])
-    assert [found[name][2] for name in names[:5]] == [True, False, False, False, True]
-    assert found["inertia"][:2] == pytest.approx((unpack(begin)["inertia"], unpack(end)["inertia"]), rel=5e-3)
 
 
 def test_a_progressive_spring_is_preferred_where_there_is_one(parameters):
@@ -264,39 +163,52 @@ def test_a_device_that_cannot_start_is_worse_than_any_that_can(parameters):
     assert value(weak) > value(pack(parameters))
 
 
-def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path):
-    done = []
-    content = study.study(tmp_path, SHORT, Readings(), 2, lambda name, stage: done.append(name))
-    assert len(done) == len(set(done)) == 2 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 2 + 1
-    for name in DEVICES:
-        assert load_profile(tmp_path / f"{name}.yaml").name == f"{name}-identified"
-    stages = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
-    (tmp_path / "stages" / "chosen.json").unlink()
-    (tmp_path / "identification.json").unlink()
-    assert study.study(tmp_path, SHORT, Readings(), 1) == content
-    again = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "stages").iterdir()}
-    assert {name for name in stages if again[name] != stages[name]} == {"chosen.json"}
-    assert json.loads((tmp_path / "identification.json").read_text()) == json.loads(json.dumps(content))
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Return the folder of a short study and what the command printed."""
+    folder, printed = tmp_path_factory.mktemp("short"), io.StringIO()
+    with redirect_stdout(printed):
+        assert main(["identify", "--out", str(folder), *SIZES]) == 0
+    return folder, printed.getvalue()
 
 
-def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys):
-    study.study(tmp_path, SHORT, Readings(), 2)
-    before = (tmp_path / "identification.json").read_text()
-    other = ["identify", "--out", str(tmp_path), "--seeds", "1", "2", "--population", "8", "--generations", "2"]
-    other += ["--refinement", "1", "--steps", "1"]
-    assert main(other) == 2
-    assert "holds a study with generations 1, not 2; choose another folder, or replace it" in capsys.readouterr().err
-    assert (tmp_path / "identification.json").read_text() == before
-    assert main([*other, "--overwrite"]) == 0
-    assert json.loads((tmp_path / "recipe.json").read_text())["generations"] == 2
-
-
-def test_progress_counts_all_stages(tmp_path, capsys):
-    sizes = ["--seeds", "1", "--population", "5", "--generations", "1", "--refinement", "1", "--steps", "1"]
-    assert main(["identify", "--out", str(tmp_path), *sizes]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    total = study.stage_count(replace(SHORT, seeds=(1,)))
+def test_progress_counts_all_stages(finished):
+    lines = finished[1].splitlines()
+    total = study.stage_count(SHORT)
+    assert total == 1 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 1 + 1
     assert [line.split()[:3] for line in lines[:total]] == [[str(k), "of", str(total)] for k in range(1, total + 1)]
+    for name in (free.name for free in PARAMETERS):
+        assert any(line.startswith(name) for line in lines[total:])
+
+
+def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path, finished):
+    shutil.copytree(finished[0], tmp_path / "study")
+    folder, stages = tmp_path / "study", tmp_path / "study" / "stages"
+    for name in DEVICES:
+        assert load_profile(folder / f"{name}.yaml").name == f"{name}-identified"
+    content = json.loads((folder / "identification.json").read_text())
+    before = {path.name: path.stat().st_mtime_ns for path in stages.iterdir()}
+    (stages / "chosen.json").unlink()
+    (stages / "start-1.json").write_text("{")  # damaged: done again
+    (folder / "identification.json").unlink()
+    done = []
+    again = study.study(folder, SHORT, Readings(), 1, lambda name, stage: done.append(name))
+    assert json.loads(json.dumps(again)) == content == json.loads((folder / "identification.json").read_text())
+    assert len(done) == len(set(done)) == study.stage_count(SHORT)
+    after = {path.name: path.stat().st_mtime_ns for path in stages.iterdir()}
+    assert {name for name in before if after[name] != before[name]} == {"chosen.json", "start-1.json"}
+
+
+def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys, finished):
+    folder = shutil.copytree(finished[0], tmp_path / "study")
+    before = (folder / "identification.json").read_text()
+    other = ["identify", "--out", str(folder), *SIZES[:-1], "2"]
+    assert main(other) == 2
+    message = "holds a study of another recipe (steps was 2 and is 1); choose another folder, or replace it"
+    assert message in capsys.readouterr().err
+    assert (folder / "identification.json").read_text() == before
+    assert main([*other, "--overwrite"]) == 0
+    assert json.loads((folder / "recipe.json").read_text())["steps"] == 2
 
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="needs process groups")
@@ -322,13 +234,6 @@ def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
     assert json.loads(note.read_text())["command"][:2] == ["amulett", "identify"]  # though it is not finished
     for text in kept.values():
         json.loads(text)
-
-
-def test_a_damaged_stage_is_named(tmp_path):
-    (tmp_path / "stages").mkdir()
-    (tmp_path / "stages" / "start-1.json").write_text("{")
-    with pytest.raises(AmulettError, match="start-1.json' is not valid JSON.*delete it"):
-        study.study(tmp_path, SHORT, Readings(), 1)
 
 
 @pytest.mark.parametrize(
@@ -357,15 +262,15 @@ def test_the_shipped_profiles_are_what_was_identified(content, parameters):
     assert content["readings"] == asdict(Readings())
     found = devices(parameters)
     for name in DEVICES:
-        assert study.same_device(load_profile(name), found[name])
+        assert same_device(load_profile(name), found[name])
         file = ROOT / "configs" / "identified" / f"{name}.yaml"
         assert file.read_text() == study.profile_text(name, content)
-        assert study.same_device(load_profile(file), load_profile(name))
+        assert same_device(load_profile(file), load_profile(name))
 
 
 def test_the_shipped_parameters_cost_what_the_study_says(content, parameters):
     assert objective(Readings())(pack(parameters)) == pytest.approx(content["cost"], rel=1e-6)
-    rows = reproduced(parameters, Readings(), 10)
+    rows = reproduced(parameters, Readings(), duration=study.SIMULATED)
     assert sum(row.explained for row in rows) == content["explained"]
     least = content["ensemble"]["least_cost"]
     assert least <= min(start["cost"] for start in content["starts"])

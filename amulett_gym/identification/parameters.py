@@ -1,0 +1,233 @@
+"""The device parameters that a search may vary, as a vector of numbers from 0 to 1 and as profiles of both devices.
+
+R_2 is not among them. The equations stay the same when R_1, R_2, all lengths of the spring and J are scaled together at
+the same forces, so no recorded motion or force shows it; it is set, and the others are identified for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.model.plant import inertia
+from amulett_gym.profile import STABLE_STEP, Profile, load_profile
+
+Values = NDArray[np.float64]
+
+JOINT_PULLEY_RADIUS = 0.04
+"""R_2 [m]; see above."""
+
+MASS_ARM = 0.13
+"""Lever arm of the one mass that stands for the arm [m]; motions depend on J alone."""
+
+SWITCH_FILTER = 0.03
+"""Time constant of the testbed's low-pass over the difference of both springs' readings [s]; not identified."""
+
+CERTAIN = 5.0
+"""Standard deviations of its noise by which that difference has to differ from zero before the agonist switches."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A parameter to identify.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        Bounds of the search.
+    unit : str
+        Empty if dimensionless.
+    source : str
+        Where the bounds come from.
+    logarithmic : bool
+        Whether the search moves in its logarithm.
+    choices : tuple of float
+        If not empty, the only values between the bounds that are allowed.
+    """
+
+    name: str
+    low: float
+    high: float
+    unit: str
+    source: str
+    logarithmic: bool = True
+    choices: tuple[float, ...] = ()
+
+    def value(self, place: float) -> float:
+        """Return the parameter at a place from 0 (lower bound) to 1 (upper bound)."""
+        if self.choices:
+            return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
+        if self.logarithmic:
+            return self.low * (self.high / self.low) ** place
+        return self.low + (self.high - self.low) * place
+
+    def place(self, value: float) -> float:
+        """Return the place of a value, the inverse of `value`."""
+        if self.choices:
+            return (self.choices.index(value) + 0.5) / len(self.choices)
+        if self.logarithmic:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+PARAMETERS = (
+    Free("inertia", 3e-4, 1e-2, "kg m2", "J: a bare printed beam, to one with half a kilogram of motor and mount"),
+    Free("radius_ratio", 0.2, 0.5, "", "R_1/R_2: 0.29 by the measured position ISEs without lag, more with lag"),
+    Free("max_force", 10.05, 40.0, "N", "where the springs saturate: 10 N was held"),
+    Free("max_deflection", 2e-3, 3e-2, "m", "string deflection there: an assembly the size of a hand"),
+    Free(
+        "width_ratio",
+        0.15,
+        1.5,
+        "",
+        "half width of the assembly over max_deflection: wider, the slider on a spring moves by less than 0.3 of the "
+        "string's deflection",
+    ),
+    Free(
+        "length_ratio", 0.0, 1.0, "", "free length of a linear spring over half width: 0 linear, 1 cubic at rest", False
+    ),
+    Free(
+        "simulation.position_filter", 2e-4, 0.03, "s", "derivative filter: up to three times Simulink's default, 10 ms"
+    ),
+    Free("simulation.tension_filter", 1e-3, 0.05, "s", "derivative filter"),
+    Free("simulation.force_filter", 1e-3, 0.3, "s", "the lag without which the tension loop is algebraic"),
+    Free("testbed.lag", 3e-3, 0.3, "s", "a servo's, to that of a geared motor under load"),
+    Free("testbed.rate_limit", 200.0, 2000.0, "deg/s", "a slow servo's, to that of a fast geared motor"),
+    Free(
+        "testbed.position_filter",
+        2e-4,
+        0.03,
+        "s",
+        "derivative filter: next to none, to what an encoder's noise asks for",
+    ),
+    Free("testbed.tension_filter", 2e-4, 0.1, "s", "derivative filter: the potentiometers are noisier"),
+    Free("testbed.force_filter", 2e-3, 0.3, "s", "low-pass of the estimated force"),
+    Free(
+        "testbed.slider_noise",
+        2e-5,
+        2e-4,
+        "m",
+        "potentiometers: a bit, to a hundredth of their travel, beside two motors",
+    ),
+    Free(
+        "testbed.control_period",
+        2e-3,
+        1e-2,
+        "s",
+        "what an Arduino Mega 2560 does with three sensors and two PIDs; an agent acts every 20 ms, a multiple of it",
+        choices=(0.002, 0.0025, 0.004, 0.005, 0.01),
+    ),
+)
+"""What the paper does not print and data might determine."""
+
+
+def unpack(vector: Values) -> dict[str, float]:
+    """Return the named parameters of a search vector, whose numbers go from 0 to 1 between the bounds.
+
+    Every vector gives devices that a profile allows: a lag too short for the control period is raised to the least one.
+    """
+    parameters = _between_bounds(vector)
+    return {**parameters, "testbed.lag": max(parameters["testbed.lag"], _least_lag(parameters))}
+
+
+def allowed(vector: Values) -> bool:
+    """Return whether `unpack` takes a vector as it is; one that it changes is no candidate of a search."""
+    parameters = _between_bounds(vector)
+    return parameters["testbed.lag"] >= _least_lag(parameters)
+
+
+def pack(parameters: Mapping[str, float]) -> Values:
+    """Return the search vector of named parameters, the inverse of `unpack`."""
+    return np.array([free.place(parameters[free.name]) for free in PARAMETERS])
+
+
+def _between_bounds(vector: Values) -> dict[str, float]:
+    return {free.name: free.value(place) for free, place in zip(PARAMETERS, vector.tolist(), strict=True)}
+
+
+def _least_lag(parameters: Mapping[str, float]) -> float:
+    """Return the shortest lag of the testbed's drives [s] that its integration steps resolve."""
+    return parameters["testbed.control_period"] / load_profile("testbed").loop.substeps / STABLE_STEP
+
+
+def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Return what a set of parameters changes in each device's profile, in the profile's own keys.
+
+    Numbers have five significant digits, in the search too: what is written is what was found.
+    """
+    p = parameters
+    deflection, force = p["max_deflection"], p["max_force"]
+    half_width = p["width_ratio"] * deflection
+    free_length = p["length_ratio"] * half_width
+    shared = {
+        "plant": {
+            "masses": [{"mass": _digits(p["inertia"] / inertia([1.0], [MASS_ARM])), "arm": MASS_ARM}],
+            "drive_pulley_radius": _digits(p["radius_ratio"] * JOINT_PULLEY_RADIUS),
+            "joint_pulley_radius": JOINT_PULLEY_RADIUS,
+        },
+        "spring": {
+            "stiffness": _digits(force / (2 * deflection * (1 - free_length / math.hypot(half_width, deflection)))),
+            "half_width": _digits(half_width),
+            "free_length": _digits(free_length),
+            "max_deflection": _digits(deflection),
+        },
+    }
+    changes: dict[str, dict[str, Any]] = {}
+    for device in ("simulation", "testbed"):
+        position = {"derivative_filter": _digits(p[f"{device}.position_filter"])}
+        tension = {"derivative_filter": _digits(p[f"{device}.tension_filter"])}
+        changes[device] = {
+            **shared,
+            "sensors": {"force_filter": _digits(p[f"{device}.force_filter"])},
+            "loop": {"position": position, "position_only": position, "tension": tension},
+        }
+    testbed = changes["testbed"]
+    testbed["drives"] = {"lag": _digits(p["testbed.lag"]), "rate_limit_deg": _digits(p["testbed.rate_limit"])}
+    noise, period = _digits(p["testbed.slider_noise"]), p["testbed.control_period"]
+    weight = period / (SWITCH_FILTER + period)
+    difference = noise * math.sqrt(2.0 * weight / (2.0 - weight))  # standard deviation, after the low-pass
+    testbed["sensors"]["potentiometer_noise"] = noise
+    testbed["loop"] |= {
+        "control_period": period,
+        "switch_filter": SWITCH_FILTER,
+        "switch_hysteresis": _digits(CERTAIN * difference),
+        "tie_width": _digits(difference),
+    }
+    return changes
+
+
+def devices(parameters: Mapping[str, float]) -> dict[str, Profile]:
+    """Return both shipped devices, the simulation and the testbed, with a set of parameters instead of theirs.
+
+    Raises
+    ------
+    AmulettError
+        If a profile does not allow one of the values.
+    """
+    return {
+        name: load_profile({"base": name, "name": f"{name}-identified", **changes})
+        for name, changes in profile_changes(parameters).items()
+    }
+
+
+def same_device(profile: Profile, other: Profile) -> bool:
+    """Return whether two profiles describe the same device, whatever their names and sources."""
+    return bool(bare(profile.model_dump()) == bare(other.model_dump()))
+
+
+def bare(value: Any) -> Any:
+    """Return a profile's content without what only explains it: name, base, description, sources."""
+    if isinstance(value, dict):
+        words = ("name", "base", "description", "sources")
+        return {key: bare(item) for key, item in value.items() if key not in words}
+    return value
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.5g}")

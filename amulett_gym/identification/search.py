@@ -1,0 +1,72 @@
+"""Search for the parameters of least cost, by differential evolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import differential_evolution
+
+from amulett_gym.identification.parameters import PARAMETERS, Values, pack, unpack
+
+Cost = Callable[[Values], float]
+"""Search vector -> cost, the smaller the better."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The outcome of one search.
+
+    Attributes
+    ----------
+    cost : float
+    parameters : dict of str to float
+        By the names of `PARAMETERS`.
+    population : ndarray, shape (candidates, parameters)
+        Search vectors of the last generation, from which another search can go on.
+    """
+
+    cost: float
+    parameters: dict[str, float]
+    population: Values
+
+
+def search(
+    cost: Cost, seed: int, *, generations: int, population: int | Values, fixed: Mapping[str, float] | None = None
+) -> Fit:
+    """Return the parameters of least cost that differential evolution finds.
+
+    Parameters
+    ----------
+    cost : callable
+    seed : int
+        Of the first generation and of the search.
+    generations : int
+    population : int or ndarray, shape (candidates, parameters)
+        Candidates in a generation, which then begins anywhere between the bounds; or the search vectors to begin with.
+    fixed : mapping of str to float, optional
+        Parameters that stay as they are.
+    """
+    rng = np.random.default_rng(seed)
+    if isinstance(population, int):
+        population = rng.uniform(size=(population, len(PARAMETERS)))
+    free = np.array([item.name not in (fixed or {}) for item in PARAMETERS])
+    template = pack({**unpack(np.full(len(PARAMETERS), 0.5)), **(fixed or {})})
+
+    def whole(part: Values) -> Values:
+        vector = template.copy()
+        vector[free] = part
+        return vector
+
+    found = differential_evolution(
+        lambda part: cost(whole(part)),
+        [(0.0, 1.0)] * int(free.sum()),
+        init=population[:, free],
+        seed=rng,
+        maxiter=generations,
+        tol=0.0,
+        atol=1e-4,
+        polish=False,
+    )
+    return Fit(float(found.fun), unpack(whole(found.x)), np.array([whole(part) for part in found.population]))
