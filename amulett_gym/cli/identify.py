@@ -10,7 +10,7 @@ from itertools import count
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.reporting.progress import Progress
+from amulett_gym.reporting.progress import Progress, say
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
 
@@ -60,11 +60,13 @@ def run(arguments: argparse.Namespace) -> int:
     recipe = Recipe(**given)
     total, numbers = stage_count(recipe), count(1)
     progress = Progress(total, "identify", "searches", show=not arguments.json)
+    if not arguments.json:
+        say(f"{total} searches, {min(arguments.processes, total)} at once; a search may take minutes.")
 
     def report(name: str, stage: Mapping[str, Any]) -> None:
         if not arguments.json:
             shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"
-            progress.say(f"{next(numbers):3d} of {total}  {name:32} {shown}")
+            say(f"{next(numbers):3d} of {total}  {name:32} {shown}")
         progress.update()
 
     with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out), progress:

@@ -173,9 +173,10 @@ def finished(tmp_path_factory):
 
 
 def test_progress_counts_all_stages(finished):
-    lines = finished[1].splitlines()
+    first, *lines = finished[1].splitlines()
     total = study.stage_count(SHORT)
     assert total == 1 + 4 + 1 + len(study.SPRING_LAWS) + len(reproduction.ALTERNATIVES) + 1 + 1
+    assert first.startswith(f"{total} searches, ")
     assert [line.split()[:3] for line in lines[:total]] == [[str(k), "of", str(total)] for k in range(1, total + 1)]
     for name in (free.name for free in PARAMETERS):
         assert any(line.startswith(name) for line in lines[total:])
