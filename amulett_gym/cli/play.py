@@ -36,8 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "policy",
         nargs="+",
         metavar="POLICY",
-        help="%(names)s; a function of your own, mylaw.py:function (the file is run); a zip of Stable-Baselines3 that "
-        "you trust; several play the same scenario side by side",
+        help="%(names)s; a zip of Stable-Baselines3 that you trust. Several play the same scenario side by side",
     )
     setattr(policy, "names", _Names())  # noqa: B010
     add_trust(parser)

@@ -44,6 +44,7 @@ _DESCRIPTIONS = {
     "pretrained:tension": "the same, trained in Amulett/Tension-v0",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
+    "<file.py:function>": "a function of your own that maps observations to actions; the file is run",
 }
 
 
@@ -84,9 +85,9 @@ class Own(Contender):
 
 
 def contender_names() -> dict[str, str]:
-    """Return the contenders' names (two of them patterns), each with a one-line description."""
-    *named, constants, folders = _DESCRIPTIONS.items()
-    return dict([*named, *tuned_names().items(), constants, folders])
+    """Return the contenders' names (three of them patterns), each with a one-line description."""
+    entries = list(_DESCRIPTIONS.items())
+    return dict([*entries[:-3], *tuned_names().items(), *entries[-3:]])
 
 
 def parse_contender(name: str) -> Contender:
