@@ -75,14 +75,14 @@ def compiled_in_place(function: F) -> F:
 def compiled_lanes(function: F) -> F:
     """Compile a loop over the lanes of a block, whose arguments never overlap in memory.
 
-    Told so, the compiler need not fear that what it writes for one lane changes what it reads for the next, and works
-    on several at once. Where numba cannot be told, all results are the same and take longer.
+    The compiler may then assume no aliasing between lanes, and works on several at once. A numba without that option
+    gives the same results, and takes longer.
     """
     return _compiled(function, **_NO_ALIAS)
 
 
 def _compiled(function: F, **options: bool | str) -> F:
-    # Nobody calls the functions from C: without the wrappers for it, all of them compile a little sooner.
+    # The functions are not called from C: without the wrappers for it, all of them compile a little sooner.
     dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function)
     if not numba.config.DISABLE_JIT:
         keep_code(dispatcher)

@@ -24,7 +24,7 @@ class Actor:
     policy : PolicyDescription
         Its action range is that of the observations and actions here.
     env : gymnasium.Env or VectorEnv
-        An AMULETT environment, whose clock tells a network that remembers where episodes begin.
+        An AMULETT environment, by whose clock a network with a history knows where episodes begin.
     """
 
     def __init__(self, layers: Layers, policy: PolicyDescription, env: Any) -> None:

@@ -11,7 +11,7 @@ A bundle is a folder:
 =======================  ==============================================================================
 
 Nothing is unpickled, no name in a bundle is a path or a module, and nothing is believed before the manifest has vouched
-for it. The manifest proves that a bundle is whole, not who made it: whoever changes a file can write a new manifest. No
+for it. The manifest proves that a bundle is whole, not who made it: a changed file can come with a new manifest. No
 running normalisation has to be kept: observations are scaled by constants.
 """
 
@@ -119,7 +119,7 @@ class PolicyDescription(Group):
 
     @property
     def is_privileged(self) -> bool:
-        """Whether it has to be told what no device can know."""
+        """Whether it needs observations that no device can measure (see `envs.privileged`)."""
         return len(self.observations) > len(OBSERVATIONS)
 
 

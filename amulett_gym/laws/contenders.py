@@ -32,7 +32,7 @@ IN_THE_LOOP: dict[str, dict[str, Any]] = {
     "eq6-printed": {"tension_law": "eq6-printed"},
     "position-only": {"control": "position-only"},
 }
-"""Contenders that act within the loop: what the environment has to be told."""
+"""Contenders that act within the loop: the environment's keywords."""
 
 _DESCRIPTIONS = {
     "eq6": "eq. 6 as the text describes it, inside the loop at control rate",
@@ -116,8 +116,8 @@ def parse_contender(name: str) -> Contender:
         return Contender(name, policy_name=name)
     folder = bundle_folder(name)
     policy = read_bundle(folder).policy
-    told = {"privileged": True} if policy.is_privileged else {}
-    return Contender(name, {"agent_period": policy.agent_period, **told}, str(folder))
+    sight = {"privileged": True} if policy.is_privileged else {}
+    return Contender(name, {"agent_period": policy.agent_period, **sight}, str(folder))
 
 
 def python_file(name: str) -> Path | None:

@@ -1,11 +1,11 @@
 """What a learned policy sees beside the observation: the same quantities as through a magnifying glass.
 
 An observation spans all that can happen. What decides about the tension happens within a small part of that: a tuned
-law tells errors of 2 deg apart from none (`parametric`), which is 2 % of the range, and strings go slack within half a
+law distinguishes errors of 2 deg from none (`parametric`): 2 % of the range. And strings go slack within half a
 newton of where the force estimation ends. A small network learns such edges slowly, and its weights have to grow large
-for them. Features are smooth steps of the width that matters, and a few products that every law by hand has.
+for them. Features are smooth steps of the width that matters, and a few products that every hand-made law has.
 
-All of it is computed from one observation, so that nothing is told that the device could not know.
+All of it is computed from one observation: nothing is added that the device could not know.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def features(observations: NDArray[np.floating[Any]], tension_range: tuple[float
 def with_features(observations: NDArray[np.floating[Any]], tension_range: tuple[float, float]) -> NDArray[Any]:
     """Return what a network with features sees, shape (N, 13 + len(FEATURES) + what there is beyond the 13).
 
-    The features follow the observation; what is shown beyond it, to those who are told more, comes last.
+    The features follow the observation; privileged entries, if there are any, come last.
     """
     known = len(OBSERVATIONS)
     seen = features(observations, tension_range)

@@ -13,8 +13,8 @@ from amulett_gym.errors import AmulettError
 class History:
     """The last observations of each of an environment's devices, as Stable-Baselines3's `VecFrameStack` has them.
 
-    Nobody has to tell when an episode begins: the environment's own clock does. What was seen in the one before is
-    forgotten then. Whoever asks twice within an agent step is told the same twice.
+    The environment's own clock says when an episode begins; the observations of the one before are dropped then.
+    Repeated calls within an agent step return the same.
 
     Parameters
     ----------

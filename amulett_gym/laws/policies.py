@@ -183,8 +183,7 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
     trained, size = bundle.policy.agent_period, len(bundle.policy.observations)
     if bundle.policy.is_privileged and not env.episodes.privileged:
         raise AmulettError(
-            f"policy bundle '{bundle.folder}' has to be told what no device can know; "
-            "make the environment with privileged=True"
+            f"policy bundle '{bundle.folder}' needs what no device can know; make the environment with privileged=True"
         )
     if not np.isclose(trained, agent_period, rtol=1e-9):
         raise AmulettError(

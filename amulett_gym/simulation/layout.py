@@ -6,7 +6,7 @@ is a snapshot. Angles are radians here, forces N, lengths m, times s.
 
 A device takes less than a kilobyte. Scenarios are read only, and packed: what is chosen or counted is a byte; moments,
 durations, strengths and factors are 32-bit floats, which keep 7 digits; angles, frequencies and the arm keep 64 bits.
-States are written, and each field is a 64-bit word: where widths mix, the compiler cannot tell that lanes do not
+States are written, and each field is a 64-bit word: where widths mix, the compiler cannot see that lanes do not
 overlap, and takes them one by one. What is calculated is calculated in 64 bits in any case.
 """
 
@@ -317,7 +317,7 @@ def pack_parameters(
     ----------
     profile : Profile
     control : {"decentralized", "position-only"}
-        Position-only control has its own gains and a fixed co-contraction in the place of the tension loop.
+        Position-only control has its own gains and a fixed co-contraction instead of the tension loop.
     tension_law : {"agent", "eq6", "eq6-printed"}
 
     Returns

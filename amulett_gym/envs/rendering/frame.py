@@ -27,7 +27,7 @@ class Frame:
     tension_setpoint : float or None
         Of the antagonist [N]; None if the loop has no tension controller.
     agonist : float or None
-        +1 biceps, -1 triceps; None if the loop does not tell them apart.
+        +1 biceps, -1 triceps; None if the loop has no agonist.
     drive_biceps, drive_triceps : float
         x_e1, x_e2 [rad].
     deflection_biceps, deflection_triceps : float

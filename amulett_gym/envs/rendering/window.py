@@ -31,7 +31,7 @@ class Renderer:
     Parameters
     ----------
     mode : {"rgb_array", "human"}
-        An array needs no display. A window keeps real time; without a display it is drawn where nobody sees it, as
+        An array needs no display. A window keeps real time; without a display it is drawn unseen, as
         Gymnasium's own environments do, so that their checks run anywhere.
     fps : float
         Frames a second, for the window.
@@ -59,7 +59,7 @@ class Renderer:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a window, and nobody has closed it."""
+        """Whether there is a window that was not closed."""
         return self._window is not None
 
     def draw(self, *frames: Frame) -> NDArray[np.uint8] | None:
@@ -139,12 +139,12 @@ def _remember(history: deque[Frame], frame: Frame) -> None:
 
 
 def has_display() -> bool:
-    """Tell whether a window would be seen, or a driver for an unseen one was asked for."""
+    """Return whether a window would be seen, or a driver for an unseen one was asked for."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in _DISPLAY_VARIABLES)
 
 
 def display_answers() -> bool:
-    """Tell whether a window can really be opened where it is seen: a display may be named and gone."""
+    """Return whether a window can really be opened where it is seen: a display may be named and gone."""
     if not has_display():
         return False
     pygame = _import_pygame()
@@ -161,7 +161,7 @@ def display_answers() -> bool:
 
 @contextmanager
 def _unseen() -> Iterator[None]:
-    """Choose SDL's driver for windows that nobody sees; left to itself, SDL first complains on stderr."""
+    """Choose SDL's driver for unseen windows; left to itself, SDL first complains on stderr."""
     before = os.environ.get("SDL_VIDEODRIVER")
     os.environ["SDL_VIDEODRIVER"] = "dummy"
     try:

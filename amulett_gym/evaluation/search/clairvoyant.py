@@ -7,8 +7,8 @@ the search goes; what acts at control rate or with other gains (`eq6`, `position
 cost less.
 
 With `Trials.redrawn` it knows all but chance (the *foresight* reference): a schedule is judged by its mean cost over
-several draws of the noise, none of them the scenario's own. What it then costs in the scenario itself tells how much of
-the clairvoyant's lead is foresight, and how much an answer to noise that nobody can foresee.
+several draws of the noise, none of them the scenario's own. Its cost in the scenario itself shows how much of
+the clairvoyant's lead is foresight, and how much is an answer to noise that cannot be foreseen.
 
 The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
 them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
@@ -17,7 +17,7 @@ second or so; therefore each candidate has one change in every *segment* of time
 own segment then costs. The best changes of all segments together are the next schedules to try. Only what costs less as
 a whole is kept.
 
-``python -m amulett_gym.evaluation.search.clairvoyant --suite steps --episodes 50 --out DIR`` searches and tells
+``python -m amulett_gym.evaluation.search.clairvoyant --suite steps --episodes 50 --out DIR`` searches and prints
 how it stands beside the contenders.
 """
 
@@ -438,7 +438,7 @@ def _pack(found: Reference) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Search by the command line's words, and tell the mean costs of contenders and reference."""
+    """Search by the command line's words, and print the mean costs of contenders and reference."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--suite", nargs="+", default=["steps"])
     parser.add_argument("--split", default="held-out")

@@ -6,7 +6,7 @@
     python -m amulett_gym.evaluation.search.constants --split shifted --scenarios 200 --profile simulation
 
 A constant's cost is that of the reward: position, effort, tension and, where there are obstacles, contact, each in
-units of what eq. 6 pays in the same family. All constants meet the same scenarios.
+units of eq. 6's cost in the same family. All constants meet the same scenarios.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ def costs(profile: Profile, suite: str, split: str, tension: float | None, count
     if (simulation.read("failure") != RUNNING).any():
         raise ArithmeticError(f"{(simulation.read('failure') != RUNNING).sum()} of {count} devices failed on {suite}")
     squared_degrees = float(np.degrees(1.0) ** 2)
-    paid = {
+    costs = {
         "position": simulation.read("position_ise") * squared_degrees,
         "effort": (simulation.read("effort_biceps") + simulation.read("effort_triceps")) * squared_degrees,
         "tension": simulation.read("tension_ise"),
         "contact": simulation.read("contact_ise"),
     }
     price = prices(profile, suite)[rows["family"]]
-    return np.sum([price[:, k] * paid[term] for k, term in enumerate(COST_TERMS)], axis=0)
+    return np.sum([price[:, k] * costs[term] for k, term in enumerate(COST_TERMS)], axis=0)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
