@@ -8,12 +8,12 @@ import numpy as np
 
 from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
 from amulett_gym.envs.reward import COST_TERMS, TERMS
-from amulett_gym.jit.compiled import compiled, compiled_in_place
+from amulett_gym.jit.compiled import compiled, compiled_in_place, record
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise
 
-SETTINGS = np.dtype(
+SETTINGS = record(
     [
         ("ticks", "i8"),  # control ticks in an agent step
         ("horizon", "f8"),  # agent steps in an episode
@@ -22,8 +22,7 @@ SETTINGS = np.dtype(
         ("prices", "f8", (len(FAMILIES), len(COST_TERMS))),  # `reward.prices`, per rad2 s, rad2/s, N2 s, N2 m2 s
         ("cost_cap", "f8"),
         ("observation_noise", "f8"),
-    ],
-    align=True,
+    ]
 )
 
 OBSERVATIONS = (

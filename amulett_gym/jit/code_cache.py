@@ -29,6 +29,7 @@ from typing import Any
 
 import llvmlite
 import numba
+import platformdirs
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 from amulett_gym.jit.notice import compiling
@@ -37,10 +38,10 @@ PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
 
 SOURCES = (
-    *("errors.py", "profile.py", "settings.py", "jit/*.py", "storage/*.py"),
-    *("control/*.py", "model/*.py", "simulation/batch.py"),
-    *("simulation/kernel.py", "simulation/layout.py", "simulation/random.py"),
-    *("tasks/*.py", "envs/action.py", "envs/privileged.py", "envs/reward.py", "envs/transition.py", "laws/*.py"),
+    *("errors.py", "profile.py", "settings.py", "jit/*.py", "storage/*.py", "control/*.py", "model/*.py"),
+    *(f"simulation/{name}.py" for name in ("batch", "kernel", "layout", "random")),
+    *(f"envs/{name}.py" for name in ("action", "privileged", "reward", "settings", "transition")),
+    *("tasks/*.py", "laws/*.py"),
 )
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
 
@@ -135,19 +136,12 @@ class CodeCache(FunctionCache):  # type: ignore[misc]
 def _places() -> Iterator[Path]:
     if numba.config.CACHE_DIR:
         yield Path(numba.config.CACHE_DIR).absolute() / NAME
-    with suppress(RuntimeError):  # a user without a home
-        yield _user_cache() / NAME
+    with suppress(RuntimeError):  # a user without a home; older versions give a relative path
+        user_cache = platformdirs.user_cache_path(NAME, appauthor=False, opinion=False)
+        if user_cache.is_absolute():
+            yield user_cache
     with suppress(OSError):
         yield _temporary_folder()
-
-
-def _user_cache() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    chosen = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return chosen if chosen.is_absolute() else Path.home() / ".cache"
 
 
 def _temporary_folder() -> Path:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 # Intel's vector library, if numba finds it, rounds an exp in a SIMD lane otherwise than one alone.
 os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 
 import numba
+import numpy as np
 
 try:
     from amulett_gym.jit.code_cache import keep_code
@@ -55,6 +56,15 @@ if numba.config.USING_SVML:
     )
 
 
+def record(fields: Sequence[tuple[Any, ...]]) -> np.dtype[Any]:
+    """Return the aligned dtype of records with these fields.
+
+    Compiled code reads a field as ``row.field``. With ``NUMBA_DISABLE_JIT=1``, where Python runs it, records can, too.
+    """
+    dtype = np.dtype(list(fields), align=True)
+    return np.dtype((np.record, dtype)) if numba.config.DISABLE_JIT else dtype
+
+
 def compiled(function: F) -> F:
     """Compile `function` with numba on first use (strict floating point, division by zero gives inf or NaN).
 
@@ -82,8 +92,9 @@ def compiled_lanes(function: F) -> F:
 
 
 def _compiled(function: F, **options: bool | str) -> F:
+    if numba.config.DISABLE_JIT:  # Python runs it; like compiled code, it does not warn of an overflow
+        return np.errstate(all="ignore")(function)
     # The functions are not called from C: without the wrappers for it, all of them compile a little sooner.
     dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function)
-    if not numba.config.DISABLE_JIT:
-        keep_code(dispatcher)
+    keep_code(dispatcher)
     return dispatcher

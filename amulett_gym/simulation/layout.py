@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import unknown
+from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import Pid, Profile
@@ -41,7 +42,7 @@ CLAMP, HOLD, IGNORE = 0, 1, 2
 _BELOW_FLOOR = {"clamp": CLAMP, "hold": HOLD, "ignore": IGNORE}
 _AGONIST = {"switching": 0.0, "biceps": 1.0, "triceps": -1.0}
 
-PARAMETERS = np.dtype(
+PARAMETERS = record(
     [
         # plant
         ("drive_radius", "f8"),
@@ -104,7 +105,6 @@ PARAMETERS = np.dtype(
         # error margin of rise and settling time
         ("margin", "f8"),
     ],
-    align=True,
 )
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
@@ -121,7 +121,7 @@ FAMILIES: tuple[Family | None, ...] = (None, *get_args(Family))
 
 def _record(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     """Return a record with the widest fields first: no gaps, and all fields of one width are one array of words."""
-    return np.dtype(sorted(fields, key=lambda field: -np.dtype(field[1]).itemsize), align=True)
+    return record(sorted(fields, key=lambda field: -np.dtype(field[1]).itemsize))
 
 
 def _block(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +138,28 @@ def test_code_is_kept_in_the_users_cache_folder(site, warm, tmp_path):
     assert code_below(site / "amulett_gym") == {}
     assert Path(run(site, XDG_CACHE_HOME=tmp_path)["folder"]).parent == tmp_path / "amulett-gym"
     assert Path(run(site, NUMBA_CACHE_DIR=tmp_path / "numba")["folder"]).parent == tmp_path / "numba" / "amulett-gym"
+
+
+@pytest.mark.parametrize(
+    ("system", "folder"),
+    [("macos.MacOS", "home/Library/Caches/amulett-gym"), ("windows.Windows", "local/amulett-gym")],
+)
+def test_each_system_has_its_documented_cache_folder(system, folder, tmp_path, monkeypatch):
+    module, _, name = system.partition(".")
+    there = import_module(f"platformdirs.{module}")
+    monkeypatch.setattr("platformdirs.PlatformDirs", getattr(there, name))
+    monkeypatch.setattr("platformdirs.windows.get_win_folder", lambda which: str(tmp_path / "local"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("numba.config.CACHE_DIR", "")
+    assert next(code_cache._places()) == tmp_path / folder
+
+
+def test_a_user_without_a_home_gets_a_temporary_folder(monkeypatch):
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)  # as it is without one
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr("numba.config.CACHE_DIR", "")
+    assert list(code_cache._places()) == [code_cache._temporary_folder()]
 
 
 def test_an_edit_of_what_is_called_reaches_the_caller_in_another_file(site):
