@@ -27,7 +27,7 @@ LARGEST = 1.7e308
 LEAST_POWER = -15.0
 SOON = {"time": 0.2, "duration": 0.2, "measure_from": 0.05}
 """Times that an episode of a few steps meets [s]; any other is drawn as well."""
-NOT_DRAWN = ("sources", "measured_curve", "base", "name", "description")
+NOT_DRAWN = ("sources", "measured_curve", "base", "name", "description", "setpoint")
 
 
 def range_of(field: FieldInfo) -> tuple[float, float]:
@@ -140,6 +140,11 @@ def scenarios(draw: st.DrawFn, profile: Profile) -> dict[str, Any]:
         if not moves or move["time"] >= moves[-1]["time"] + moves[-1]["duration"]:
             moves.append(move)
     content["moves"] = moves
+    if draw(st.integers(0, 3)) == 0:
+        times = sorted(draw(st.lists(st.one_of(st.floats(0, 0.2), st.floats(0, 1e6)), min_size=1, max_size=20)))
+        angles = draw(st.lists(st.floats(-180, 180), min_size=len(times), max_size=len(times)))
+        shape = draw(st.sampled_from(["linear", "hold"]))
+        content |= {"moves": [], "setpoint": {"time": times, "angle_deg": angles, "interpolation": shape}}
     for push in content["pushes"]:
         rise = min(push["rise"], push["duration"] / 2)
         push["rise"] = rise if rise >= 1e-3 else 0.0

@@ -16,7 +16,7 @@ from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import STATE_NAMES
 from amulett_gym.simulation.trajectory import Trajectory, record
-from amulett_gym.tasks.scenario import load_scenario, pack
+from amulett_gym.tasks.scenario import load_scenario, pack, pack_path
 
 PROFILES = ("simulation", "testbed")
 
@@ -49,9 +49,10 @@ def device(base: str = "simulation", **groups: Mapping[str, Any]) -> Profile:
 
 def start(profile: Profile, *scenarios: Mapping[str, Any], **keywords: Any) -> Simulation:
     """Return a simulation with one device for each scenario, at rest."""
-    rows = np.concatenate([pack(load_scenario(scenario), profile) for scenario in scenarios or ({},)])
+    loaded = [load_scenario(scenario) for scenario in scenarios or ({},)]
+    rows = np.concatenate([pack(scenario, profile) for scenario in loaded])
     simulation = Simulation(profile, len(rows), **keywords)
-    simulation.reset(rows)
+    simulation.reset(rows, paths=[pack_path(scenario) for scenario in loaded])
     return simulation
 
 

@@ -20,7 +20,7 @@ from amulett_gym.simulation import kernel, layout, random
 COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the yardsticks cannot be built"
 
-Advance = Callable[[NDArray[np.void], NDArray[np.void], NDArray[np.void], int, int], None]
+Advance = Callable[[NDArray[np.void], NDArray[np.void], NDArray[np.void], layout.Paths | None, int, int], None]
 """Called as `kernel.advance` is."""
 
 
@@ -115,9 +115,15 @@ def build(name: str, folder: Path) -> Advance:
         parameters: NDArray[np.void],
         scenarios: NDArray[np.void],
         states: NDArray[np.void],
+        paths: layout.Paths | None,
         num_devices: int,
         ticks: int,
     ) -> None:
+        if paths is not None:
+            raise AmulettError(
+                "the tick in C follows moves only: a scenario may have no sampled setpoint and at most "
+                f"{layout.MAX_MOVES} moves"
+            )
         function(parameters.ctypes.data, scenarios.ctypes.data, states.ctypes.data, num_devices, ticks)
 
     return advance

@@ -21,9 +21,9 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import LANES, RUNNING
+from amulett_gym.simulation.layout import LANES, MAX_MOVES, RUNNING, Paths
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import episode_keys, sample
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]
@@ -126,9 +126,10 @@ class Episodes:
         """
         keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
         rows = sample(self.settings.suite, keys, self.profile, self._max_force, self.settings.split)
+        paths = None
         if scenarios:
-            rows = self._packed(scenarios, rows["noise_key"])
-        self.simulation.reset(rows, devices)
+            rows, paths = self._packed(scenarios, rows["noise_key"])
+        self.simulation.reset(rows, devices, paths)
         self.started[devices] = True
         return self.observe(devices)
 
@@ -168,7 +169,7 @@ class Episodes:
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if len(self._shares) == 1:
-            self._step(self._arrays, actions, observations, report)
+            self._step(self._arrays, self.simulation.paths, actions, observations, report)
         else:
             self._step_in_threads(actions, observations, report)
         if own is not None:
@@ -183,10 +184,15 @@ class Episodes:
         return {name: unit * self.simulation.read(f"paid_{name}") for name, unit in _REWARDED.items()}
 
     def _step(
-        self, arrays: Arrays, actions: NDArray[np.floating[Any]], observations: Observations, report: Report
+        self,
+        arrays: Arrays,
+        paths: Paths | None,
+        actions: NDArray[np.floating[Any]],
+        observations: Observations,
+        report: Report,
     ) -> None:
         """Take one agent step with the devices of some blocks."""
-        transition.step(*arrays, actions, observations, report)
+        transition.step(*arrays, paths, actions, observations, report)
         if self.privileged:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
@@ -202,7 +208,10 @@ class Episodes:
         def step(blocks: slice) -> None:
             rows = slice(blocks.start * LANES, blocks.stop * LANES)
             arrays = parameters, settings, scenarios[blocks], states[blocks]
-            self._step(arrays, actions[rows], observations[rows], report[rows])
+            paths = self.simulation.paths
+            if paths is not None:
+                paths = paths[0], paths[1][blocks]
+            self._step(arrays, paths, actions[rows], observations[rows], report[rows])
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
@@ -244,6 +253,10 @@ class Episodes:
             raise gym.error.ResetNeeded("call reset() first: there is no scenario yet")
         return self.simulation.read_scenarios(np.array([device]))[0]
 
+    def unpacked(self, device: int) -> Scenario:
+        """Return the scenario of one device's present episode; errors as `scenario`."""
+        return unpack(self.scenario(device), self.simulation.read_path(device))
+
     def steps(self) -> NDArray[np.int64]:
         """Return how many agent steps each device's episode has taken, shape (N,)."""
         return self.simulation.read("tick") // self._constants["ticks"][0]
@@ -277,12 +290,17 @@ class Episodes:
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys
-    ) -> NDArray[np.void]:
+    ) -> tuple[NDArray[np.void], list[NDArray[np.void]]]:
         loaded = [load_scenario(scenario) for scenario in scenarios]
+        if self.privileged and any(scenario.has_path for scenario in loaded):
+            raise AmulettError(
+                f"a privileged observation tells of at most {MAX_MOVES} moves, and of no sampled setpoint; "
+                "make the environment without privileged=True"
+            )
         rows = np.concatenate([pack(scenario, self.profile) for scenario in loaded])
         drawn = np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
-        return rows
+        return rows, [pack_path(scenario) for scenario in loaded]
 
 
 def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: int) -> Seeds:

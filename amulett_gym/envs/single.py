@@ -24,7 +24,7 @@ from amulett_gym.envs.transition import (
 )
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.layout import FAILURES
-from amulett_gym.tasks.scenario import Scenario, unpack
+from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario",)
 _DEVICE = np.zeros(1, dtype=np.int64)
@@ -82,7 +82,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     @property
     def scenario(self) -> Scenario:
         """The present episode's scenario; ``reset(options={"scenario": env.unwrapped.scenario})`` replays it."""
-        return unpack(self.episodes.scenario(0))
+        return self.episodes.unpacked(0)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

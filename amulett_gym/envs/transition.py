@@ -109,7 +109,7 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, c_blocks, s_blocks, actions, observations, report):
+def step(p, e, c_blocks, s_blocks, paths, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row a device."""
     num_devices = actions.shape[0]
     parameters, settings = p[0], e[0]
@@ -117,17 +117,18 @@ def step(p, e, c_blocks, s_blocks, actions, observations, report):
     for block in range(s_blocks.shape[0]):
         first = block * LANES
         end = min(first + LANES, num_devices)
-        step_block(parameters, settings, c_blocks[block], s_blocks[block], m, first, end, actions, observations, report)
+        c, s = c_blocks[block], s_blocks[block]
+        step_block(parameters, settings, c, s, m, paths, block, first, end, actions, observations, report)
 
 
 @compiled_in_place
-def step_block(p, e, c, s, m, first, end, actions, observations, report):
+def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
     for device in range(first, end):
         i = np.uint64(device - first)
         # On a ramp: a setpoint that jumps would add effort for every step of the agent.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
-    advance_block(p, c, s, m, end - first, e.ticks)
+    advance_block(p, c, s, m, paths, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding

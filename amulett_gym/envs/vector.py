@@ -21,7 +21,7 @@ from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.layout import FAILURES, RUNNING
-from amulett_gym.tasks.scenario import Scenario, unpack
+from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario", "reset_mask")
 _FAILURES = np.array(FAILURES)
@@ -65,7 +65,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     @property
     def scenarios(self) -> list[Scenario]:
         """The present episodes' scenarios."""
-        return [unpack(self.episodes.scenario(device)) for device in range(self.num_envs)]
+        return [self.episodes.unpacked(device) for device in range(self.num_envs)]
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -13,10 +15,14 @@ from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import (
     LANES,
+    ON_PATH,
+    PATH,
+    PLACE_BLOCK,
     SCENARIO,
     SCENARIO_BLOCK,
     STATE_BLOCK,
     Control,
+    Paths,
     pack_parameters,
     words,
     zeros,
@@ -39,6 +45,8 @@ class Simulation:
     ----------
     parameters, scenarios, states : ndarray
         The records that the kernel reads and writes (see :mod:`amulett_gym.simulation.layout`).
+    paths : layout.Paths or None
+        None unless a device's setpoint is a path.
 
     Raises
     ------
@@ -57,6 +65,7 @@ class Simulation:
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
         self.states = zeros(num_blocks, STATE_BLOCK)
+        self.paths: Paths | None = None
 
     @property
     def control_period(self) -> float:
@@ -75,7 +84,12 @@ class Simulation:
         slope = steepest_slope(p["force_table"]) * p["inverse_max_deflection"]
         return float(2.0 * slope * p["joint_radius"] ** 2)
 
-    def reset(self, scenarios: NDArray[np.void], devices: NDArray[np.int64] | None = None) -> None:
+    def reset(
+        self,
+        scenarios: NDArray[np.void],
+        devices: NDArray[np.int64] | None = None,
+        paths: Sequence[NDArray[np.void]] | None = None,
+    ) -> None:
         """Start devices anew, at rest in their initial posture.
 
         Parameters
@@ -84,19 +98,26 @@ class Simulation:
             One for each of the devices.
         devices : ndarray of int, optional
             Which devices; all if None.
+        paths : sequence of ndarray of `PATH`, optional
+            One for each of the devices (`tasks.scenario.pack_path`), empty where its setpoint follows moves.
 
         Raises
         ------
         AmulettError
-            If an initial posture needs a string force that the springs cannot give, or a drive turned beyond its limit.
+            If an initial posture needs a string force that the springs cannot give, or a drive turned beyond its limit,
+            or a scenario's path is missing.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios)
+        lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
+        if ((lengths > 0) != (scenarios["move_count"] == ON_PATH)).any():
+            raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")
+        self._keep_paths(devices, paths or [])
         block, lane = np.divmod(devices, LANES)
         for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
             own[block, :, lane] = new[..., 0]
         words(self.states, LANES)[0][block, :, lane] = 0
-        kernel.settle(self.parameters, self.scenarios, self.states, devices)
+        kernel.settle(self.parameters, self.scenarios, self.states, self.paths, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again.
@@ -114,7 +135,7 @@ class Simulation:
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""
-        kernel.advance(self.parameters, self.scenarios, self.states, self.num_devices, ticks)
+        kernel.advance(self.parameters, self.scenarios, self.states, self.paths, self.num_devices, ticks)
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
@@ -128,11 +149,11 @@ class Simulation:
             copy[..., 0] = own[block, :, lane]
         return copies
 
-    def get_state(self) -> dict[str, NDArray[np.void]]:
+    def get_state(self) -> dict[str, Any]:
         """Return a snapshot of everything that an episode changes."""
-        return {"scenarios": self.scenarios.copy(), "states": self.states.copy()}
+        return {"scenarios": self.scenarios.copy(), "states": self.states.copy(), "paths": deepcopy(self.paths)}
 
-    def set_state(self, state: dict[str, NDArray[np.void]]) -> None:
+    def set_state(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot taken by `get_state` from a simulation of the same size."""
         if state["states"].shape != self.states.shape:
             raise AmulettError(
@@ -140,6 +161,30 @@ class Simulation:
             )
         self.scenarios[...] = state["scenarios"]
         self.states[...] = state["states"]
+        self.paths = deepcopy(state["paths"])
+
+    def read_path(self, device: int) -> NDArray[np.void]:
+        """Return a copy of one device's setpoint path, records of `PATH`; none if its setpoint follows moves."""
+        if self.paths is None:
+            return np.zeros(0, dtype=PATH)
+        parts, places = self.paths
+        first, count = (places[name][divmod(device, LANES)] for name in ("first", "count"))
+        return parts[first : first + count].copy()
+
+    def _keep_paths(self, devices: NDArray[np.int64], paths: Sequence[NDArray[np.void]]) -> None:
+        """Give some devices new paths, and keep those of the others."""
+        found = dict(zip(devices.tolist(), paths, strict=False))
+        if self.paths is not None:
+            others = np.setdiff1d(np.flatnonzero(self.paths[1]["count"]), devices).tolist()
+            found |= {device: self.read_path(device) for device in others}
+        found = {device: path for device, path in found.items() if path.size}
+        self.paths = None
+        if found:
+            places = zeros(self.states.size, PLACE_BLOCK)
+            block, lane = np.divmod(list(found), LANES)
+            places["count"][block, lane] = lengths = [path.size for path in found.values()]
+            places["first"][block, lane] = np.cumsum(lengths) - lengths
+            self.paths = np.concatenate(list(found.values())), places
 
     def _check_posture(self, scenarios: NDArray[np.void]) -> None:
         """Refuse a start that the strings cannot hold or the drives cannot reach, before anything is written."""

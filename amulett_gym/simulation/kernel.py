@@ -35,6 +35,7 @@ from amulett_gym.simulation.layout import (
     IGNORE,
     LANES,
     MAX_PUSHES,
+    MINIMUM_JERK,
     MOTION_BLOCK,
     NOT_FINITE,
     RUNNING,
@@ -51,24 +52,27 @@ FARTHEST = 1e100  # [rad], [rad/s]; within a tick an unstable arm can get so far
 
 
 @compiled
-def advance(p, c_blocks, s_blocks, num_devices, ticks):
-    """Advance all devices by a number of control ticks; a device that failed stands still."""
+def advance(p, c_blocks, s_blocks, paths, num_devices, ticks):
+    """Advance all devices by a number of control ticks; a device that failed stands still.
+
+    `paths` is None, and nothing of them is compiled, or `layout.Paths`.
+    """
     parameters = p[0]
     m = np.empty(1, dtype=MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
         lanes = min(LANES, num_devices - block * LANES)
-        advance_block(parameters, c_blocks[block], s_blocks[block], m, lanes, ticks)
+        advance_block(parameters, c_blocks[block], s_blocks[block], m, paths, block, lanes, ticks)
 
 
 @compiled_in_place
-def advance_block(p, c, s, m, lanes, ticks):
+def advance_block(p, c, s, m, paths, block, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks."""
     for _ in range(ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
             # Unsigned: an index that might be negative would have to be checked, lane by lane.
-            tick(p, c, s, m, np.uint64(first), np.uint64(end))
+            tick(p, c, s, m, paths, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
 
@@ -82,7 +86,7 @@ def next_failed(s, first, lanes):
 
 
 @compiled_in_place
-def tick(p, c, s, m, first, end):
+def tick(p, c, s, m, paths, block, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     start_counting(p, c, s, m, first, end)
     lane = first
@@ -100,8 +104,7 @@ def tick(p, c, s, m, first, end):
         evaluate(p, c, s, m, first, end, h, 1.0)
         step(m, first, end, h)
     sense(p, c, s, m, first, end)
-    begin_due_moves(p, c, s, first, end)
-    follow_moves(p, c, s, first, end)
+    find_setpoints(p, c, s, paths, block, first, end)
     add_waves(p, c, s, first, end)
     track_steps(p, c, s, m, first, end)
 
@@ -219,6 +222,16 @@ def sense(p, c, s, m, first, end):
         s.tension_ise_estimated[i] += m.counting[i] * p.control_period * error * error
 
 
+@compiled
+def find_setpoints(p, c, s, paths, block, first, end):
+    """Stages 7 and 8; without paths (None), nothing of `follow_paths` is compiled."""
+    if paths is None:
+        begin_due_moves(p, c, s, first, end)
+        follow_moves(p, c, s, first, end)
+    else:
+        follow_paths(p, c, s, paths[0], paths[1][block], first, end)
+
+
 @compiled_lanes
 def begin_due_moves(p, c, s, first, end):
     """Stage 7: begin the setpoint's moves whose time has come."""
@@ -231,6 +244,17 @@ def follow_moves(p, c, s, first, end):
     """Stage 8: set the position setpoint for the next tick."""
     for i in range(first, end):
         follow_setpoint(p, c, s, i)
+
+
+@compiled_lanes
+def follow_paths(p, c, s, parts, places, first, end):
+    """Stages 7 and 8 of a batch in which some setpoints are paths."""
+    for i in range(first, end):
+        if places.count[i] > 0:
+            follow_path(p, c, s, parts, places, i)
+        else:
+            begin_moves(p, c, s, i)
+            follow_setpoint(p, c, s, i)
 
 
 @compiled_lanes
@@ -579,6 +603,30 @@ def follow_setpoint(p, c, s, i):
 
 
 @compiled
+def follow_path(p, c, s, parts, places, i):
+    """Begin the parts of the path whose time has come, and set the position setpoint [rad] for the present time."""
+    time = s.tick[i] * p.control_period
+    first, count = places.first[i], places.count[i]
+    while s.move[i] + 1 < count and parts[first + s.move[i] + 1].time <= time + TIME_SLACK:
+        s.move[i] += 1
+        part = parts[first + s.move[i]]
+        change = part.angle - part.start
+        if part.shape == MINIMUM_JERK:
+            begin_step(s, i, time, part.angle, change if time >= c.measure_from[i] - TIME_SLACK else 0.0)
+        if part.duration == 0.0:
+            s.setpoint_jump[i] += change
+    if s.move[i] < 0:
+        return
+    part = parts[first + s.move[i]]
+    progress = 1.0
+    if part.duration > 0.0:
+        progress = min(max((time - part.time) / part.duration, 0.0), 1.0)
+    if part.shape == MINIMUM_JERK:
+        progress = minimum_jerk(progress)
+    s.setpoint[i] = part.start + (part.angle - part.start) * progress
+
+
+@compiled
 def add_wave(p, c, s, i):
     """Add a sinusoid or chirp to the moves' position setpoint."""
     elapsed = s.tick[i] * p.control_period - c.wave_time[i]
@@ -634,7 +682,7 @@ def track_step(p, c, s, m, i):
 
 
 @compiled
-def settle(p, c_blocks, s_blocks, devices):
+def settle(p, c_blocks, s_blocks, paths, devices):
     """Start the given devices anew, at rest on their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
@@ -650,8 +698,7 @@ def settle(p, c_blocks, s_blocks, devices):
         s.tension_signal[i] = s.tension_setpoint[i] - estimate
         if not parameters.tension_on_error:
             s.tension_signal[i] = -estimate
-        begin_moves(parameters, c, s, i)
-        follow_setpoint(parameters, c, s, i)
+        find_setpoints(parameters, c, s, paths, block, i, i + np.uint64(1))
         if c.wave_amplitude[i] > 0.0:
             add_wave(parameters, c, s, i)
 

@@ -248,7 +248,7 @@ _STATE_FIELDS: list[tuple[str, str]] = [
     ("offset_triceps", "f8"),
     ("command_biceps", "f8"),
     ("command_triceps", "f8"),
-    # the setpoint step in progress
+    # the setpoint's move or part of its path, and the step in progress
     ("move", "i8"),
     ("step_start", "f8"),
     ("step_target", "f8"),
@@ -264,11 +264,26 @@ _STATE_FIELDS: list[tuple[str, str]] = [
 ]
 
 
+MINIMUM_JERK, LINEAR, STEPS = 0, 1, 2
+
+PATH = np.dtype([("time", "f8"), ("start", "f8"), ("angle", "f8"), ("duration", "f8"), ("shape", "i8")], align=True)
+"""A part of a setpoint path: when it begins [s], from where to where it goes [rad], how long it takes [s] (0: a jump)
+and how. Those of shape MINIMUM_JERK are moves and count as setpoint steps; LINEAR and STEPS follow samples.
+
+Paths stand beside the scenarios that have more than `MAX_MOVES` moves or a sampled setpoint (their `move_count` is
+`ON_PATH`): the parts of all of them in one array, and each device's place in that, in blocks of `PLACE_BLOCK`."""
+
+ON_PATH = -1
+
+Paths = tuple[NDArray[np.void], NDArray[np.void]]
+"""Parts and places."""
+
 _MOVING = ("angle", "velocity", "biceps", "triceps")
 
 
 STATE_BLOCK = _block(_STATE_FIELDS)
 SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
+PLACE_BLOCK = _block([("first", "i8"), ("count", "i8")])
 MOTION_BLOCK = _block(
     [("counting", "f8"), ("push", "f8")]
     + [(f"{name}{part}", "f8") for part in ("", "_rate", "_sum") for name in _MOVING]

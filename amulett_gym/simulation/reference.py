@@ -9,7 +9,8 @@ rounding being amplified by the other. Only the profile and the knots of the spr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,6 +240,40 @@ def replay_control(
         last_output = output
         rows.append((command["biceps"], command["triceps"], pulls[leader]))
     return dict(zip(("command_biceps", "command_triceps", "agonist"), np.array(rows).T, strict=True))
+
+
+def replay_setpoint(scenario: Mapping[str, Any], times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the setpoint [rad] that a scenario means at times [s]: its moves or its samples, without the wave.
+
+    Parameters
+    ----------
+    scenario : mapping
+        As `tasks.scenario.Scenario.model_dump` returns it.
+    times : ndarray, shape (N,)
+        A time that is meant to be a sample's or a move's may be off by rounding.
+    """
+    begun = times[:, None] + 1e-5
+    start, angles = scenario["initial_angle_deg"], np.full(times.shape, scenario["initial_angle_deg"])
+    samples = scenario["setpoint"]
+    if samples is not None:
+        sampled, values = np.array(samples["time"]), np.array(samples["angle_deg"])
+        last = (begun >= sampled).sum(axis=1) - 1
+        following = np.minimum(last + 1, sampled.size - 1)
+        share = np.zeros(times.shape)
+        if samples["interpolation"] == "linear":
+            width = sampled[following] - sampled[last]
+            share = np.divide(times - sampled[last], width, out=share, where=width > 0.0)
+        share = np.clip(share, 0.0, 1.0)
+        path = values[last] + share * (values[following] - values[last])
+        return np.radians(np.where(last < 0, start, path))
+    for move in scenario["moves"]:
+        elapsed = times - move["time"]
+        share = np.clip(elapsed / move["duration"], 0.0, 1.0) if move["duration"] > 0.0 else np.ones(times.shape)
+        bell = 30 * (np.linspace(0, 1, 2001) * (1 - np.linspace(0, 1, 2001))) ** 2  # minimum jerk's velocity
+        way = np.interp(share, np.linspace(0, 1, 2001), np.append(0.0, np.cumsum((bell[1:] + bell[:-1]) / 4000)))
+        angles = np.where(elapsed >= -1e-5, start + (move["angle_deg"] - start) * way, angles)
+        start = move["angle_deg"]
+    return np.radians(angles)
 
 
 class _Pid:

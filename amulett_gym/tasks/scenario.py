@@ -21,19 +21,27 @@ from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
     FAMILIES,
+    LINEAR,
     MAX_MOVES,
     MAX_PUSHES,
+    MINIMUM_JERK,
+    ON_PATH,
     ORIENTATIONS,
+    PATH,
     SCENARIO,
+    STEPS,
     Family,
     Orientation,
     load_arm,
 )
 from amulett_gym.storage.reading import read_json
 from amulett_gym.storage.safe_yaml import read_yaml
+from amulett_gym.storage.table import read_columns
 
-MAX_BYTES = 100_000
-"""Largest scenario file accepted; the largest that can be described has 10 kB."""
+MAX_BYTES = 20_000_000
+"""Largest scenario file accepted, some hundred thousand samples or moves."""
+
+_MAX_TABLE_BYTES = 400_000_000
 
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
 _PACKING = 1e-6  # more than the share by which packing changes a number
@@ -51,6 +59,62 @@ class Move(Group):
         if 0 < self.duration < 1e-3:
             raise ValueError(f"a duration of {self.duration} s is shorter than a millisecond; 0 stands for a step")
         return self
+
+
+class Setpoint(Group):
+    """A sampled position setpoint instead of moves, such as a logged one; it counts no setpoint steps.
+
+    Before its first sample the arm rests at the initial angle, after its last one there. Two samples of one time are a
+    jump. In a scenario file ``{"file": "log.csv", "column": ...}`` reads it from a CSV file (see `SetpointFile`).
+    """
+
+    time: list[float] = Field(min_length=1, description="of the samples, rising [s]")
+    angle_deg: list[float] = Field(description="at these times [deg], to nine decimals")
+    interpolation: Literal["linear", "hold"] = Field(
+        default="linear", description="between two samples: straight from one to the next, or the first one until then"
+    )
+
+    @model_validator(mode="after")
+    def _check_samples(self) -> Setpoint:
+        time, angle = np.array(self.time), np.array(self.angle_deg)
+        if time.size != angle.size:
+            raise ValueError(f"time has {time.size} samples and angle_deg {angle.size}; they have to be as many")
+        for name, values, low, high in (("time", time, 0.0, 1e6), ("angle_deg", angle, -180.0, 180.0)):
+            wrong = (values < low) | (values > high)
+            if wrong.any():
+                sample = int(np.argmax(wrong))
+                raise ValueError(f"{name} of sample {sample} is {values[sample]}; it has to be {low:g} to {high:g}")
+        if (np.diff(time) < 0.0).any():
+            sample = int(np.argmax(np.diff(time) < 0.0))
+            raise ValueError(f"time falls from {time[sample]} to {time[sample + 1]} s after sample {sample}")
+        object.__setattr__(self, "angle_deg", [round(value, _DIGITS) for value in self.angle_deg])
+        return self
+
+
+class SetpointFile(Group):
+    """Where a scenario's sampled setpoint is read from."""
+
+    file: str = Field(description="CSV file with a header, relative to the scenario's file")
+    column: str = Field(description="of the setpoint")
+    unit: Literal["deg", "rad"] = Field(default="deg", description="of that column")
+    time_column: str = Field(default="time", description="of the time")
+    time_unit: Literal["s", "ms"] = Field(default="s", description="of that column")
+    begin: float | None = Field(
+        default=None, ge=0, le=1e6, description="when the first sample is played [s]; null: at its own time"
+    )
+    interpolation: Literal["linear", "hold"] = Field(default="linear", description="as of `Setpoint`")
+
+    def read(self, folder: Path) -> dict[str, Any]:
+        """Return the samples: the content of a `Setpoint`."""
+        names = [self.time_column, self.column]
+        time, angle = map(np.array, read_columns(folder / self.file, "setpoint", names, _MAX_TABLE_BYTES))
+        if not time.size:
+            raise AmulettError(f"setpoint '{folder / self.file}' has no samples")
+        time = time * (1e-3 if self.time_unit == "ms" else 1.0)
+        if self.begin is not None:
+            time = time - time[0] + self.begin
+        angle = np.degrees(angle) if self.unit == "rad" else angle
+        return {"time": time.tolist(), "angle_deg": angle.tolist(), "interpolation": self.interpolation}
 
 
 class Wave(Group):
@@ -161,7 +225,10 @@ class Scenario(Group):
         le=MOST_TENSION,
         description="of the antagonist at the start [N]; null: the profile's nominal tension",
     )
-    moves: list[Move] = Field(default=[], max_length=MAX_MOVES, description="of the setpoint, in their order")
+    moves: list[Move] = Field(default=[], description="of the setpoint, in their order")
+    setpoint: Setpoint | None = Field(
+        default=None, description="samples to follow instead of moves; without an initial angle, the first one is it"
+    )
     wave: Wave | None = Field(default=None, description="on top of the moves; null: none")
     pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES, description="from outside")
     shake: Shake | None = Field(default=None, description="a random torque; null: none")
@@ -194,7 +261,17 @@ class Scenario(Group):
                     f"the move at {after.time} s begins before the one at {before.time} s has ended, "
                     f"{before.time + before.duration} s"
                 )
+        if self.setpoint is not None:
+            if self.moves:
+                raise ValueError("'moves' and 'setpoint' are both there; give one of them")
+            if "initial_angle_deg" not in self.model_fields_set:
+                object.__setattr__(self, "initial_angle_deg", self.setpoint.angle_deg[0])
         return self
+
+    @property
+    def has_path(self) -> bool:
+        """Whether the setpoint takes a path beside the packed record: samples, or more moves than fit into it."""
+        return self.setpoint is not None or len(self.moves) > MAX_MOVES
 
 
 def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
@@ -207,14 +284,24 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     """
     if isinstance(scenario, Scenario):
         return scenario
-    what = "scenario"
+    what, folder, content = "scenario", Path(), scenario
     if isinstance(scenario, str | Path):
-        what = f"scenario '{scenario}'"
-        scenario = _read(find_config(scenario, "scenario"))
+        path = find_config(scenario, "scenario")
+        what, folder, content = f"scenario '{scenario}'", path.parent, _read(path)
     try:
-        return Scenario.model_validate(scenario)
+        setpoint = content.get("setpoint") if isinstance(content, Mapping) else None
+        if isinstance(content, Mapping) and isinstance(setpoint, Mapping) and "file" in setpoint:
+            content = {**content, "setpoint": _read_samples(setpoint, folder, what)}
+        return Scenario.model_validate(content)
     except ValidationError as error:
         raise describe(error, Scenario, what) from error
+
+
+def _read_samples(setpoint: Mapping[str, Any], folder: Path, what: str) -> dict[str, Any]:
+    try:
+        return SetpointFile.model_validate(setpoint).read(folder)
+    except ValidationError as error:
+        raise describe(error, SetpointFile, f"{what}: setpoint") from error
 
 
 def _read(path: Path) -> Any:
@@ -228,7 +315,7 @@ def _read(path: Path) -> Any:
 
 
 def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
-    """Turn a scenario into the record that the simulation reads, in SI units and radians.
+    """Turn a scenario into the record that the simulation reads, in SI units and radians; `pack_path` is the rest.
 
     Returns
     -------
@@ -253,8 +340,8 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
     row["orientation"] = ORIENTATIONS.index(scenario.orientation)
     _pack_device(scenario.device, row)
     load_arm(row, profile)
-    row["move_count"] = len(scenario.moves)
-    for k, move in enumerate(scenario.moves):
+    row["move_count"] = ON_PATH if scenario.has_path else len(scenario.moves)
+    for k, move in enumerate([] if scenario.has_path else scenario.moves):
         row["move_time"][0, k] = move.time
         row["move_angle"][0, k] = np.radians(move.angle_deg)
         row["move_duration"][0, k] = move.duration
@@ -286,11 +373,53 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
     return row
 
 
-def unpack(row: NDArray[np.void] | np.void) -> Scenario:
-    """Turn a packed record back into a scenario; packing it again gives the same record.
+def pack_path(scenario: Scenario) -> NDArray[np.void]:
+    """Return the setpoint's path if the record has no room for it, else an array without elements.
+
+    Returns
+    -------
+    ndarray of `simulation.layout.PATH`
+    """
+    if not scenario.has_path:
+        return np.zeros(0, dtype=PATH)
+    setpoint = scenario.setpoint
+    if setpoint is None:
+        times, angles = [move.time for move in scenario.moves], [move.angle_deg for move in scenario.moves]
+        durations, shape = [move.duration for move in scenario.moves], MINIMUM_JERK
+    else:
+        times, angles = setpoint.time, setpoint.angle_deg
+        durations, shape = [0.0] * len(times), STEPS
+        if setpoint.interpolation == "linear":  # a jump to the first sample, a part to each other one, and the end
+            durations, shape = [0.0, *np.diff(times), 0.0], LINEAR
+            times, angles = [times[0], *times], [*angles, angles[-1]]
+    path = np.zeros(len(times), dtype=PATH)
+    path["time"], path["angle"], path["duration"], path["shape"] = times, np.radians(angles), durations, shape
+    path["start"] = np.append(np.radians(scenario.initial_angle_deg), path["angle"][:-1])
+    return path
+
+
+def _unpack_path(path: NDArray[np.void]) -> dict[str, Any]:
+    angles = [round(angle, _DIGITS) for angle in np.degrees(path["angle"]).tolist()]
+    if path["shape"][0] == MINIMUM_JERK:
+        columns = (path["time"].tolist(), angles, path["duration"].tolist())
+        return {"moves": [Move(time=t, angle_deg=a, duration=d) for t, a, d in zip(*columns, strict=True)]}
+    if path["shape"][0] == LINEAR:
+        return {"setpoint": Setpoint(time=path["time"][1:].tolist(), angle_deg=angles[:-1])}
+    return {"setpoint": Setpoint(time=path["time"].tolist(), angle_deg=angles, interpolation="hold")}
+
+
+def unpack(row: NDArray[np.void] | np.void, path: NDArray[np.void] | None = None) -> Scenario:
+    """Turn a packed record, and the path if it has one, back into a scenario; packing it again gives the same.
 
     The numbers are those that were packed, as far as they had 7 digits where 7 are kept.
+
+    Raises
+    ------
+    AmulettError
+        If the record has a path and it is not given.
     """
+    if row["move_count"] == ON_PATH and (path is None or not path.size):
+        raise AmulettError("the scenario's setpoint is a path beside its record; unpack needs both")
 
     def degrees(angle: Any) -> float:
         return round(float(np.degrees(angle)), _DIGITS)
@@ -298,6 +427,16 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
     def number(name: str, *index: int) -> float:
         return float(str(row[name][index]))  # the shortest decimal that is packed to these bits
 
+    moves = {} if path is None or not path.size else _unpack_path(path)
+    if not moves:
+        moves["moves"] = [
+            Move(
+                time=number("move_time", k),
+                angle_deg=degrees(row["move_angle"][k]),
+                duration=number("move_duration", k),
+            )
+            for k in range(int(row["move_count"]))
+        ]
     obstacle = payload = wave = shake = None
     if row["obstacle_stiffness"] > 0:
         obstacle = Obstacle(
@@ -318,14 +457,7 @@ def unpack(row: NDArray[np.void] | np.void) -> Scenario:
     return Scenario(
         initial_angle_deg=degrees(row["initial_angle"]),
         initial_tension=number("initial_tension"),
-        moves=[
-            Move(
-                time=number("move_time", k),
-                angle_deg=degrees(row["move_angle"][k]),
-                duration=number("move_duration", k),
-            )
-            for k in range(int(row["move_count"]))
-        ],
+        **moves,
         pushes=[
             Push(
                 time=number("push_time", k),

@@ -30,7 +30,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import RUNNING, STATE_NAMES
+from amulett_gym.simulation.layout import RUNNING, STATE_NAMES, Paths
 from amulett_gym.storage.writing import atomic_path
 from amulett_gym.studies.speed.work import FUNCTION_COST, count_work, flops
 from amulett_gym.tasks.suites import sample
@@ -91,7 +91,7 @@ def check(advance: Advance, profile: str, tension_law: str, num_devices: int = C
     simulation = mixed_simulation(profile, num_devices, tension_law, CHECKED_SUITES)
     scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
     ticks = round(START / simulation.control_period)
-    advance(simulation.parameters, scenarios, states, num_devices, ticks)
+    advance(simulation.parameters, scenarios, states, simulation.paths, num_devices, ticks)
     simulation.advance(ticks)
     largest = deviations(simulation.states, states)
     field = max(largest, key=lambda name: largest[name])
@@ -157,7 +157,9 @@ def race(
     for _ in range(turns):
         for name, advance in contestants.items():
             scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
-            rates[name].append(_rate(advance, simulation.parameters, scenarios, states, num_devices, ticks, seconds))
+            rates[name].append(
+                _rate(advance, simulation.parameters, scenarios, states, simulation.paths, num_devices, ticks, seconds)
+            )
     ratios = {name: [r / c for r, c in zip(found, rates[reference], strict=True)] for name, found in rates.items()}
     return {name: Speed(_spread(rates[name]), _spread(ratios[name])) for name in contestants}
 
@@ -167,14 +169,15 @@ def _rate(
     parameters: NDArray[np.void],
     scenarios: NDArray[np.void],
     states: NDArray[np.void],
+    paths: Paths | None,
     num_devices: int,
     ticks: int,
     seconds: float,
 ) -> float:
-    advance(parameters, scenarios, states, num_devices, 1)  # warm the caches
+    advance(parameters, scenarios, states, paths, num_devices, 1)  # warm the caches
     done, start = 0, time.perf_counter()
     while True:
-        advance(parameters, scenarios, states, num_devices, ticks)
+        advance(parameters, scenarios, states, paths, num_devices, ticks)
         done += num_devices * ticks
         passed = time.perf_counter() - start
         if passed >= seconds:
