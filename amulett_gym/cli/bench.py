@@ -7,12 +7,10 @@ import math
 import shlex
 import sys
 from dataclasses import fields
-from functools import partial
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.output import print_json
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.cli.train import add_overrides
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable, write_json
@@ -71,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure, section by section; Ctrl-C ends it with what was measured until then (exit code 130)."""
     _check(arguments)
-    as_json, targets = _targets(arguments)
+    targets = _targets(arguments)
     from amulett_gym.reporting.document import check_document, update_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.speed import document as performance
@@ -85,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     data: dict[str, Any] = {}
     done: list[str] = []
     interrupted = False
-    show = partial(print, file=StringIO() if as_json else sys.stdout, flush=True)
+    show = printer(arguments)
     try:
         for section in asked:
             try:
@@ -101,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
         for target in targets if data else ():
             write_json(target, data)
             show(f"Written: {target}")
-        if as_json:
+        if arguments.json:
             print_json(data)
     if arguments.out is not None:
         from amulett_gym.studies.speed.figures import draw
@@ -138,21 +136,20 @@ def _check(arguments: argparse.Namespace) -> None:
             raise AmulettError(f"--{option} changes nothing here: it is read by {asking}, which was not asked for")
 
 
-def _targets(arguments: argparse.Namespace) -> tuple[bool, list[Path]]:
-    """Return whether the numbers are printed, and the files that they are written to."""
-    as_json: bool | str = arguments.json
+def _targets(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that the numbers are written to; `--json` is true afterwards where they are printed."""
     targets: list[Path] = []
-    if isinstance(as_json, str):
+    if isinstance(arguments.json, str):
         note = "--json FILE is deprecated; --json prints the numbers, --out DIR writes them to DIR/bench.json"
         print(f"amulett: note: {note}", file=sys.stderr)
-        if as_json != "-":
-            targets.append(Path(as_json))
-        as_json = as_json == "-"
+        if arguments.json != "-":
+            targets.append(Path(arguments.json))
+        arguments.json = arguments.json == "-"
     if arguments.out is not None:
         targets.append(Path(arguments.out) / "bench.json")
     for target in targets:
         check_writable(target)
-    return as_json, targets
+    return targets
 
 
 def _asked(arguments: argparse.Namespace, section: str) -> bool:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
-from functools import partial
 
-from amulett_gym.cli.output import add_json, print_json
+from amulett_gym.cli.output import add_json, print_json, printer
 
 HELP = "run the benchmark: train what is missing, judge all on all suites, and check the claims; resumes by itself"
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
@@ -49,7 +47,6 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.reporting.document import check_document
-    from amulett_gym.reporting.progress import say
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
     from amulett_gym.studies.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
@@ -68,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
     print_remarks(device_remarks(profile))
     words = _command(arguments)
-    report = partial(print, file=sys.stderr, flush=True) if arguments.json else say
+    show = printer(arguments)
     evidence = run_benchmark(
         description,
         arguments.out,
@@ -76,22 +73,22 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.runs,
         own,
         [*words, "--out", arguments.out],
-        say=report,
+        say=show,
         progress=True,
     )
-    report("Drawing intervals and figures ...")
+    show("Drawing intervals and figures ...")
     found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
     figures = write_benchmark(evidence, found, claims, arguments.out)
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
-        report(f"Renewed: {arguments.doc}")
+        show(f"Renewed: {arguments.doc}")
     if arguments.json:
         print_json(judged(found, claims))
         return 0
-    print(f"\n{in_words(found, claims)}\n")
+    show(f"\n{in_words(found, claims)}\n")
     lost = ", and the scenarios that are lost most clearly" if found["worst"] else ""
-    print(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{lost}.")
+    show(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{lost}.")
     return 0
 
 

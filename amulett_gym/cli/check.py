@@ -6,7 +6,7 @@ import argparse
 from collections import Counter
 from itertools import product
 
-from amulett_gym.cli.output import add_json, print_json, wrapped
+from amulett_gym.cli.output import add_json, print_json, printer
 
 HELP = "check that an environment keeps its promises"
 EXAMPLES = """  amulett check
@@ -28,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.errors import unknown
     from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
     from amulett_gym.profile import load_profile, profile_names
-    from amulett_gym.reporting.progress import Progress, say
+    from amulett_gym.reporting.progress import Progress
     from amulett_gym.tasks.suites import suite_names
 
     env_id = arguments.env_id and arguments.env_id.split(":")[-1]
@@ -45,22 +45,20 @@ def run(arguments: argparse.Namespace) -> int:
             [arguments.suite] if arguments.suite else suite_names(),
         )
     )
-    checks = []
+    checks, show = [], printer(arguments)
     with Progress(len(subjects) * len(CHECKS), "check", "promises") as bar:
         for name, profile, suite in subjects:
             about = {"env_id": name, "profile": profile, "suite": suite}
-            if not arguments.json:
-                say(f"{name}, profile {profile}, suite {suite}")
+            show(f"{name}, profile {profile}, suite {suite}")
             for outcome in run_checks(Subject(name, {"profile": profile, "suite": suite})):
                 result = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
                 remark = outcome.problem or outcome.skipped
                 checks.append({**about, "check": outcome.promise, "result": result, "remark": remark})
-                if not arguments.json:
-                    say(wrapped(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}", " " * 10))
+                show(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}")
                 bar.update(note=outcome.promise)
     count = Counter(check["result"] for check in checks)
     if arguments.json:
         print_json({"failed": count["failed"], "checks": checks})
     else:
-        print(f"{count['ok']} ok, {count['failed']} failed, {count['skipped']} skipped")
+        show(f"{count['ok']} ok, {count['failed']} failed, {count['skipped']} skipped")
     return 1 if count["failed"] else 0

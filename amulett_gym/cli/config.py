@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from amulett_gym.cli.output import add_json
 from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=("validate",), help="validate: refuse what is wrong, say what is right")
     parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or a policy bundle's folder")
     parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
-    parser.add_argument("--json", action="store_true", help="print kind and resolved values as one JSON object")
+    add_json(parser, "kind and resolved values")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
@@ -50,23 +49,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env-id", default="Amulett/Scaling-v0", help="environment (default: Amulett/Scaling-v0)")
     parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
     parser.add_argument("--out", metavar="DIR", help="folder for results.json, scenarios.csv, report.html and figures")
-    parser.add_argument("--json", action="store_true", help="print the content of results.json and nothing else")
+    add_json(parser, "the content of results.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the comparison, print its table, and write its files."""
     from amulett_gym.evaluation.comparison import in_words
 
-    summary, earlier = compare(
-        resolve(arguments), arguments.out, _command(arguments), sys.stderr.isatty() and not arguments.json
-    )
+    summary, earlier = compare(resolve(arguments), arguments.out, _command(arguments))
     if arguments.json:
-        print(json.dumps(summary, indent=2, allow_nan=False))
-        return 0
-    print(in_words(summary))
+        print_json(summary)
+    show = printer(arguments)
+    show(in_words(summary))
     if arguments.out is not None:
         replaced = ", in the place of the comparison that was there" if earlier else ""
-        print(f"Written to {arguments.out}: report.html, results.json, scenarios.csv and figures{replaced}.")
+        show(f"Written to {arguments.out}: report.html, results.json, scenarios.csv and figures{replaced}.")
     return 0
 
 
@@ -91,9 +88,7 @@ def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def compare(
-    config: Mapping[str, Any], out: str | None, words: Sequence[str], progress: bool = False
-) -> tuple[dict[str, Any], bool]:
+def compare(config: Mapping[str, Any], out: str | None, words: Sequence[str]) -> tuple[dict[str, Any], bool]:
     """Run a comparison.
 
     Parameters
@@ -104,7 +99,6 @@ def compare(
         Folder for the report.
     words : sequence of str
         Of the command.
-    progress : bool
 
     Returns
     -------
@@ -128,7 +122,7 @@ def compare(
         if out is not None:
             earlier = stack.enter_context(output_folder(out, "comparison", [COMPARISON_MARKS]))
             stack.enter_context(locked_folder(out))
-        results = evaluate(policies, profile=profile, progress=progress, **keywords)
+        results = evaluate(policies, profile=profile, progress=True, **keywords)
         results = replace(results, command=shlex.join(words))
         if out is None:
             return summarise(results), earlier

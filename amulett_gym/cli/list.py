@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from amulett_gym.cli.output import add_json, print_json
+from amulett_gym.cli.output import add_json, print_json, printer
 
 HELP = "list environments, suites, splits, laws and profiles"
 EXAMPLES = """  amulett list
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     }
     if arguments.json:
         print_json(names)
-        return 0
+    show = printer(arguments)
     for heading, entries in names.items():
-        print(Table(heading, ("", ""), list(entries.items()), left=(0, 1)).text() + "\n")
+        show(Table(heading, ("", ""), list(entries.items()), left=(0, 1)).text() + "\n")
     return 0

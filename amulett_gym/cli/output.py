@@ -1,15 +1,12 @@
-"""What commands print for other programs: one JSON document on stdout, and nothing else there."""
+"""What commands print: lines for people, or one JSON document on stdout and nothing else there."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import math
-import textwrap
+from collections.abc import Callable
 from typing import Any
-
-TEXT_WIDTH = 80
-"""Columns of a terminal."""
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:
@@ -22,9 +19,13 @@ def print_json(content: Any) -> None:
     print(json.dumps(_finite(content), indent=2, allow_nan=False, default=str), flush=True)
 
 
-def wrapped(text: str, indent: str = "") -> str:
-    """Return a text in lines of at most 80 characters, of which all but the first are indented."""
-    return textwrap.fill(text, TEXT_WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+def printer(arguments: argparse.Namespace) -> Callable[[str], object]:
+    """Return what prints text for people, in lines of at most 80 characters; with `--json` it prints nothing."""
+    if arguments.json:
+        return lambda text: None
+    from amulett_gym.reporting.progress import say
+
+    return say
 
 
 def _finite(tree: Any) -> Any:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.storage.lock import locked_folder
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, default=100, help="fresh scenarios to compare on (default: 100)")
     parser.add_argument("--seed", type=int, default=0, help="of the training (default: 0)")
     parser.add_argument("--out", default="runs/quickstart", metavar="DIR", help="folder (default: runs/quickstart)")
-    parser.add_argument("--json", action="store_true", help="print the content of results.json and nothing else")
+    add_json(parser, "the content of results.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     marks = [[f"ppo/{name}" for name in ("config.yaml", "command.json")]]
     with output_folder(out, "quickstart", marks) as earlier, locked_folder(out):
         if earlier:
-            _say(arguments, f"Replacing the earlier run and its report in {out}.")
+            printer(arguments)(f"Replacing the earlier run and its report in {out}.")
         return _train_and_compare(arguments, config, protocol, out)
 
 
@@ -94,27 +94,25 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     from amulett_gym.evaluation.runner import evaluate
     from amulett_gym.storage.provenance import write_provenance
 
-    policy = out / "ppo"
-    _say(
-        arguments,
+    policy, show = out / "ppo", printer(arguments)
+    show(
         f"Training PPO on '{protocol.suite}' ({protocol.profile.name}) for {config.total_steps:,} steps ...",
     )
     command = _command(arguments)
-    progress = not arguments.json
     chosen = {name: getattr(arguments, name) for name in ("steps", "seconds", "episodes", "seed")}
     write_provenance(out, "quickstart", chosen, [arguments.seed, *range(arguments.episodes)], command)
-    trained = load_learning("training").train(config, policy, progress=progress, command=command, overwrite=True)
+    trained = load_learning("training").train(config, policy, command=command, overwrite=True)
     remove_comparison(out)  # it was of another policy
     try:
         if trained.interrupted:
             raise KeyboardInterrupt
-        _say(arguments, f"{trained.steps:,} steps. Comparing on {protocol.episodes} scenarios never trained on ...")
+        show(f"{trained.steps:,} steps. Comparing on {protocol.episodes} scenarios never trained on ...")
         results = evaluate(
             [*LAWS, str(policy)],
             suite=protocol.suite,
             profile=protocol.profile,
             episodes=protocol.episodes,
-            progress=progress,
+            progress=True,
         )
         remarks = [*results.remarks, _stands_on(trained), beside_best_constant(results, str(policy))]
         summary = write_report(replace(results, remarks=remarks, command=shlex.join(command)), out)
@@ -126,11 +124,10 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
         )
         return 130
     if arguments.json:
-        print(json.dumps(summary, indent=2, allow_nan=False))
-        return 0
-    print(in_words(summary))
-    print(f"\nOpen {out / 'report.html'}. The policy is in {trained.best}.")
-    print(f"Watch it: amulett play {shlex.quote(str(policy))}")
+        print_json(summary)
+    show(in_words(summary))
+    show(f"\nOpen {out / 'report.html'}. The policy is in {trained.best}.")
+    show(f"Watch it: amulett play {shlex.quote(str(policy))}")
     return 0
 
 
@@ -160,8 +157,3 @@ def _command(arguments: argparse.Namespace) -> list[str]:
     options = {name: getattr(arguments, name) for name in ("steps", "seconds", "episodes", "seed", "out")}
     given = [word for name, value in options.items() if value is not None for word in (f"--{name}", str(value))]
     return ["amulett", "quickstart", *given]
-
-
-def _say(arguments: argparse.Namespace, message: str) -> None:
-    if not arguments.json:
-        print(message, flush=True)

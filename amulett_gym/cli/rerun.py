@@ -7,13 +7,13 @@ import contextlib
 import csv
 import hashlib
 import io
-import json
 import shlex
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.cli.own_policies import add_trust
 from amulett_gym.errors import AmulettError
 
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="also run the Python files whose functions were compared (mylaw.py:function)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    add_json(parser, "what differs")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -81,27 +81,27 @@ def run(arguments: argparse.Namespace) -> int:
     again, read = _KINDS[kind]
     expected = read(old)  # a folder that is not finished is refused before anything is done
     warnings = [f"the software is another one: {change}" for change in software_changes(note)]
+    show = printer(arguments)
     with _working_folder(note) as moved:
         warnings += moved
         warnings += _changed_inputs(note)
-        if not arguments.json:
-            for warning in warnings:
-                print(f"Warning: {warning}")
-            print(f"Again: {shlex.join(note.command or ['amulett', kind])}", flush=True)
+        for warning in warnings:
+            show(f"Warning: {warning}")
+        show(f"Again: {shlex.join(note.command or ['amulett', kind])}")
         with contextlib.redirect_stdout(sys.stderr) if arguments.json else contextlib.nullcontext():
             again(note, old, new)
     changed = _different(expected, read(new))
     if arguments.json:
         result = {"kind": kind, "same": not changed, "differences": changed, "warnings": warnings, "out": str(new)}
-        print(json.dumps(result, indent=2))
+        print_json(result)
     elif changed:
-        print(f"{len(changed)} of {_count(_numbers(expected))} numbers are not the same:")
+        show(f"{len(changed)} of {_count(_numbers(expected))} numbers are not the same:")
         for line in changed[:_MOST_SHOWN]:
-            print(f"  {line}")
+            show(f"  {line}")
         if len(changed) > _MOST_SHOWN:
-            print(f"  and {len(changed) - _MOST_SHOWN} more (--json has them all)")
+            show(f"  and {len(changed) - _MOST_SHOWN} more (--json has them all)")
     else:
-        print(f"All {_count(_numbers(expected))} numbers are the same. What was done again is in {arguments.out}.")
+        show(f"All {_count(_numbers(expected))} numbers are the same. What was done again is in {arguments.out}.")
     return 1 if changed else 0
 
 
@@ -160,7 +160,7 @@ def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
     from amulett_gym.cli.evaluate import compare
 
     try:
-        compare(note.config, str(new), note.command or ["amulett", "evaluate"], sys.stderr.isatty())
+        compare(note.config, str(new), note.command or ["amulett", "evaluate"])
     except (KeyError, TypeError) as error:
         raise AmulettError(f"'{old / 'command.json'}' does not describe a comparison: {error!r}") from error
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.output import add_json, print_json
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
 from amulett_gym.errors import AmulettError
 
@@ -96,8 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             figure = trajectory_figure(played[0].trajectory, title)
         save_figure(figure, arguments.plot)
-        if not arguments.json:
-            print(f"Written: {arguments.plot}")
+        printer(arguments)(f"Written: {arguments.plot}")
     return 0
 
 
@@ -127,7 +126,8 @@ def _print(arguments: argparse.Namespace, episodes: Mapping[str, Episode], title
     from amulett_gym.evaluation.metrics import UNITS
     from amulett_gym.reporting.table import Table
 
-    print(f"{title}, seed {arguments.seed}, {arguments.duration:g} s")
+    show = printer(arguments)
+    show(f"{title}, seed {arguments.seed}, {arguments.duration:g} s")
     metrics = [episode.metrics for episode in episodes.values()]
     rows = [
         (name, *(f"{each[name]:.4g}" if math.isfinite(each[name]) else "-" for each in metrics), unit.replace("1", ""))
@@ -135,10 +135,10 @@ def _print(arguments: argparse.Namespace, episodes: Mapping[str, Episode], title
         if name in metrics[0]
     ]
     head = ("metric", *episodes, "unit") if len(episodes) > 1 else ("",) * 3
-    print(Table("", head, rows, left=(0, len(head) - 1)).text())
+    show(Table("", head, rows, left=(0, len(head) - 1)).text())
     for name, episode in episodes.items():
         if episode.failure:
             ended = f"after {episode.trajectory['time'][-1]:g} s: {episode.failure}"
-            print(f"The device failed {ended}." if len(episodes) == 1 else f"{name}: the device failed {ended}.")
+            show(f"The device failed {ended}." if len(episodes) == 1 else f"{name}: the device failed {ended}.")
     if arguments.out is not None:
-        print(f"Written: {arguments.out}")
+        show(f"Written: {arguments.out}")

@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
     parser.add_argument("--seed", type=int, help="in the place of the recipe's")
     parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
-    parser.add_argument("--json", action="store_true", help="print the result as one JSON object")
+    add_json(parser, "the result")
 
 
 def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
@@ -49,19 +50,17 @@ def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train; exit code 130 if Ctrl-C or SIGTERM ended it, 1 if it diverged (the policies until then are kept)."""
     check_installed()
-    import json
     from dataclasses import asdict
 
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import load_profile
 
-    finished = False
-    progress = not arguments.json
+    finished, show = False, printer(arguments)
     if arguments.resume is not None:
         _check_alone(arguments)
         training = load_learning("training")
         finished = training.is_finished(arguments.resume)
-        result = training.resume(arguments.resume, progress=progress)
+        result = training.resume(arguments.resume)
     else:
         if arguments.out is None:
             raise AmulettError("train needs --out DIR for a new run, or --resume DIR to go on with one")
@@ -70,25 +69,25 @@ def run(arguments: argparse.Namespace) -> int:
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
         print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tuple(config.env.tension_range)))
         command = ["amulett", *sys.argv[1:]]
-        result = load_learning("training").train(
-            config, arguments.out, progress=progress, command=command, overwrite=arguments.overwrite
-        )
+        result = load_learning("training").train(config, arguments.out, command=command, overwrite=arguments.overwrite)
     if arguments.json:
-        print(json.dumps(asdict(result), default=str, indent=2))
+        print_json(asdict(result))
     else:
         if result.interrupted:
-            print("interrupted; what was learned until then is kept. Go on with:")
-            print(f"       amulett train --resume {shlex.quote(str(result.out))}")
+            show("interrupted; what was learned until then is kept. Go on with:")
+            show(f"       amulett train --resume {shlex.quote(str(result.out))}")
         if result.diverged is not None:
-            print(f"diverged after {result.diverged:,} steps: weights are not finite or too large; the policies until")
-            print("       then are kept. A lower learning rate may help")
+            show(
+                f"diverged after {result.diverged:,} steps: weights are not finite or too large; the policies until "
+                "then are kept. A lower learning rate may help"
+            )
         if finished:
-            print("this run is finished; there is nothing to resume")
-        print(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
-        print(f"best   cost {result.best_cost:.4f} on the validation scenarios, after {result.best_steps:,} steps")
-        print(f"       {result.best}")
-        print(f"last   cost {result.last_cost:.4f}")
-        print(f"       {result.last}")
+            show("this run is finished; there is nothing to resume")
+        show(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
+        show(f"best   cost {result.best_cost:.4f} on the validation scenarios, after {result.best_steps:,} steps")
+        show(f"       {result.best}")
+        show(f"last   cost {result.last_cost:.4f}")
+        show(f"       {result.last}")
     return 130 if result.interrupted else 0 if result.diverged is None else 1
 
 

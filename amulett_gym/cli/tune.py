@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import shlex
 import sys
 from pathlib import Path
 from typing import Any
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.cli.train import add_overrides
 from amulett_gym.learning import TUNING, check_installed, load_learning
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", type=int, default=1, help="runs of each trial, whose mean counts (default: 1)")
     parser.add_argument("--seed", type=int, default=0, help="of what is tried (default: 0)")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
-    parser.add_argument("--json", action="store_true", help="print the trials as JSON and nothing else")
+    add_json(parser, "the trials")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -42,10 +42,11 @@ def run(arguments: argparse.Namespace) -> int:
     tuning = load_learning("tuning")
     space = tuning.load_space(arguments.space, config)
 
+    show = printer(arguments)
+
     def tell(trial: Any, best: Any) -> None:
-        if not arguments.json:
-            cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
-            print(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}", flush=True)
+        cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
+        show(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}")
 
     trials = tuning.tune(
         config,
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         seeds=arguments.seeds,
         command=["amulett", *sys.argv[1:]],
-        progress=not arguments.json,
+        progress=True,
         tell=tell,
     )
     if trials is None:
@@ -64,24 +65,25 @@ def run(arguments: argparse.Namespace) -> int:
         return 130
     best = tuning.best_of(trials)
     if arguments.json:
-        print(json.dumps([asdict(trial) | {"cost": trial.cost} for trial in trials], indent=2))
-    else:
-        print(_table(trials, list(space)))
-        if best is not None:
-            print(f"\nThe best recipe is in {Path(arguments.out) / tuning.BEST}.")
+        print_json([asdict(trial) | {"cost": trial.cost} for trial in trials])
+    show(_table(trials, list(space)))
+    if best is not None:
+        show(f"\nThe best recipe is in {Path(arguments.out) / tuning.BEST}.")
     return 0 if best is not None else 1
 
 
 def _table(trials: list[Any], keys: list[str]) -> str:
     """Return the best trials, one a line."""
+    from amulett_gym.reporting.table import Table
+
     judged = sorted((trial for trial in trials if trial.costs), key=lambda trial: (trial.cost, trial.number))
-    rows = [["trial", "cost", *keys]]
-    for trial in judged[:_MOST_SHOWN]:
-        rows.append([str(trial.number), f"{trial.cost:.4f}", *(_short(trial.changes[key]) for key in keys)])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    rows = [
+        [str(trial.number), f"{trial.cost:.4f}", *(_short(trial.changes[key]) for key in keys)]
+        for trial in judged[:_MOST_SHOWN]
+    ]
     failed = len(trials) - len(judged)
-    return "\n".join([*lines, *([f"{failed} of {len(trials)} trials failed"] if failed else [])])
+    note = f"{failed} of {len(trials)} trials failed" if failed else ""
+    return Table("", ("trial", "cost", *keys), rows, note).text()
 
 
 def _short(value: Any) -> str:

@@ -9,6 +9,8 @@ from typing import Self
 
 from tqdm import tqdm
 
+from amulett_gym.reporting.table import fill
+
 FIRST, BETWEEN = 2.0, 10.0
 """When the first plain line is written, and how long after one the next [s]; a bar begins after `FIRST`, too."""
 
@@ -17,9 +19,9 @@ _LARGE = 10_000
 
 
 def say(text: str) -> None:
-    """Print a line on stdout, above the bars if there are any."""
+    """Print text on stdout, in lines of at most 80 characters, above the bars if there are any."""
     with tqdm.external_write_mode():
-        print(text, flush=True)
+        print(fill(text), flush=True)
 
 
 class Progress:

@@ -178,14 +178,15 @@ def _joined(template: str, items: Iterable[Iterable[str]]) -> Markup:
 
 
 def fill(text: str, width: int = TEXT_WIDTH) -> str:
-    """Return a text wrapped between words; lines of it stay apart."""
-    return "\n".join("\n".join(_wrap(line, width)) for line in text.splitlines())
+    """Return a text wrapped between words; lines of it stay apart, and keep their indentation where they go on."""
+    return "\n".join("\n".join(_wrap(line, width)) for line in text.split("\n"))
 
 
 def _wrap(text: str, width: int) -> list[str]:
     """Return a text's lines; neither a word nor what stands in brackets is cut."""
+    indent = text[: len(text) - len(text.lstrip(" "))]
     kept = re.sub(r"\[[^\]]*\]", lambda match: match[0].replace(" ", "\0"), text)
-    lines = textwrap.wrap(kept, max(width, 1), break_long_words=False, break_on_hyphens=False)
+    lines = textwrap.wrap(kept, max(width, 1), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return [line.replace("\0", " ") for line in lines] or [""]
 
 
