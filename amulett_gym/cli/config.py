@@ -1,4 +1,4 @@
-"""`amulett config`: check a file that somebody wrote, and show what it comes to."""
+"""`amulett config`: check a configuration file, and show its resolved values."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def validate(path: str | Path) -> Found:
-    """Tell what a file is, by its keys, and validate it as that.
+    """Find out by its keys what a file is, and validate it as that.
 
     Raises
     ------

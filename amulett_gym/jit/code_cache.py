@@ -5,12 +5,12 @@ as the function's own file is: after an edit of what it calls in another file, t
 named after the *content* of all files that compiled code can come from, so that
 
 - the same sources find the same code, wherever and whenever they were installed;
-- any edit starts a new folder, and nobody meets old code. The folders used last are kept, the others deleted;
+- any edit starts a new folder, so old code is never used. The folders used last are kept, the others deleted;
 - it can be anywhere: in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder, else, where the home is
   read-only, in a temporary folder of this user alone. One that is there already need not be writable.
 
 What happens to the files never stops a run: code that cannot be read is compiled again, code that cannot be written is
-gone with the process. The rest is numba's: it replaces files whole and tells processors and versions apart.
+gone with the process. The rest is numba's: it replaces files whole and distinguishes processors and versions.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SOURCES = (
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
 
 SETTINGS = ("BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "OPT", "SLP_VECTORIZE", "USING_SVML")
-"""Settings of numba that change the code, and that its cache does not tell apart."""
+"""Settings of numba that change the code, and that its cache does not distinguish."""
 
 KEPT_FOLDERS = 8
 """A full one takes about 5 MB."""
@@ -83,7 +83,7 @@ def keep_code(function: Any) -> None:
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
-    """Tells numba where a function's code is, and which is fresh: all that is there."""
+    """Says to numba where a function's code is, and that all of it is up to date."""
 
     def __init__(self, folder: Path, function: Callable[..., Any], file: str) -> None:
         self._folder, self._function = folder, function
@@ -158,7 +158,7 @@ def _temporary_folder() -> Path:
 
 
 def _take(folder: Path) -> bool:
-    """Make a folder if it is not there, mark it as used; tell whether it can be read."""
+    """Make a folder if it is not there, mark it as used; return whether it can be read."""
     try:
         if not folder.is_dir():
             folder.mkdir(parents=True, exist_ok=True)
@@ -171,7 +171,7 @@ def _take(folder: Path) -> bool:
 
 
 def _delete_unused(place: Path) -> None:
-    """Delete the folders beyond those used last; whoever still runs their code has it in memory."""
+    """Delete the folders beyond those used last; a process that runs their code has it in memory."""
     with suppress(OSError):
         folders = sorted(place.iterdir(), key=lambda folder: folder.stat().st_mtime, reverse=True)
         for folder in folders[KEPT_FOLDERS:]:

@@ -1,4 +1,4 @@
-"""A lock on a folder, which the system takes from a process that dies."""
+"""A lock on a folder, which the system releases when the process ends."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 def locked_folder(path: str | Path) -> Iterator[None]:
     """Keep a folder to this process during the block, by a lock on the file ``.lock`` in it.
 
-    The system takes the lock from a process that dies, however it dies, so a file that is left behind locks nobody out.
+    The system releases the lock when a process ends, however it ends, so a file that is left behind blocks no process.
     Where the file system knows no locks, the owner that the file names is looked for: on this computer, whether the
     process lives; on another one it is taken to.
 
@@ -66,7 +66,7 @@ def _open_lock(lock: Path) -> int:
         try:
             if _is_owned(handle):
                 raise AmulettError(f"'{lock.parent}' is in use by {_owner(handle)}; choose another folder, or wait")
-            # Whoever had it may have deleted the file just now: then the next one would lock another file.
+            # Its last owner may have deleted the file just now: then the next process would lock another file.
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(handle), lock.stat()):
                     _write_owner(handle)
@@ -78,7 +78,7 @@ def _open_lock(lock: Path) -> int:
 
 
 def _is_owned(handle: int) -> bool:
-    """Lock a lock file, and tell whether somebody else has it."""
+    """Lock a lock file; return whether another process has it."""
     try:
         if fcntl is None:
             raise OSError(errno.ENOSYS, "no locks")

@@ -1,4 +1,4 @@
-"""Files that are read may come from strangers: size and depth are limited, and only ordinary files are opened."""
+"""Reading untrusted files: size and depth are limited, and only ordinary files are opened."""
 
 from __future__ import annotations
 

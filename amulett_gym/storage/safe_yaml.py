@@ -1,4 +1,4 @@
-"""YAML 1.2 from strangers: plain data only, and bounded before anything is built from it.
+"""Reading untrusted YAML 1.2: plain data only, and bounded before anything is built from it.
 
 PyYAML reads YAML 1.1, where ``yes`` and ``off`` are truth values, ``010`` is 8, ``1:30`` is 90, and ``1e-3`` is text.
 Here only ``true`` and ``false`` are truth values, and numbers are those of YAML 1.2, with ``_`` between digits allowed

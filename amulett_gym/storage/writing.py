@@ -1,4 +1,4 @@
-"""Files are written to a temporary name and renamed, so that nobody ever sees half of one."""
+"""Files are written to a temporary name and renamed, so that a file is always whole."""
 
 from __future__ import annotations
 
