@@ -24,7 +24,7 @@ from amulett_gym.storage.reading import user_path
 
 CONSTANT = "constant:"
 
-_PRETRAINED = {"pretrained": "scaling", "pretrained:tension": "tension"}
+PRETRAINED = {"pretrained": "scaling", "pretrained:tension": "tension"}
 """Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card."""
 
 IN_THE_LOOP: dict[str, dict[str, Any]] = {
@@ -154,8 +154,8 @@ def bundle_folder(name: str) -> Path:
     """
     if not name:
         raise unknown("policy", name, contender_names())
-    if name in _PRETRAINED:
-        return Path(str(resources.files("amulett_gym") / "policies" / _PRETRAINED[name]))
+    if name in PRETRAINED:
+        return Path(str(resources.files("amulett_gym") / "policies" / PRETRAINED[name]))
     folder = user_path(name)
     try:
         for candidate in (folder, folder / "best"):

@@ -176,6 +176,7 @@ def test_learned_policies_have_colours_that_no_law_has():
     assert len({colours[name] for name in laws}) == len(laws)
     assert not {colours["runs/a"], colours["runs/b"]} & {colours[name] for name in laws}
     assert colours["runs/a"] == plots.colours(["runs/a"])["runs/a"]
+    assert plots.colours(["pretrained", "mine.py:law"])["pretrained"] == colours["runs/a"]  # the function is no policy
 
 
 def test_a_string_has_the_renderers_colour():
