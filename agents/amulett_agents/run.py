@@ -92,8 +92,6 @@ class Run(BaseCallback):
                 self._checkpoint()  # before anything is written that a run from its very beginning would not find
             else:
                 self._restore(self.resumed)
-            total, what = self.config.total_steps, f"training, seed {self.config.seed}"
-            self._progress = Progress(total, what, "steps", self._show, done=self.num_timesteps)
         elif has_diverged(self.model):
             raise Stopped
         if self.num_timesteps >= self._next_validation:
@@ -137,11 +135,20 @@ class Run(BaseCallback):
 
     def _note(self, phase: str) -> None:
         """Show what the run does; its steps count at a rollout's start, when they have been learned from."""
-        if self._progress is None:
-            return
-        done = min(self.num_timesteps, self.config.total_steps) - self._progress.done if phase == "acting" else 0
+        config, done = self.config, min(self.num_timesteps, self.config.total_steps)
+        random = config.algorithm == "sac" and done < config.sac.learning_starts
+        what = f"{'random actions' if random else 'training'}, seed {config.seed}"
+        if self._progress is None or self._progress.what != what:  # one that takes no time says nothing of the other
+            self.close_progress()
+            total = min(config.sac.learning_starts, config.total_steps) if random else config.total_steps
+            self._progress = Progress(total, what, "steps", self._show, done)
         costs = f", cost {self._rows[-1]['cost']:.3f} (best {self._rows[self._best]['cost']:.3f})" if self._rows else ""
-        self._progress.update(done, phase + costs)
+        self._progress.update(done - self._progress.done if phase == "acting" else 0, phase + costs)
+
+    def close_progress(self) -> None:
+        """Stop showing progress."""
+        if self._progress is not None:
+            self._progress.close()
 
     def finish(self, model: Any) -> None:
         """Judge and keep the last policy, unless it has diverged."""
@@ -154,8 +161,7 @@ class Run(BaseCallback):
         self.validation.close()
         model.get_env().close()
         model.logger.close()
-        if self._progress is not None:
-            self._progress.close()
+        self.close_progress()
 
     def result(self) -> TrainResult:
         """Return what the run left behind."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import nullcontext
+from pathlib import Path
 
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import output_folder
@@ -15,6 +16,10 @@ EXAMPLES = """  amulett reproduce --out runs/reproduction
   amulett reproduce --doc docs/reproduction.md
   amulett reproduce --study runs/identify --out runs/mine
 """
+
+
+STUDY = "study"
+"""Folder of a reproduction for a copy of the study that it shows."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
             evidence = gather(study, lambda part: progress.update(note=part))
         result = content(evidence) if out is None else write_numbers(evidence, out)
         if out is not None:
+            _describe(out, arguments.study)
             figures = write_pictures(evidence, out)
         elif arguments.doc is not None:
             figures = draw(evidence)
@@ -68,3 +74,15 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         print(f"Renewed: {arguments.doc}")
     return 0
+
+
+def _describe(out: str, study: str | None) -> None:
+    """Write what `amulett rerun` needs: the command, and a copy of the study."""
+    from amulett_gym.storage.provenance import write_provenance
+    from amulett_gym.studies.paper.study import copy_study
+
+    words = ["amulett", "reproduce", "--out", out]
+    if study is not None:
+        copy_study(study, Path(out) / STUDY)
+        words += ["--study", study]
+    write_provenance(out, "reproduce", {"study": study}, [], words)

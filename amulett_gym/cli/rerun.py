@@ -28,7 +28,7 @@ EXAMPLES = """  amulett rerun comparison --out comparison-again
 
 Numbers = dict[str, Any]
 
-_NOT_NUMBERS = ("command", "machine", "versions", "seconds", "sha256")
+_NOT_NUMBERS = ("command", "machine", "versions", "seconds", "sha256", "status")
 """Keys, at any depth, that are no results."""
 
 _MOST_SHOWN = 10
@@ -186,6 +186,7 @@ def _quickstart(folder: Path) -> Numbers:
 def _command_again(note: Provenance, old: Path, new: Path) -> None:
     """Give a command's words again; whatever they say, it writes to the new folder and nowhere else."""
     from amulett_gym.cli import build_parser
+    from amulett_gym.cli.reproduce import STUDY
 
     problem = io.StringIO()
     try:
@@ -197,6 +198,8 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
     if arguments.command != note.kind:
         raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to be given again")
     vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
+    if (old / STUDY).is_dir():  # the study that a reproduction shows, as it was
+        arguments.study = str(old / STUDY)
     code = arguments.run(arguments)
     if code == 130:
         raise KeyboardInterrupt

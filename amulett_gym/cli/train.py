@@ -77,10 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
             show("interrupted; what was learned until then is kept. Go on with:")
             show(f"       amulett train --resume {shlex.quote(str(result.out))}")
         if result.diverged is not None:
-            show(
-                f"diverged after {result.diverged:,} steps: weights are not finite or too large; the policies until "
-                "then are kept. A lower learning rate may help"
-            )
+            show(f"diverged after {result.diverged:,} steps; earlier policies are kept. Try a lower learning rate")
         if finished:
             show("this run is finished; there is nothing to resume")
         show(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")

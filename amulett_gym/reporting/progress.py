@@ -42,6 +42,7 @@ class Progress:
     Attributes
     ----------
     done : int
+    what : str
     """
 
     def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True, done: int = 0) -> None:
@@ -57,7 +58,7 @@ class Progress:
             dynamic_ncols=True,
             disable=not terminal,
         )
-        self._total, self._what, self._unit, self.done, self._before = total, what, unit, done, done
+        self._total, self.what, self._unit, self.done, self._before = total, what, unit, done, done
         self._started = time.monotonic()
         self._due = self._started + FIRST if show and not terminal else float("inf")
 
@@ -82,10 +83,10 @@ class Progress:
     def _line(self, passed: float, note: str) -> str:
         unit, ending = f" {self._unit}" if self._unit else "", f": {note}" if note else ""
         if self._total is None or self.done == self._before:
-            return f"{self._what}: {self.done:,}{unit}, {passed:.0f} s{ending}"
+            return f"{self.what}: {self.done:,}{unit}, {passed:.0f} s{ending}"
         left = passed * max(self._total - self.done, 0) / (self.done - self._before)
         share = f"{self.done:,} of {self._total:,}{unit} ({100 * self.done / self._total:.0f} %)"
-        return f"{self._what}: {share} in {passed:.0f} s, about {left:.0f} s left{ending}"
+        return f"{self.what}: {share} in {passed:.0f} s, about {left:.0f} s left{ending}"
 
     def __enter__(self) -> Self:
         return self

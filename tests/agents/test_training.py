@@ -657,7 +657,7 @@ def test_a_model_leaves_no_folder_behind(tmp_path, monkeypatch):
 def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path):
     out = tmp_path / "quick"
     words = [sys.executable, "-m", "amulett_gym", "quickstart"]
-    words += ["--seconds", "0.5", "--episodes", "2", "--out", str(out)]
+    words += ["--steps", "1000", "--episodes", "2", "--out", str(out)]
     first = subprocess.run([*words, "--json"], capture_output=True, text=True, check=True)
     assert "training" not in first.stderr  # progress is not shown beside JSON
     steps = json.loads((out / "ppo" / "finished.json").read_text())["steps"]
@@ -670,6 +670,8 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path)
     elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps")}
     elsewhere |= {"pretrained", "pretrained:tension"}  # made by hours of what is shown here
     assert laws - elsewhere <= set(LAWS)
+    rerun = [*words[:3], "rerun", str(out), "--out", str(tmp_path / "again")]
+    assert "numbers are the same" in subprocess.run(rerun, capture_output=True, text=True, check=True).stdout
     again = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert "Replacing the earlier run" in again
     assert f"amulett play {out / 'ppo'}" in again

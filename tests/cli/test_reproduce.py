@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -119,8 +120,9 @@ def test_the_command_shows_an_own_study_instead_of_the_shipped_one(tmp_path, cap
     document = tmp_path / "mine.md"
     document.write_text(f"{BEGIN}\n{END}\n")
     out = tmp_path / "out"
-    assert main(["reproduce", "--study", str(folder), "--out", str(out), "--doc", str(document)]) == 0
-    status = f"These are the devices of the study in {folder}: seeds"
+    mine = write_study(tmp_path / "mine", content)
+    assert main(["reproduce", "--study", str(mine), "--out", str(out), "--doc", str(document)]) == 0
+    status = f"These are the devices of the study in {mine}: seeds"
     result = json.loads((out / "reproduction.json").read_text())
     assert result["parameters"]["status"].startswith(STATUS) and status in result["parameters"]["status"]
     assert result["parameters"]["identified"] == {entry["name"]: entry["value"] for entry in content["spread"]}
@@ -129,6 +131,9 @@ def test_the_command_shows_an_own_study_instead_of_the_shipped_one(tmp_path, cap
     assert ours != [row.ours for row in results.reproduce().rows]
     for text in (capsys.readouterr().out, document.read_text(), (out / "reproduction.html").read_text()):
         assert status in " ".join(text.split())
+    shutil.rmtree(mine)  # the reproduction holds a copy
+    assert main(["rerun", str(out), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
 
 
 def test_the_terminal_shows_every_number_in_80_columns(evidence):

@@ -48,7 +48,7 @@ from amulett_gym.reporting.table import Table
 from amulett_gym.settings import describe
 from amulett_gym.storage.kept import digest, read_kept, write_kept
 from amulett_gym.storage.provenance import differences, write_provenance
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, read_text
 from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import write_json, write_text
 from amulett_gym.studies.paper.reproduction import (
@@ -645,6 +645,13 @@ def read_study(folder: str | Path) -> OwnStudy:
                 f"`amulett identify --out {folder}` writes both anew"
             )
     return OwnStudy(str(folder), content, profiles)
+
+
+def copy_study(folder: str | Path, place: Path) -> None:
+    """Copy the files that `read_study` reads into the folder `place`."""
+    place.mkdir(exist_ok=True)
+    for name in ("identification.json", *(f"{device}.yaml" for device in DEVICES)):
+        write_text(place / name, read_text(Path(folder) / name, "study"))
 
 
 class _Part(BaseModel):
