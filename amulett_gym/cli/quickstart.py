@@ -74,9 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.runner import Protocol
     from amulett_gym.profile import load_profile
 
-    limit = [] if arguments.seconds is None else [f"max_seconds={arguments.seconds}"]
-    short = [f"total_steps={arguments.steps}", f"seed={arguments.seed}", *limit]
-    config = load_learning("recipes").load_train_config(overrides=short)
+    config = _recipe(arguments)
     protocol = Protocol(load_profile(config.env.profile), config.env.suite, episodes=arguments.episodes)
     out = Path(arguments.out)
     marks = [[f"ppo/{name}" for name in ("config.yaml", "command.json")]]
@@ -84,6 +82,12 @@ def run(arguments: argparse.Namespace) -> int:
         if earlier:
             printer(arguments)(f"Replacing the earlier run and its report in {out}.")
         return _train_and_compare(arguments, config, protocol, out)
+
+
+def _recipe(arguments: argparse.Namespace) -> Any:
+    limit = [] if arguments.seconds is None else [f"max_seconds={arguments.seconds}"]
+    short = [f"total_steps={arguments.steps}", f"seed={arguments.seed}", *limit]
+    return load_learning("recipes").load_train_config(overrides=short)
 
 
 def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any, out: Path) -> int:

@@ -29,6 +29,7 @@ from amulett_agents.run_folder import COLUMNS  # noqa: E402
 from amulett_agents.time_limit import ValuesAtTimeLimits  # noqa: E402
 from amulett_agents.validation import evaluate, make_validation_env, torch_threads  # noqa: E402
 from amulett_gym import learning  # noqa: E402
+from amulett_gym.cli import build_parser, main, quickstart  # noqa: E402
 from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
@@ -654,31 +655,38 @@ def test_a_model_leaves_no_folder_behind(tmp_path, monkeypatch):
 # --- quickstart
 
 
-def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path):
+def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path, monkeypatch, capsys):
     out = tmp_path / "quick"
-    words = [sys.executable, "-m", "amulett_gym", "quickstart"]
-    words += ["--steps", "1000", "--episodes", "2", "--out", str(out)]
-    first = subprocess.run([*words, "--json"], capture_output=True, text=True, check=True)
-    assert "training" not in first.stderr  # progress is not shown beside JSON
+    monkeypatch.setattr(quickstart, "_recipe", lambda arguments: load_train_config(None, SMALL))
+    words = ["quickstart", "--episodes", "2", "--out", str(out)]
+    assert main([*words, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert "training" not in printed.err  # progress is not shown beside JSON
     steps = json.loads((out / "ppo" / "finished.json").read_text())["steps"]
     remarks = json.loads((out / "results.json").read_text())["remarks"]
     assert f"the policy was trained for {steps:,} steps; the full recipe (amulett train) takes 5,000,000" in remarks
     assert any(remark.startswith("the best constant on these scenarios is") for remark in remarks)
     assert f"{steps:,} steps" in (out / "report.html").read_text()
-    assert set(LAWS) | {str(out / "ppo")} == set(json.loads(first.stdout)["policies"])
+    assert set(LAWS) | {str(out / "ppo")} == set(json.loads(printed.out)["policies"])
     laws = {name for name in contender_names() if not name.endswith(">")}
     elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps")}
     elsewhere |= {"pretrained", "pretrained:tension"}  # made by hours of what is shown here
     assert laws - elsewhere <= set(LAWS)
-    rerun = [*words[:3], "rerun", str(out), "--out", str(tmp_path / "again")]
-    assert "numbers are the same" in subprocess.run(rerun, capture_output=True, text=True, check=True).stdout
-    again = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert main(["rerun", str(out), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    assert main(words) == 0
+    again = capsys.readouterr().out
     assert "Replacing the earlier run" in again
     assert f"amulett play {out / 'ppo'}" in again
     (tmp_path / "notes.txt").write_text("mine")
-    foreign = subprocess.run([*words[:-1], str(tmp_path)], capture_output=True, text=True, check=False)
-    assert foreign.returncode == 2
-    assert "holds no quickstart" in foreign.stderr
+    assert main([*words[:-1], str(tmp_path)]) == 2
+    assert "holds no quickstart" in capsys.readouterr().err
+
+
+def test_the_quickstart_trains_for_steps_and_not_for_seconds():
+    arguments = build_parser().parse_args(["quickstart"])
+    config = quickstart._recipe(arguments)
+    assert (config.total_steps, config.max_seconds) == (quickstart.STEPS, None)
 
 
 def test_ctrl_c_in_quickstart_says_what_is_kept(tmp_path):
