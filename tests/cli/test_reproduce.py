@@ -156,6 +156,26 @@ def without_parameter(content: dict[str, Any]) -> None:
     del content["without"]["variable"]["inertia"]
 
 
+def without_spring_parameter(content: dict[str, Any]) -> None:
+    del content["springs"][0]["parameters"]["inertia"]
+
+
+def with_one_bound(content: dict[str, Any]) -> None:
+    content["spread"][0]["bounds"].pop()
+
+
+def with_truth_for_a_number(content: dict[str, Any]) -> None:
+    content["cost"] = True
+
+
+def with_an_empty_list(content: dict[str, Any]) -> None:
+    content["starts"] = []
+
+
+def with_less_than_zero(content: dict[str, Any]) -> None:
+    content["spread"][0]["value"] = -1
+
+
 def with_unknown_parameter(content: dict[str, Any]) -> None:
     content["spread"].append({**content["spread"][0], "name": "colour"})
 
@@ -183,7 +203,12 @@ def without_a_refit(content: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (without_key, "'springs' is missing"),
+        (without_key, "lacks springs; identify anew"),
+        (without_spring_parameter, "'springs.0.parameters' lacks inertia"),
+        (with_one_bound, "each 'bounds' in 'spread' has to hold two numbers"),
+        (with_truth_for_a_number, "'cost' is 'True'; it has to be a number"),
+        (with_an_empty_list, "'starts' is '\\[\\]'; it has to be a list that is not empty"),
+        (with_less_than_zero, "'spread.inertia' is -1; it has to be greater"),
         (without_parameter, "'without.variable' lacks inertia"),
         (with_unknown_parameter, "'spread' has colour, which this version does not know"),
         (with_text_for_a_number, "'spread.0.value' is 'heavy'"),

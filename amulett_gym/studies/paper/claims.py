@@ -315,13 +315,7 @@ CLAIMS: tuple[Claim, ...] = (
         _HALF,
         (Within(_RISE_DIFFERENCE[FIVE], 0.375, 1.125),),
     ),
-    Claim(
-        "rise-measured-10",
-        "3.1",
-        "with 10 N, it's 0.1 s.",
-        _HALF,
-        (Within(_RISE_DIFFERENCE[TEN], 0.05, 0.15),),
-    ),
+    Claim("rise-measured-10", "3.1", "with 10 N, it's 0.1 s.", _HALF, (Within(_RISE_DIFFERENCE[TEN], 0.05, 0.15),)),
     Claim(
         "rise-measured-order",
         "3.1",

@@ -38,10 +38,10 @@ from amulett_gym.studies.paper.results import (
     readings_table,
     rows_content,
     sensitivity_tables,
-    spread_table,
     springs_table,
     status,
 )
+from amulett_gym.studies.paper.study import spread_table
 from amulett_gym.studies.paper.tables import PROTOCOL
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
 
 def block(evidence: Evidence) -> str:
     """Return the generated part of a document as Markdown."""
-    spread = spread_table(evidence)
+    spread = spread_table(evidence.identification)
     tables = (
         force_rise_table(evidence),
         readings_table(evidence),
@@ -223,7 +223,7 @@ def _sections(evidence: Evidence, figures: Mapping[str, Figure]) -> Iterator[tup
     folded = "<details><summary>Every predicted number</summary>{}</details>"
     anchor, title, shown = _section("cross-check", cross_check_table(evidence))
     yield anchor, title, shown + Markup(folded).format(_html(predictions_table(evidence)))
-    yield _section("parameters", spread_table(evidence))
+    yield _section("parameters", spread_table(evidence.identification))
     yield _section("springs", springs_table(evidence))
     varied = (Markup("<h3>{}</h3>").format(table.title) + _html(table) for table in sensitivity_tables(evidence))
     yield "sensitivity", "What changes with other judgement calls", Markup("\n").join(varied)

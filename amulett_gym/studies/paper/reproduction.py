@@ -51,8 +51,8 @@ MEASUREMENT_TIME = 5.0
 """T of eqs. 7 and 8 [s], which the paper does not print.
 
 By then the simulation is at rest: a longer T changes none of its numbers. On the testbed the noise never rests, tension
-ISEs and ISAVs go on growing, and an arm at 5 N, the floor of the estimation, leaves the margin again; `sensitivity`
-tells how many numbers other times explain. The paper's slowest step settles in 2.4 s.
+ISEs and ISAVs keep growing, and an arm at 5 N, the floor of the estimation, leaves the margin again; `motion.vary`
+returns how many numbers other times explain. The paper's slowest step settles in 2.4 s.
 """
 
 
@@ -75,7 +75,7 @@ class Readings:
         "movements with enabled switching"; or the one whose spring is deflected more.
     floor : {"clamp", "hold", "ignore"}
         What replaces estimated forces below 5 N on the testbed. ``hold`` is the nearest to the words. With it
-        or ``clamp`` noise lets the tension at a setpoint of 5 N run down (`sensitivity`).
+        or ``clamp`` noise lets the tension at a setpoint of 5 N run down (`motion.vary`).
     derivative_on : {"error", "measurement"}
         What the controllers differentiate.
     rise_time : {"settling", "first-entry"}
@@ -126,7 +126,7 @@ ALTERNATIVES: tuple[tuple[str, str], ...] = (
     ("isav_kick", "neither"),
     ("isav_columns", "as-printed"),
 )
-"""Readings that are tried, each alone, in the place of the default."""
+"""Readings that are tried, each alone, instead of the default."""
 
 BOUNDS = {
     ("rise_time", "simulation"): (0.85, 1.15),
@@ -230,7 +230,7 @@ def reproduce(profiles: Mapping[str, Profile] | None = None) -> Reproduction:
     Parameters
     ----------
     profiles : mapping of str to Profile, optional
-        Devices to use in the place of the shipped ones, by `tables.DEVICES`.
+        Devices to use instead of the shipped ones, by `tables.DEVICES`.
 
     Raises
     ------

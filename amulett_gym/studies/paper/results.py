@@ -9,7 +9,6 @@ from importlib.metadata import version
 from typing import Any
 
 from amulett_gym import __version__
-from amulett_gym.identification.ensemble import DETERMINED
 from amulett_gym.reporting.table import Table
 from amulett_gym.reporting.words import number
 from amulett_gym.studies.paper.claims import (
@@ -311,7 +310,7 @@ def readings_table(evidence: Evidence) -> Table:
         "What the paper leaves open, each alternative tried alone: how many numbers of each table it explains (of 8, "
         "8, 8 and 16), and how many come nearer to the paper's or go farther from it than as taken. The last two "
         "columns: how many of all it explains when the parameters are fitted again with it, and the cost of that fit. "
-        "The cost is a smooth count of the rows that are out of their bounds, which goes on growing a little for a row "
+        "The cost is a smooth count of the rows that are out of their bounds, which still grows a little for a row "
         f"far off; rows weigh 1, those of {weights}. The search itself varies: its independent starts ended "
         f"{' to '.join(dict.fromkeys((above[0], above[-1])))} above the least cost that was found, so that smaller "
         f"differences of costs say nothing. As taken: {taken}.",
@@ -352,33 +351,6 @@ def predictions_table(evidence: Evidence) -> Table:
             for row in rows
         ],
         left=(0, 2, 5),
-    )
-
-
-def spread_table(evidence: Evidence) -> Table:
-    """Return the identified parameters, and which of them the tables determine."""
-    weight = PROTOCOL.damping_mass * PROTOCOL.damping_arm**2
-    return Table(
-        "What the tables determine",
-        ("parameter", "value", "unit", "as good", "searched", "determined", "source of the search range"),
-        [
-            [
-                f"`{item['name']}`",
-                _short(item["value"]),
-                item["unit"],
-                f"{_short(item['low'])} to {_short(item['high'])}",
-                "{} to {}".format(*map(_short, item["bounds"])),
-                HOLDS[item["determined"]],
-                item["source"],
-            ]
-            for item in evidence.identification["spread"]
-        ],
-        f"As good: sets of parameters whose cost is within {evidence.identification['ensemble']['equal_cost']:g} of "
-        f"the least one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, "
-        "and touch none of its bounds; a parameter that is not may be anywhere in its range. For comparison with the "
-        f"inertia: the weight of the damping experiment alone, {1000.0 * PROTOCOL.damping_mass:g} g at "
-        f"{1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
-        left=(0, 2, 6),
     )
 
 

@@ -16,19 +16,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from threading import Thread
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
-from amulett_gym.identification.ensemble import ensemble, spread
+from amulett_gym.identification.ensemble import DETERMINED, ensemble, spread
 from amulett_gym.identification.parameters import (
     CERTAIN,
     PARAMETERS,
@@ -45,7 +44,6 @@ from amulett_gym.identification.search import Cost, search
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
-from amulett_gym.settings import describe
 from amulett_gym.storage.kept import digest, read_kept, write_kept
 from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json, read_text
@@ -75,7 +73,7 @@ OUT_OF_REACH = 60.0
 """Residual of a row that does not exist, because the device failed."""
 
 ROBUST = 0.1
-"""Weight of the part of the cost that goes on growing for a row far off, so that the search knows where to go."""
+"""Weight of the part of the cost that keeps growing for a row far off, so that the search has a direction there."""
 
 EQUAL = 2.5
 """Sets whose cost is above the best one's by at most this are as good: independent starts end as far apart."""
@@ -224,7 +222,7 @@ def study(
     processes : int
         Searches that run at once.
     report : callable
-        Called with a stage's name and result when it is there; `stage_count` tells how many will come.
+        Called with the name and the result of each of the `stage_count` stages, when it is there.
     overwrite : bool
         Whether a study of another recipe in the folder may be replaced.
     command : sequence of str, optional
@@ -391,7 +389,7 @@ def _ctrl_c_later() -> Iterator[None]:
 
 
 def _end_with(parent: int) -> None:
-    """Let a worker end when its parent does: one that was killed cannot tell it to."""
+    """Let a worker end when its parent does: a parent that was killed cannot end it."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -532,6 +530,33 @@ def stiffening(profile: Profile) -> float:
     return tables.stiffness_at(tables.deflection_at(10.0)) / tables.stiffness_at(tables.deflection_at(4.0))
 
 
+def spread_table(content: Mapping[str, Any]) -> Table:
+    """Return the identified parameters, and which of them the tables determine."""
+    weight = PROTOCOL.damping_mass * PROTOCOL.damping_arm**2
+    return Table(
+        "What the tables determine",
+        ("parameter", "value", "unit", "as good", "searched", "determined", "source of the search range"),
+        [
+            [
+                f"`{item['name']}`",
+                f"{item['value']:.4g}",
+                item["unit"],
+                f"{item['low']:g} to {item['high']:g}",
+                "{:g} to {:g}".format(*item["bounds"]),
+                "yes" if item["determined"] else "no",
+                item["source"],
+            ]
+            for item in content["spread"]
+        ],
+        f"As good: sets of parameters whose cost is within {content['ensemble']['equal_cost']:g} of "
+        f"the least one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, "
+        "and touch none of its bounds; a parameter that is not may be anywhere in its range. For comparison with the "
+        f"inertia: the weight of the damping experiment alone, {1000.0 * PROTOCOL.damping_mass:g} g at "
+        f"{1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
+        left=(0, 2, 6),
+    )
+
+
 def in_words(content: Mapping[str, Any]) -> str:
     """Return a study for the terminal: the parameters and their spread, the spring laws, and the starts."""
     head = (
@@ -542,22 +567,8 @@ def in_words(content: Mapping[str, Any]) -> str:
         f"{content['explained']} of {content['of']}, at a cost of {content['cost']:.3f}.\n"
     )
     starts = ", ".join(f"{start['cost']:.3f} (seed {start['seed']})" for start in content["starts"])
-    parameters = Table(
-        "Parameters:",
-        ("", "value", "unit", "as good", "searched", "determined"),
-        [
-            [
-                entry["name"],
-                f"{entry['value']:.4g}",
-                entry["unit"],
-                f"{entry['low']:.3g} to {entry['high']:.3g}",
-                "{:g} to {:g}".format(*entry["bounds"]),
-                "yes" if entry["determined"] else "no",
-            ]
-            for entry in content["spread"]
-        ],
-        left=(0, 2),
-    )
+    parameters = spread_table(content)
+    parameters = replace(parameters, head=parameters.head[:-1], rows=[row[:-1] for row in parameters.rows])
     springs = Table(
         "Spring laws, all other parameters searched again:",
         ("", "free length / half width", "cost", "rows", "stiffness at 10 N / at 4 N"),
@@ -597,6 +608,15 @@ def cross_check(content: Mapping[str, Any], readings: Readings) -> dict[str, tup
     }
 
 
+_KINDS: dict[Any, str] = {
+    bool: "true or false",
+    (int, float): "a number",
+    str: "text",
+    list: "a list that is not empty",
+    dict: "a mapping",
+}
+
+
 @dataclass(frozen=True)
 class OwnStudy:
     """A study and its devices.
@@ -631,13 +651,9 @@ def read_study(folder: str | Path) -> OwnStudy:
             raise AmulettError(f"the study in '{folder}' is not finished; `amulett identify --out {folder}` goes on")
         raise AmulettError(f"'{folder}' holds no study: '{path}' is missing; `amulett identify` writes one")
     content = read_json(path, "study")
-    try:
-        found = _Study.model_validate(content)
-    except ValidationError as error:
-        raise describe(error, _Study, f"study '{path}'") from error
-    _check(found, f"study '{path}'")
+    _check(content, f"study '{path}'")
     profiles = {name: load_profile(Path(folder) / f"{name}.yaml") for name in DEVICES}
-    expected = devices({entry.name: entry.value for entry in found.spread})
+    expected = devices({entry["name"]: entry["value"] for entry in content["spread"]})
     for name, profile in profiles.items():
         if not same_device(profile, expected[name]):
             raise AmulettError(
@@ -654,97 +670,52 @@ def copy_study(folder: str | Path, place: Path) -> None:
         write_text(place / name, read_text(Path(folder) / name, "study"))
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
-
-
-_NonNegative = Annotated[float, Field(ge=0)]
-
-
-class _Entry(_Part):
-    name: str
-    unit: str
-    value: _NonNegative
-    low: float
-    high: float
-    bounds: Annotated[list[float], Field(min_length=2, max_length=2)]
-    determined: bool
-    source: str
-
-
-class _Start(_Part):
-    seed: int
-    cost: float
-
-
-class _Spring(_Part):
-    law: str
-    length_ratio: float
-    cost: float
-    met: int
-    of: int
-    stiffening: float
-
-
-class _Reading(_Part):
-    reading: str
-    choice: str
-    cost: float
-    explained: int
-
-
-class _Recipe(_Part):
-    seeds: list[int]
-
-
-class _Ensemble(_Part):
-    least_cost: float
-    equal_cost: float
-
-
-class _Study(_Part):
-    """What is read of ``identification.json``."""
-
-    recipe: _Recipe
-    readings: dict[str, str]
-    cost: float
-    explained: int
-    of: int
-    spread: list[_Entry]
-    ensemble: _Ensemble
-    starts: Annotated[list[_Start], Field(min_length=1)]
-    springs: list[_Spring]
-    readings_refitted: list[_Reading]
-    without: dict[str, dict[str, _NonNegative]]
-
-
-def _check(found: _Study, what: str) -> None:
-    """Refuse a study of other readings, parameters or configurations than those of this version."""
+def _check(found: Any, what: str) -> None:
+    """Refuse content that is no study, or one of other readings, parameters or configurations than this version's."""
+    _check_kind(found, shipped(), what, "")
     other = [
-        f"{name} {found.readings.get(name)} (not {choice})"
+        f"{name} {found['readings'].get(name)} (not {choice})"
         for name, choice in asdict(Readings()).items()
-        if found.readings.get(name) != choice
+        if found["readings"].get(name) != choice
     ]
     if other:
         raise AmulettError(f"{what} was made under other readings: {', '.join(other)}; identify anew")
-    parameters = [free.name for free in PARAMETERS]
-    _same(f"{what}: 'without'", found.without, CONFIGURATIONS)
-    chosen = {entry.name: entry.value for entry in found.spread}
-    for where, fitted in {
-        "spread": chosen,
-        **{f"without.{name}": found.without[name] for name in CONFIGURATIONS},
-    }.items():
-        _same(f"{what}: '{where}'", fitted, parameters)
+    if any(len(entry["bounds"]) != 2 for entry in found["spread"]):
+        raise AmulettError(f"{what}: each 'bounds' in 'spread' has to hold two numbers")
+    _check_names(f"{what}: 'without'", found["without"], CONFIGURATIONS)
+    refitted = [f"{item['reading']} {item['choice']}" for item in found["readings_refitted"]]
+    _check_names(f"{what}: 'readings_refitted'", refitted, [f"{name} {choice}" for name, choice in ALTERNATIVES])
+    fitted = {"spread": {entry["name"]: entry["value"] for entry in found["spread"]}}
+    fitted |= {f"without.{name}": parameters for name, parameters in found["without"].items()}
+    fitted |= {f"springs.{k}.parameters": spring["parameters"] for k, spring in enumerate(found["springs"])}
+    for where, parameters in fitted.items():
+        _check_names(f"{what}: '{where}'", parameters, [free.name for free in PARAMETERS])
         for free in PARAMETERS:
-            if fitted[free.name] == 0.0 < free.low:
-                raise AmulettError(f"{what}: '{where}.{free.name}' is 0; it has to be greater")
-    refitted = [f"{item.reading} {item.choice}" for item in found.readings_refitted]
-    _same(f"{what}: 'readings_refitted'", refitted, [f"{name} {choice}" for name, choice in ALTERNATIVES])
+            value = parameters[free.name]
+            if value < 0.0 or value == 0.0 < free.low:
+                raise AmulettError(f"{what}: '{where}.{free.name}' is {value:g}; it has to be greater")
 
 
-def _same(where: str, given: Iterable[str], names: Iterable[str]) -> None:
-    there, wanted = set(given), set(names)
+def _check_kind(given: Any, wanted: Any, what: str, where: str) -> None:
+    """Refuse content that lacks a key of the shipped study, or has a value of another kind there."""
+    place = f"{what}: '{where}'" if where else what
+    if isinstance(wanted, dict) and isinstance(given, dict):
+        if missing := [key for key in wanted if key not in given]:
+            raise AmulettError(f"{place} lacks {', '.join(missing)}; identify anew with this version")
+        for key, item in wanted.items():
+            _check_kind(given[key], item, what, f"{where}.{key}".lstrip("."))
+    elif isinstance(wanted, list) and isinstance(given, list) and given:
+        for k, item in enumerate(given):
+            _check_kind(item, wanted[0], what, f"{where}.{k}")
+    else:
+        kind = next(kind for kind in _KINDS if isinstance(wanted, kind))
+        if kind is list or not isinstance(given, kind) or (isinstance(given, bool) and kind is not bool):
+            raise AmulettError(f"{place} is {str(given)[:80]!r}; it has to be {_KINDS[kind]}")
+
+
+def _check_names(where: str, given: Iterable[str], names: Sequence[str]) -> None:
+    there = set(given)
     if missing := [name for name in names if name not in there]:
         raise AmulettError(f"{where} lacks {', '.join(missing)}; identify anew with this version")
-    if unknown := sorted(there - wanted):
+    if unknown := sorted(there.difference(names)):
         raise AmulettError(f"{where} has {', '.join(unknown)}, which this version does not know; identify anew")

@@ -179,7 +179,7 @@ def test_progress_counts_all_stages(finished):
     assert first.startswith(f"{total} searches, ")
     assert [line.split()[:3] for line in lines[:total]] == [[str(k), "of", str(total)] for k in range(1, total + 1)]
     for name in (free.name for free in PARAMETERS):
-        assert any(line.startswith(name) for line in lines[total:])
+        assert any(line.startswith(f"`{name}`") for line in lines[total:])
 
 
 def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path, finished):
