@@ -64,7 +64,7 @@ class ModelState(Group):
     log: dict[str, list[Any]] = Field(description="name -> value in decimal digits, count, who does not get it")
     python_random: list[Any]
     numpy_random: list[Any]
-    devices: dict[str, int | str] = Field(description="of the environment's state what is no array")
+    devices: dict[str, int | str | None] = Field(description="of the environment's state what is no array")
     action_random: dict[str, Any] = Field(default={}, description="SAC: what random actions are drawn with")
     replay_position: int = Field(default=0, ge=0, description="SAC: where the replay buffer goes on")
     replay_full: bool = Field(default=False, description="SAC: whether it goes on over older transitions")

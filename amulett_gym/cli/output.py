@@ -19,10 +19,10 @@ def print_json(content: Any) -> None:
     print(json.dumps(_finite(content), indent=2, allow_nan=False, default=str), flush=True)
 
 
-def printer(arguments: argparse.Namespace) -> Callable[[str], object]:
-    """Return what prints text for people, in lines of at most 80 characters; with `--json` it prints nothing."""
+def printer(arguments: argparse.Namespace) -> Callable[..., None]:
+    """Return what prints text for people, as `reporting.progress.say`; with `--json` it prints nothing."""
     if arguments.json:
-        return lambda text: None
+        return lambda text, wrap=True: None
     from amulett_gym.reporting.progress import say
 
     return say

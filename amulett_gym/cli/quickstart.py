@@ -131,7 +131,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
         print_json(summary)
     show(in_words(summary))
     show(f"\nOpen {out / 'report.html'}. The policy is in {trained.best}.")
-    show(f"Watch it: amulett play {shlex.quote(str(policy))}")
+    show(f"Watch it: amulett play {shlex.quote(str(policy))}", wrap=False)
     return 0
 
 

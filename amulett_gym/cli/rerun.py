@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         warnings += _changed_inputs(note)
         for warning in warnings:
             show(f"Warning: {warning}")
-        show(f"Again: {shlex.join(note.command or ['amulett', kind])}")
+        show(f"Again: {shlex.join(note.command or ['amulett', kind])}", wrap=False)
         with contextlib.redirect_stdout(sys.stderr) if arguments.json else contextlib.nullcontext():
             again(note, old, new)
     changed = _different(expected, read(new))

@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         if result.interrupted:
             show("interrupted; what was learned until then is kept. Go on with:")
-            show(f"       amulett train --resume {shlex.quote(str(result.out))}")
+            show(f"       amulett train --resume {shlex.quote(str(result.out))}", wrap=False)
         if result.diverged is not None:
             show(f"diverged after {result.diverged:,} steps; earlier policies are kept. Try a lower learning rate")
         if finished:

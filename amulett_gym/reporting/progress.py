@@ -18,10 +18,10 @@ _LARGE = 10_000
 """Totals from here on are shown as thousands and millions."""
 
 
-def say(text: str) -> None:
-    """Print text on stdout, in lines of at most 80 characters, above the bars if there are any."""
+def say(text: str, wrap: bool = True) -> None:
+    """Print text on stdout above the bars; in lines of at most 80 characters, unless it is a command to be copied."""
     with tqdm.external_write_mode():
-        print(fill(text), flush=True)
+        print(fill(text) if wrap else text, flush=True)
 
 
 class Progress:

@@ -56,3 +56,12 @@ def test_a_terminal_gets_a_bar(monkeypatch, capsys):
     output, bar = capsys.readouterr()
     assert output == "a result\n"
     assert "\revaluate" in bar and "4/10" in bar
+
+
+def test_text_is_wrapped_and_a_command_to_be_copied_is_not(capsys):
+    words = "amulett train --resume " + "a/long/folder/" * 4
+    say(f"  {words} and more")
+    say(words, wrap=False)
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert (first, second) == ("  amulett train --resume", f"  {words.split()[-1]} and more")
+    assert third == words
