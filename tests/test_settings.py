@@ -212,8 +212,8 @@ def test_numbers_from_python_are_taken_by_every_reader():
     assert load_profile({"name": "a", "base": "testbed", "loop": {"substeps": np.int64(2)}}).loop.substeps == 2
     moves = ({"time": np.float32(0.5), "angle_deg": 10},)
     assert load_scenario({"moves": moves, "noise_seed": np.uint64(2**63)}).noise_seed == 2**63
-    recipe = TrainConfig.model_validate({"env": {"tension_range": np.array([5, 12]), "profile": Path("a.yaml")}})
-    assert (recipe.env.tension_range, recipe.env.profile) == ([5.0, 12.0], "a.yaml")
+    recipe = TrainConfig.model_validate({"env": {"tension_range": np.array([5, 12])}, "network": {"start": Path("a")}})
+    assert (list(recipe.env.tension_range), recipe.network.start) == ([5.0, 12.0], "a")
     assert type(recipe.model_dump()["env"]["tension_range"][0]) is float
 
 
@@ -255,6 +255,7 @@ def test_the_home_folder_is_expanded_for_all_readers(tmp_path, monkeypatch):
     (tmp_path / "curve.csv").write_text("deflection_m,force_N\n0,0\n0.002,5\n0.004,10\n")
     (tmp_path / "d.yaml").write_text("{name: d, base: testbed, spring: {measured_curve: ~/curve.csv}}")
     (tmp_path / "r.yaml").write_text("{seed: 2, env: {profile: ~/d.yaml}}")
-    (tmp_path / "s.json").write_text('{"measure_from": 1}')
+    (tmp_path / "s.json").write_text('{"measure_from": 1, "setpoint": {"file": "~/log.csv", "column": "angle"}}')
+    (tmp_path / "log.csv").write_text("time,angle\n0,1\n1,2\n")
     assert load_profile(load_train_config("~/r.yaml").env.profile).name == "d"
     assert load_scenario(Path("~/s.json")).measure_from == 1

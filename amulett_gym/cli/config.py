@@ -111,12 +111,10 @@ def validate(path: str | Path) -> Found:
 
 
 def _check_recipe(config: Any) -> None:
-    """Refuse a recipe that names a device or a bundle that cannot be read."""
+    """Refuse a recipe that starts from a bundle that cannot be read; its device was read with it."""
     from amulett_gym.laws.bundle import read_bundle
     from amulett_gym.laws.contenders import bundle_folder
-    from amulett_gym.profile import load_profile
 
-    load_profile(config.env.profile)
     if config.network.start is not None:
         read_bundle(bundle_folder(config.network.start))
 

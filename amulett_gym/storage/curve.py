@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
-from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
 from pydantic import Field, ValidationError, model_validator
 
-from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import read_text
+from amulett_gym.storage.table import read_columns
 
 COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
 MOST_POINTS = 1000
@@ -65,55 +60,10 @@ def read_curve(path: str | Path) -> Curve:
     Raises
     ------
     AmulettError
-        If the file is unreadable or empty, a column is missing or there twice, a row has more or fewer cells than the
-        header, a cell is no finite number, or `Curve` refuses the values. Rows are numbered as a spreadsheet numbers
-        them: the header is row 1.
+        If `read_columns` refuses the file, or `Curve` the values.
     """
-    what = f"measured spring curve '{path}'"
-    text = read_text(path, "measured spring curve", _MOST_BYTES)
-    lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in text.partition("\n")[0] else ",", strict=True)
+    columns = read_columns(path, "measured spring curve", COLUMNS[:2], _MOST_BYTES, COLUMNS[2:])
     try:
-        header = [name.strip() for name in next(lines, [])]
-        _check_header(header)
-        rows = list(_rows(lines, header))
-        columns = zip(*rows, strict=True) if rows else ([] for _ in header)
-        content = {name: list(values) for name, values in zip(header, columns, strict=True) if name in COLUMNS}
-        return Curve.model_validate(content)
+        return Curve.model_validate(dict(zip(COLUMNS, columns, strict=False)))
     except ValidationError as error:
-        raise describe(error, Curve, what) from error
-    except csv.Error as error:
-        raise AmulettError(f"{what} is not valid CSV: row {lines.line_num}: {error}") from error
-    except ValueError as error:
-        raise AmulettError(f"{what}: {error}") from error
-
-
-def _check_header(header: list[str]) -> None:
-    if not header:
-        raise ValueError("it is empty; it needs a header and at least 3 rows")
-    missing = [name for name in COLUMNS[:2] if name not in header]
-    if missing:
-        raise ValueError(f"it has no column {missing}; it has {', '.join(header)[:200]}")
-    twice = [name for name in COLUMNS if header.count(name) > 1]
-    if twice:
-        raise ValueError(f"row 1 names the column '{twice[0]}' {header.count(twice[0])} times")
-
-
-def _rows(lines: Iterator[list[str]], header: list[str]) -> Iterator[list[float]]:
-    """Yield the rows as numbers; a cell of a column that is not read may hold anything, and is 0."""
-    for number, cells in enumerate(lines, start=2):
-        if not any(cell.strip() for cell in cells):
-            continue  # spreadsheets leave empty rows behind
-        if len(cells) != len(header):
-            raise ValueError(f"row {number} has {len(cells)} cells, the header has {len(header)}")
-        named = zip(header, cells, strict=True)
-        yield [_number(cell, name, number) if name in COLUMNS else 0.0 for name, cell in named]
-
-
-def _number(cell: str, name: str, row: int) -> float:
-    try:
-        value = float(cell)
-        if not math.isfinite(value):
-            raise ValueError("it is not finite")
-    except ValueError as error:
-        raise ValueError(f"row {row}, column '{name}': {cell[:50]!r} is no finite number") from error
-    return value
+        raise describe(error, Curve, f"measured spring curve '{path}'") from error

@@ -12,7 +12,9 @@ from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.storage.reading import read_text
 
 
-def read_columns(path: str | Path, what: str, names: Sequence[str], limit: int) -> list[list[float]]:
+def read_columns(
+    path: str | Path, what: str, names: Sequence[str], limit: int, optional: Sequence[str] = ()
+) -> list[list[float]]:
     """Return columns of a CSV file (comma or semicolon) with a header; other columns may hold anything.
 
     Parameters
@@ -24,6 +26,8 @@ def read_columns(path: str | Path, what: str, names: Sequence[str], limit: int) 
         Of the columns, in the order wanted.
     limit : int
         Largest size accepted, in bytes.
+    optional : sequence of str
+        Further columns, returned after the others if they are there.
 
     Raises
     ------
@@ -35,6 +39,7 @@ def read_columns(path: str | Path, what: str, names: Sequence[str], limit: int) 
     lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in text.partition("\n")[0] else ",", strict=True)
     try:
         header = [name.strip() for name in next(lines, [])]
+        names = [*names, *(name for name in optional if name in header)]
         for name in names:
             if header.count(name) != 1:
                 problem = f"names the column '{name}' {header.count(name)} times" if name in header else ""

@@ -34,7 +34,7 @@ from amulett_gym.simulation.layout import (
     Orientation,
     load_arm,
 )
-from amulett_gym.storage.reading import read_json
+from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.table import read_columns
 
@@ -106,10 +106,10 @@ class SetpointFile(Group):
 
     def read(self, folder: Path) -> dict[str, Any]:
         """Return the samples: the content of a `Setpoint`."""
-        names = [self.time_column, self.column]
-        time, angle = map(np.array, read_columns(folder / self.file, "setpoint", names, _MAX_TABLE_BYTES))
+        names, path = [self.time_column, self.column], folder / user_path(self.file)
+        time, angle = map(np.array, read_columns(path, "setpoint", names, _MAX_TABLE_BYTES))
         if not time.size:
-            raise AmulettError(f"setpoint '{folder / self.file}' has no samples")
+            raise AmulettError(f"setpoint '{path}' has no samples")
         time = time * (1e-3 if self.time_unit == "ms" else 1.0)
         if self.begin is not None:
             time = time - time[0] + self.begin

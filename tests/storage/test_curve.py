@@ -9,9 +9,9 @@ from amulett_gym.profile import load_profile
 from amulett_gym.storage.curve import MOST_POINTS, Curve, read_curve
 
 BAD_CURVES = {
-    "nothing at all": ("", "is empty"),
+    "nothing at all": ("", "row 1 has no column 'deflection_m'"),
     "a header only": ("deflection_m,force_N\n", "'deflection_m'.*at least 3 items"),
-    "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", r"no column \['force_N'\]"),
+    "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", "row 1 has no column 'force_N'"),
     "too short": ("deflection_m,force_N\n0,0\n1,1\n", "'deflection_m'.*at least 3 items"),
     "too long": (
         "deflection_m,force_N\n" + "\n".join(f"{k}e-6,{k}" for k in range(MOST_POINTS + 1)),
