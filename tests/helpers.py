@@ -20,12 +20,7 @@ from amulett_gym.tasks.scenario import load_scenario, pack, pack_path
 
 PROFILES = ("simulation", "testbed")
 
-EXACT_SENSORS = {
-    "encoder_bits": 0,
-    "encoder_noise_deg": 0.0,
-    "potentiometer_bits": 0,
-    "potentiometer_noise": 0.0,
-}
+EXACT_SENSORS = {"encoder_bits": 0, "encoder_noise_deg": 0.0, "potentiometer_bits": 0, "potentiometer_noise": 0.0}
 
 NO_GAINS = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "derivative_filter": 0.01}
 HELD_DRIVES = {"position": NO_GAINS, "tension": NO_GAINS, "position_only": NO_GAINS}

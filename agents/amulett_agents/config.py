@@ -51,10 +51,7 @@ class EnvSettings(Group):
     )
     privileged: bool = Field(default=False, description="also show what no device can know: for the causal reference")
     threads: int = Field(
-        default=2,
-        ge=1,
-        le=256,
-        description="that step the devices [threads]; the results are the same with any number",
+        default=2, ge=1, le=256, description="that step the devices [threads]; the results are the same with any number"
     )
 
     @field_validator("id")

@@ -45,16 +45,10 @@ STEPS = 2_000_000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument(
-        "--steps",
-        type=int,
-        default=STEPS,
-        metavar="N",
-        help=f"agent steps to train (default: {STEPS:,})",
+        "--steps", type=int, default=STEPS, metavar="N", help=f"agent steps to train (default: {STEPS:,})"
     )
     parser.add_argument(
-        "--seconds",
-        type=float,
-        help="most time to train [s]; if it is too short, the policy depends on the machine",
+        "--seconds", type=float, help="most time to train [s]; if it is too short, the policy depends on the machine"
     )
     parser.add_argument("--episodes", type=int, default=100, help="fresh scenarios to compare on (default: 100)")
     parser.add_argument("--seed", type=int, default=0, help="of the training (default: 0)")
@@ -99,9 +93,7 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     from amulett_gym.storage.provenance import write_provenance
 
     policy, show = out / "ppo", printer(arguments)
-    show(
-        f"Training PPO on '{protocol.suite}' ({protocol.profile.name}) for {config.total_steps:,} steps ...",
-    )
+    show(f"Training PPO on '{protocol.suite}' ({protocol.profile.name}) for {config.total_steps:,} steps ...")
     command = _command(arguments)
     chosen = {name: getattr(arguments, name) for name in ("steps", "seconds", "episodes", "seed")}
     write_provenance(out, "quickstart", chosen, [arguments.seed, *range(arguments.episodes)], command)

@@ -27,9 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
     parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
     parser.add_argument(
-        "--study",
-        metavar="DIR",
-        help="devices that `amulett identify` wrote to a folder, instead of the shipped ones",
+        "--study", metavar="DIR", help="devices that `amulett identify` wrote to a folder, instead of the shipped ones"
     )
     parser.add_argument("--json", action="store_true", help="print the content of reproduction.json and nothing else")
 

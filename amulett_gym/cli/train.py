@@ -37,13 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
     """Add `--set`, whose words are `load_train_config`'s overrides."""
     parser.add_argument(
-        "--set",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="overrides",
-        help=meaning,
+        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="overrides", help=meaning
     )
 
 

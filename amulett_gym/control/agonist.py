@@ -10,12 +10,7 @@ TRICEPS = -1.0
 
 @compiled
 def select_agonist(
-    agonist: float,
-    difference: float,
-    error: float,
-    hysteresis: float,
-    tie_width: float,
-    tie_error: float,
+    agonist: float, difference: float, error: float, hysteresis: float, tie_width: float, tie_error: float
 ) -> float:
     """Return the agonist for this tick: +1 biceps, -1 triceps (section 2.2).
 

@@ -14,14 +14,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.envs.episodes import Episodes, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import Settings, signature
-from amulett_gym.envs.transition import (
-    FIRST_METRIC,
-    FIRST_READING,
-    FIRST_TERM,
-    MAY_BE_MISSING,
-    METRICS,
-    READINGS,
-)
+from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, MAY_BE_MISSING, METRICS, READINGS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.scenario import Scenario
@@ -183,10 +176,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         From it on, an environment made alike gives the same bits, later episodes included, in any process.
         What wrappers count is theirs: `gym.make`'s time limit is not in it.
         """
-        return {
-            "episodes": self.episodes.get_state(),
-            "np_random": self.np_random.bit_generator.state,
-        }
+        return {"episodes": self.episodes.get_state(), "np_random": self.np_random.bit_generator.state}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Go back to a snapshot taken by `get_state`; AmulettError if it is one of another number of devices."""

@@ -58,10 +58,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     """Draw one episode: joint angle, string tensions, joint stiffness, drive commands, and external torques if any."""
     time = trajectory["time"]
-    torques = {
-        "push": trajectory["push_torque"],
-        "contact": trajectory["contact_torque"],
-    }
+    torques = {"push": trajectory["push_torque"], "contact": trajectory["contact_torque"]}
     torques = {name: torque for name, torque in torques.items() if np.any(torque != 0.0)}
     heights = [3.0, 3.0, 1.7, 2.4] + [1.4] * bool(torques)
     figure = style.new_figure(1.0 + 0.72 * sum(heights), 7.2)

@@ -243,11 +243,7 @@ def read_bundle(folder: str | Path) -> Bundle:
 
 
 def write_bundle(
-    folder: str | Path,
-    layers: Layers,
-    policy: PolicyDescription,
-    env: TrainingEnv,
-    provenance: Mapping[str, Any],
+    folder: str | Path, layers: Layers, policy: PolicyDescription, env: TrainingEnv, provenance: Mapping[str, Any]
 ) -> Path:
     """Write a policy bundle, whole or not at all; a bundle that is already there is replaced.
 

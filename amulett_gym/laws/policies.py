@@ -17,12 +17,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
-from amulett_gym.laws.contenders import (
-    CONSTANT,
-    IN_THE_LOOP,
-    bundle_folder,
-    constant_tension,
-)
+from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension
 from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
 from amulett_gym.profile import Profile
 

@@ -424,15 +424,7 @@ def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
     decay = c.friction[i] * decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     external = push + obstacle_torque(c, i, angle, velocity)
     return joint_acceleration(
-        angle,
-        velocity,
-        force_biceps,
-        force_triceps,
-        decay,
-        external,
-        c.inertia[i],
-        c.static_torque[i],
-        p.joint_radius,
+        angle, velocity, force_biceps, force_triceps, decay, external, c.inertia[i], c.static_torque[i], p.joint_radius
     )
 
 

@@ -104,7 +104,7 @@ PARAMETERS = record(
         ("law", "i8"),  # who sets the tension: one of `TENSION_LAWS`
         # error margin of rise and settling time
         ("margin", "f8"),
-    ],
+    ]
 )
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")

@@ -159,10 +159,7 @@ def replay_motion(
 
 
 def replay_control(
-    profile: Profile,
-    trajectory: Trajectory,
-    control: Control = "decentralized",
-    late: NDArray[np.bool_] | None = None,
+    profile: Profile, trajectory: Trajectory, control: Control = "decentralized", late: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[np.float64]]:
     """Return what the loop should have commanded after what was recorded of its sensors.
 

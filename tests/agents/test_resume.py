@@ -28,15 +28,7 @@ from stable_baselines3.common.logger import Logger  # noqa: E402
 
 from amulett_agents import load_train_config, resume, run_folder, train  # noqa: E402
 from amulett_agents import run as module  # noqa: E402
-from amulett_agents.checkpoint import (  # noqa: E402
-    ARRAYS,
-    MANIFEST,
-    STATE,
-    capture,
-    newest_checkpoint,
-    read_checkpoint,
-    restore,
-)
+from amulett_agents.checkpoint import ARRAYS, MANIFEST, STATE, capture, newest_checkpoint, read_checkpoint, restore  # noqa: E402
 from amulett_agents.model import make_model  # noqa: E402
 from amulett_agents.run import Run  # noqa: E402
 from amulett_agents.validation import torch_threads  # noqa: E402

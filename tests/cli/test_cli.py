@@ -97,10 +97,7 @@ def test_quickstart_keeps_what_another_command_wrote(tmp_path, capsys):
 @pytest.mark.parametrize("words", ["--help", "list", "evaluate --help"])
 def test_a_reader_that_has_seen_enough_gets_no_complaint(words):
     command = subprocess.Popen(
-        [sys.executable, "-m", "amulett_gym", *words.split()],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-m", "amulett_gym", *words.split()], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     command.stdout.close()  # before anything is written
     assert command.stderr.read() == ""

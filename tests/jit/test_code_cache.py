@@ -141,8 +141,7 @@ def test_code_is_kept_in_the_users_cache_folder(site, warm, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("system", "folder"),
-    [("macos.MacOS", "home/Library/Caches/amulett-gym"), ("windows.Windows", "local/amulett-gym")],
+    ("system", "folder"), [("macos.MacOS", "home/Library/Caches/amulett-gym"), ("windows.Windows", "local/amulett-gym")]
 )
 def test_each_system_has_its_documented_cache_folder(system, folder, tmp_path, monkeypatch):
     module, _, name = system.partition(".")

@@ -3,17 +3,7 @@
 import numpy as np
 import pytest
 import scipy.signal
-from helpers import (
-    BUSY,
-    EXACT_SENSORS,
-    HELD_DRIVES,
-    PROFILES,
-    device,
-    mirrored,
-    run,
-    start,
-    state_of,
-)
+from helpers import BUSY, EXACT_SENSORS, HELD_DRIVES, PROFILES, device, mirrored, run, start, state_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator

@@ -29,13 +29,7 @@ from hypothesis import settings
 from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws import bundle as bundles
-from amulett_gym.laws.bundle import (
-    FILES,
-    MANIFEST,
-    Bundle,
-    Manifest,
-    read_bundle,
-)
+from amulett_gym.laws.bundle import FILES, MANIFEST, Bundle, Manifest, read_bundle
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.storage.curve import read_curve

@@ -98,11 +98,7 @@ class Effort:
     seed : int
     """
 
-    stages: tuple[Stage, ...] = (
-        Stage(40, 0.06, 0.6, 2.0),
-        Stage(40, 0.02, 0.3, 1.2),
-        Stage(40, 0.02, 0.12, 0.8),
-    )
+    stages: tuple[Stage, ...] = (Stage(40, 0.06, 0.6, 2.0), Stage(40, 0.02, 0.3, 1.2), Stage(40, 0.02, 0.12, 0.8))
     restarts: int = 2
     candidates: int = 24
     height: float = 1.5

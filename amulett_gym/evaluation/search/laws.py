@@ -165,12 +165,7 @@ def search(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict
     def cost(trials: Trials) -> float:
         return float(mean_costs(law, vector[None], trials, np.arange(len(trials.rows)))[0])
 
-    return {
-        "parameters": vector.tolist(),
-        "train": cost(train),
-        "validation": cost(validation),
-        "history": history,
-    }
+    return {"parameters": vector.tolist(), "train": cost(train), "validation": cost(validation), "history": history}
 
 
 def mean_costs(law: Law, vectors: Values, trials: Trials, scenarios: NDArray[np.int64]) -> Values:

@@ -40,11 +40,7 @@ def cost_by_size(
 
 
 def two_threads(
-    profile: str = "testbed",
-    sizes: Sequence[int] = THREADED_SIZES,
-    seed: int = 0,
-    turns: int = 7,
-    watch: Watch = int,
+    profile: str = "testbed", sizes: Sequence[int] = THREADED_SIZES, seed: int = 0, turns: int = 7, watch: Watch = int
 ) -> dict[int, dict[str, float]]:
     """Return how many times as fast two threads are as one at each size, turn by turn: median, least, most."""
     entrants = [vector(profile, size, seed, threads) for size in sizes for threads in (1, 2)]

@@ -94,11 +94,7 @@ def _speed(settings: Settings, data: Data, recipe: Any) -> None:
 
 
 def _c(settings: Settings, data: Data, recipe: Any) -> None:
-    names = {
-        "scalar": "c_ticks_per_s",
-        "simd_strict": "c_strict_simd_ticks_per_s",
-        "simd": "c_limit_ticks_per_s",
-    }
+    names = {"scalar": "c_ticks_per_s", "simd_strict": "c_strict_simd_ticks_per_s", "simd": "c_limit_ticks_per_s"}
     steps = 1 + len(names) + len(yardstick.PROFILES)
     with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder, Progress(steps, "C", "steps") as bar:
         builds = {}

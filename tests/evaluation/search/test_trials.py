@@ -30,8 +30,7 @@ def test_an_episode_costs_minus_its_return_in_the_environment(suite):
 
 
 @pytest.mark.parametrize(
-    ("name", "keywords"),
-    [("eq6", {"tension_law": "eq6"}), ("position-only", {"control": "position-only"})],
+    ("name", "keywords"), [("eq6", {"tension_law": "eq6"}), ("position-only", {"control": "position-only"})]
 )
 def test_what_acts_in_the_loop_costs_what_it_does_in_the_environment(name, keywords):
     results = evaluate([name], episodes=3, seed=5, duration=4.0)

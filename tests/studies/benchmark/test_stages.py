@@ -82,10 +82,10 @@ def found(done):
 
 def test_it_writes_numbers_tables_figures_and_a_page_that_needs_nothing_else(done, found):
     assert {path.name for path in (done / "tables").iterdir()} == {
-        *("results.csv", "seeds.csv", "constants.csv", "claims.csv", "families.csv"),
+        *("results.csv", "seeds.csv", "constants.csv", "claims.csv", "families.csv")
     }
     assert {path.stem for path in (done / "figures").iterdir()} >= {
-        *("score", "ratios", "pareto", "constants", "learning", "law", "law_by_velocity", "responses", "resting"),
+        *("score", "ratios", "pareto", "constants", "learning", "law", "law_by_velocity", "responses", "resting")
     }
     page = (done / "benchmark.html").read_text()
     assert page.count("<svg") == len(list((done / "figures").iterdir()))
