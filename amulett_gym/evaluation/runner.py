@@ -30,6 +30,7 @@ from amulett_gym.laws.contenders import (
     parse_contender,
     python_file,
 )
+from amulett_gym.laws.parametric import is_tuned
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
@@ -336,7 +337,8 @@ def acts_from_outside(contender: Contender) -> bool:
 
 def is_bundle(name: str) -> bool:
     """Tell whether a contender's name is that of a learned policy's folder."""
-    return name not in contender_names() and not name.startswith(CONSTANT) and python_file(name) is None
+    known = name in contender_names() or name.startswith(CONSTANT) or is_tuned(name)
+    return not known and python_file(name) is None
 
 
 def training_differs(contender: Contender, protocol: Protocol) -> str:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
-from amulett_gym.laws.parametric import tuned_names
+from amulett_gym.laws.parametric import is_tuned, is_tuned_file, read_tuned, tuned_names
 from amulett_gym.storage.reading import user_path
 
 CONSTANT = "constant:"
@@ -44,6 +44,7 @@ _DESCRIPTIONS = {
     "pretrained:tension": "the same, trained in Amulett/Tension-v0",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
+    "<file.json>": "a law that `python -m amulett_gym.evaluation.search.laws` has tuned",
     "<file.py:function>": "a function of your own that maps observations to actions; the file is run",
 }
 
@@ -85,9 +86,9 @@ class Own(Contender):
 
 
 def contender_names() -> dict[str, str]:
-    """Return the contenders' names (three of them patterns), each with a one-line description."""
+    """Return the contenders' names (four of them patterns), each with a one-line description."""
     entries = list(_DESCRIPTIONS.items())
-    return dict([*entries[:-3], *tuned_names().items(), *entries[-3:]])
+    return dict([*entries[:-4], *tuned_names().items(), *entries[-4:]])
 
 
 def parse_contender(name: str) -> Contender:
@@ -96,7 +97,7 @@ def parse_contender(name: str) -> Contender:
     Parameters
     ----------
     name : str
-        A name of `contender_names`, ``constant:<N>``, or a folder that holds a policy bundle.
+        A name of `contender_names`, ``constant:<N>``, a tuned law's JSON file, or a folder that holds a policy bundle.
 
     Returns
     -------
@@ -109,7 +110,9 @@ def parse_contender(name: str) -> Contender:
     """
     if name in IN_THE_LOOP:
         return Contender(name, dict(IN_THE_LOOP[name]))
-    if name in ("eq6-held", "eq6-held-printed") or name in tuned_names():
+    if is_tuned_file(name):
+        read_tuned(name)
+    if name in ("eq6-held", "eq6-held-printed") or is_tuned(name):
         return Contender(name, policy_name=name)
     if name.startswith(CONSTANT):
         constant_tension(name)

@@ -44,12 +44,15 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
+from amulett_gym.storage.reading import read_json
 
 RANGE = TENSION_RANGE
 """Tension setpoints that the laws choose from [N]: those of the environments' default actions."""
 
 DEFAULT_SUITE = "mixed"
 """On which a law was tuned if its name does not say."""
+
+FORMAT = "amulett-tuned-law"
 
 TUNED = ("laws", "tuned")
 """Folder of the tuned parameters in the package: ``<profile>/<law>-<suite>.json``."""
@@ -338,25 +341,56 @@ def tuned_names() -> dict[str, str]:
     return names | {f"{law}:{suite}": f"{law}, tuned on {suite}" for _, law, suite in _shipped()}
 
 
+def is_tuned(name: str) -> bool:
+    """Return whether a name is that of a tuned law: from `tuned_names`, or the JSON file that a search wrote."""
+    return is_tuned_file(name) or name in tuned_names()
+
+
+def is_tuned_file(name: str) -> bool:
+    """Return whether a name is that of a JSON file."""
+    return name.lower().endswith(".json")
+
+
 def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
     """Return a tuned law and its parameters.
 
     Parameters
     ----------
     name : str
-        From `tuned_names`.
+        From `tuned_names`, or a file of `evaluation.search.laws`, whose parameters are for any profile.
     profile : Profile
         A profile that is based on a shipped one has that one's parameters.
 
     Raises
     ------
     AmulettError
-        If nothing was tuned for that device.
+        If nothing was tuned for that device, or the file cannot be read or is none of a tuned law.
     """
+    if is_tuned_file(name):
+        return read_tuned(name)
     law_name, _, suite = name.partition(":")
     content = tuned_content(law_name, profile, suite or DEFAULT_SUITE)
     law = LAWS[law_name]
     return law, law.vector({key: entry["value"] for key, entry in content["parameters"].items()})
+
+
+def read_tuned(path: str) -> tuple[Law, Values]:
+    """Return the law and the parameters in a file of `evaluation.search.laws`.
+
+    Raises
+    ------
+    AmulettError
+        If it cannot be read or is none of a tuned law.
+    """
+    content = read_json(path, "tuned law")
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise AmulettError(f"'{path}' is no tuned law: its 'format' is not '{FORMAT}'")
+    try:
+        law = LAWS[content["recipe"]["law"]]
+        values = {key: float(entry["value"]) for key, entry in content["parameters"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise AmulettError(f"tuned law '{path}' is damaged: {type(error).__name__} {error}") from error
+    return law, law.vector(values)
 
 
 def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension
-from amulett_gym.laws.parametric import RANGE, Device, tuned_names, tuned_vector
+from amulett_gym.laws.parametric import RANGE, Device, is_tuned, tuned_vector
 from amulett_gym.profile import Profile
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
@@ -67,7 +67,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
         )
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
-    elif name in tuned_names():
+    elif is_tuned(name):
         act = _tuned(name, base.profile, tension_range, base.episodes.agent_period)
     elif name in ("eq6-held", "eq6-held-printed"):
         act = _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")

@@ -1,5 +1,7 @@
 """Laws with parameters to tune: what they are without tuning, and what they can never do."""
 
+import json
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -206,6 +208,28 @@ def test_what_was_not_tuned_is_refused_with_what_was():
         parse_contender("parametric:step")
     with pytest.raises(AmulettError, match="needs 4 to 15 N"):
         amulett_gym.load_policy("parametric:steps", gym.make(TENSION, tension_range=(5, 9)))
+
+
+def test_a_tuned_file_is_a_contender(tmp_path):
+    content = tuned_content("parametric", load_profile("testbed"), "steps")
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(content))
+    shipped, own = evaluate(["parametric:steps"], episodes=3), evaluate([str(path)], episodes=3)
+    for metric, values in shipped.values["parametric:steps"].items():
+        np.testing.assert_array_equal(own.values[str(path)][metric], values)
+    assert own.remarks == []
+    strange = {"name": "mine", "base": "simulation", "drives": {"lag": 0.01}}
+    assert evaluate([str(path)], profile=strange, episodes=1).values[str(path)]["cost"][0] > 0
+    for wrong, message in (
+        ({**content, "format": "x"}, "is no tuned law: its 'format' is not 'amulett-tuned-law'"),
+        ({**content, "recipe": {"law": "x"}}, "is damaged: KeyError 'x'"),
+        ({**content, "parameters": {}}, "'base' is nan N; it has to be from 2 to 17"),
+    ):
+        path.write_text(json.dumps(wrong))
+        with pytest.raises(AmulettError, match=message):
+            parse_contender(str(path))
+    with pytest.raises(AmulettError, match="cannot read tuned law"):
+        parse_contender(str(tmp_path / "none.json"))
 
 
 @pytest.mark.parametrize(("law", "suite"), SHIPPED)

@@ -25,7 +25,7 @@ from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Choose, Trials
-from amulett_gym.laws.parametric import LAWS, TUNED, Device, Law
+from amulett_gym.laws.parametric import FORMAT, LAWS, TUNED, Device, Law
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.kept import digest, kept
 from amulett_gym.storage.writing import write_json
@@ -88,7 +88,7 @@ def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage
     Parameters
     ----------
     folder : str or Path
-        For ``<profile>/<law>-<suite>.json`` and its ``stages/``.
+        For ``<name of the profile>/<law>-<suite>.json``, which is a contender's name, and its ``stages/``.
     recipe : Recipe
     report : callable
         Called with each start's name and result when it is there.
@@ -103,7 +103,7 @@ def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage
     AmulettError
         If a name is unknown, or a file cannot be read or written.
     """
-    place, name = Path(folder) / recipe.profile, f"{recipe.law}-{recipe.suite}"
+    place, name = Path(folder) / load_profile(recipe.profile).name, f"{recipe.law}-{recipe.suite}"
     most = max(scenarios for scenarios, _ in recipe.generations)
     train = Trials(_protocol(recipe, "train", most))
     validation = Trials(_protocol(recipe, "validation", recipe.validation))
@@ -200,7 +200,7 @@ def _content(
     for parameter, value in zip(law.parameters, starts[chosen]["parameters"], strict=True):
         described[parameter.name] = {"value": value, "unit": parameter.unit, "meaning": parameter.meaning}
     return {
-        "format": "amulett-tuned-law",
+        "format": FORMAT,
         "version": 1,
         "parameters": described,
         "recipe": json.loads(json.dumps(asdict(recipe))),

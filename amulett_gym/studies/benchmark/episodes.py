@@ -17,7 +17,7 @@ from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_out
 from amulett_gym.jit.code_cache import fingerprint
 from amulett_gym.laws.bundle import MANIFEST
 from amulett_gym.laws.contenders import Contender, Own
-from amulett_gym.laws.parametric import tuned_names, tuned_vector
+from amulett_gym.laws.parametric import is_tuned, tuned_vector
 from amulett_gym.storage.kept import digest, kept
 
 VERSION = 1
@@ -80,7 +80,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
     acting: list[Any] = [name]
     if contender.policy_name is not None and is_bundle(name):
         acting = [(Path(name) / MANIFEST).read_bytes()]
-    elif name in tuned_names():
+    elif is_tuned(name):
         law, vector = tuned_vector(name, protocol.profile)
         acting = [law.name, vector]
     return digest(protocol.profile.model_dump_json(), settings, *acting)

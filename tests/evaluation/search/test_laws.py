@@ -11,7 +11,7 @@ from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.laws import Recipe, following, mean_costs, tune
 from amulett_gym.evaluation.search.trials import Trials
-from amulett_gym.laws.parametric import EQ6_TUNED, PARAMETRIC
+from amulett_gym.laws.parametric import EQ6_TUNED, PARAMETRIC, tuned_vector
 from amulett_gym.profile import load_profile
 
 SMALL = Recipe("eq6-tuned", seeds=(1, 2), population=6, generations=((2, 2), (4, 2)), validation=5)
@@ -38,6 +38,15 @@ def test_tuning_finds_what_is_no_worse_than_its_start(tmp_path, trials):
     chosen = content["starts"][str(content["chosen_seed"])]
     assert chosen["validation"] == min(start["validation"] for start in content["starts"].values())
     assert content == json.loads((tmp_path / "testbed" / "eq6-tuned-steps.json").read_text())
+
+
+def test_a_law_tuned_on_a_device_of_ones_own_is_a_contender(tmp_path):
+    path = tmp_path / "device.yaml"
+    path.write_text("name: mine\nbase: testbed\nplant: {orientation: vertical, masses: [{mass: 0.1, arm: 0.1}]}\n")
+    content = tune(tmp_path / "out", replace(SMALL, profile=str(path)))
+    law, vector = tuned_vector(str(tmp_path / "out" / "mine" / "eq6-tuned-steps.json"), load_profile(path))
+    assert law is EQ6_TUNED
+    assert vector.tolist() == [entry["value"] for entry in content["parameters"].values()]
 
 
 def test_the_episodes_that_were_simulated_are_those_of_the_recipe(tmp_path):
