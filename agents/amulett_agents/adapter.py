@@ -60,7 +60,7 @@ class SB3VecEnv(VecEnv):
     once, and what they saw last is kept in their info.
 
     ``infos`` are empty but for devices whose episode has just ended; an empty one is that of the last step again,
-    unless somebody has written into it. The others have everything that the single environment's info has, and
+    unless it was written into. The others have everything that the single environment's info has, and
     ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms summed over the episode,
     and ``episode``, the same as SB3's monitors add: return ``r``, length ``l``, and seconds ``t`` since the adapter was
     made.
@@ -120,7 +120,7 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         dones = terminated | truncated
-        if any(self._empty_infos):  # whoever wrote into one may keep it
+        if any(self._empty_infos):  # one that a caller wrote into stays with the caller
             self._empty_infos = [{} for _ in range(self.num_envs)]
         infos = self._empty_infos.copy()  # made once: to make thousands of dicts takes longer than all else here
         if dones.any():
@@ -135,8 +135,8 @@ class SB3VecEnv(VecEnv):
     def stagger(self, action: float, steps: int, watch: Callable[[], object] = int) -> NDArray[np.float32]:
         """Begin the devices' next episodes one after the other.
 
-        Episodes that begin together go on together: whoever learns from a short rollout then sees one part of them,
-        another one next time, and never the whole.
+        Episodes that begin together stay together: a short rollout would then show one part of all of them, and the
+        next rollout another part.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of all episodes, and of the sums that their infos will tell.
+        """Return a snapshot of all episodes, and of the sums that their infos will hold.
 
         Raises
         ------
@@ -243,7 +243,7 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def _endings(self, finished: NDArray[np.int64], info: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return what finished devices' infos tell of their episodes."""
+        """Return what finished devices' infos hold."""
         seconds = round(time.monotonic() - self._started, 6)
         episode = {"r": self._returns, "l": self._lengths}
         summed = pick({"episode": episode, "episode_terms": self._terms}, finished)

@@ -134,8 +134,8 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     layers, network = extract_network(model.policy)
     names: tuple[str, ...] = OBSERVATIONS
     scales = OBSERVATION_SCALES
-    told = env.get_attr("settings")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
-    if told:
+    shows_all = env.get_attr("settings")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
+    if shows_all:
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
@@ -180,7 +180,7 @@ def start_from(model: PPO, bundle: Bundle) -> None:
         ("the activation", mine.network.activation, theirs.network.activation),
         ("the output", mine.network.output, theirs.network.output),
         ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
-        ("observations that are told what no device can know", mine.is_privileged or not theirs.is_privileged, True),
+        ("observations that no device has (privileged)", mine.is_privileged or not theirs.is_privileged, True),
         ("features", bool(mine.features), bool(theirs.features)),
         ("history", mine.history, theirs.history),
         ("tension_range", mine.tension_range, theirs.tension_range),

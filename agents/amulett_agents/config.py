@@ -42,16 +42,26 @@ class EnvSettings(Group):
         "step [s]; all of it if that is 1 or more",
     )
     max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
-    reward_weights: dict[str, float] = Field(default={}, description="those that differ from the defaults")
+    reward_weights: dict[str, float] = Field(
+        default={}, description="reward term -> weight, of those that differ from the defaults [1]"
+    )
     observation_noise: float = Field(
         default=0.0, ge=0, le=100, description="standard deviation in all entries of the observations [1]"
     )
     history: int = Field(
-        default=1, ge=1, le=100, description="observations that the policy sees, the newest last [agent steps]"
+        default=1,
+        ge=1,
+        le=100,
+        description="number of observations that the policy sees, the newest last [agent steps]",
     )
-    privileged: bool = Field(default=False, description="also show what no device can know: for the causal reference")
+    privileged: bool = Field(
+        default=False, description="also observe what no device can know: for the causal reference"
+    )
     threads: int = Field(
-        default=2, ge=1, le=256, description="that step the devices [threads]; the results are the same with any number"
+        default=2,
+        ge=1,
+        le=256,
+        description="threads that simulate the devices [1]; the results are the same with any number",
     )
 
     @field_validator("id")
@@ -111,35 +121,52 @@ class EnvSettings(Group):
 class PpoSettings(Group):
     """Settings of Stable-Baselines3's PPO; see its documentation."""
 
-    n_steps: int = Field(default=32, ge=1, le=10**6, description="of each device between two updates [agent steps]")
-    batch_size: int = Field(default=16384, ge=2, le=10**8, description="of a gradient step [agent steps]")
-    n_epochs: int = Field(default=8, ge=1, le=1000, description="times that an update sees its rollout [1]")
-    learning_rate: float = Field(default=2e-3, gt=0, le=1, description="of Adam [1]")
-    anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
-    gae_lambda: float = Field(default=0.95, ge=0, le=1, description="of the advantage: 0 sees a step, 1 all [1]")
-    clip_range: float = Field(default=0.3, gt=0, le=10, description="of the policies' ratio about 1 [1]")
-    target_kl: float | None = Field(
-        default=0.03, gt=0, le=100, description="an update ends when it has changed the policy by 1.5 times this [1]"
+    n_steps: int = Field(
+        default=32, ge=1, le=10**6, description="steps of each device between two updates [agent steps]"
     )
-    ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the exploration's entropy [1]")
-    vf_coef: float = Field(default=0.5, ge=0, le=100, description="weight of the critic's loss [1]")
-    max_grad_norm: float = Field(default=0.5, gt=0, le=1e6, description="to which gradients are clipped [1]")
+    batch_size: int = Field(default=16384, ge=2, le=10**8, description="samples in a gradient step [agent steps]")
+    n_epochs: int = Field(default=8, ge=1, le=1000, description="passes over the rollout in each update [1]")
+    learning_rate: float = Field(default=2e-3, gt=0, le=1, description="Adam's learning rate [1]")
+    anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount factor per agent step [1]")
+    gae_lambda: float = Field(
+        default=0.95, ge=0, le=1, description="GAE lambda: 0 looks one step ahead, 1 to the end [1]"
+    )
+    clip_range: float = Field(
+        default=0.3, gt=0, le=10, description="clip range of PPO's probability ratio, about 1 [1]"
+    )
+    target_kl: float | None = Field(
+        default=0.03,
+        gt=0,
+        le=100,
+        description="an update stops at 1.5 times this KL divergence from the old policy [1]; null: never",
+    )
+    ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the entropy bonus [1]")
+    vf_coef: float = Field(default=0.5, ge=0, le=100, description="weight of the value loss [1]")
+    max_grad_norm: float = Field(default=0.5, gt=0, le=1e6, description="norm that gradients are clipped to [1]")
     reward_scale: float = Field(
         default=10.0,
         gt=0,
         le=1e6,
         description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.002, a whole episode 1",
     )
-    initial_std: float = Field(default=0.3, gt=0, le=10, description="of the exploration, in the action's unit [1]")
+    initial_std: float = Field(
+        default=0.3,
+        gt=0,
+        le=10,
+        description="standard deviation of the exploration at the beginning, in the action's unit [1]",
+    )
     final_std: float | None = Field(
-        default=0.05, gt=0, le=10, description="to which it falls over total_steps [1]; null: it is learned"
+        default=0.05,
+        gt=0,
+        le=10,
+        description="standard deviation of the exploration at total_steps [1]; null: it is learned",
     )
     critic_steps: int | None = Field(
         default=None,
         ge=1,
         le=10**12,
-        description="at the beginning, in which the critic learns alone: for a policy that starts from a bundle "
+        description="steps at the beginning in which only the critic learns: for a policy that starts from a bundle "
         "[agent steps]",
     )
     privileged_critic: bool = Field(
@@ -147,35 +174,52 @@ class PpoSettings(Group):
     )
     use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
     sde_sample_freq: int = Field(
-        default=8, ge=-1, le=10**6, description="between two draws of it [agent steps]; -1: once a rollout"
+        default=8,
+        ge=-1,
+        le=10**6,
+        description="steps between two draws of the smooth exploration [agent steps]; -1: once a rollout",
     )
 
 
 class SacSettings(Group):
     """Settings of Stable-Baselines3's SAC; see its documentation."""
 
-    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="of Adam [1]")
+    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="Adam's learning rate [1]")
     anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
     buffer_size: int = Field(
-        default=500_000, ge=1, le=10**8, description="what is kept of all devices together [agent steps]"
+        default=500_000, ge=1, le=10**8, description="size of the replay buffer, all devices together [agent steps]"
     )
     learning_starts: int = Field(
-        default=10_000, ge=0, le=10**9, description="uniformly random actions to begin with [agent steps]"
+        default=10_000, ge=0, le=10**9, description="steps with uniformly random actions at the beginning [agent steps]"
     )
-    batch_size: int = Field(default=512, ge=2, le=10**6, description="of a gradient step [agent steps]")
-    tau: float = Field(default=0.02, gt=0, le=1, description="by which the target critic follows at each update [1]")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount of an agent step [1]")
-    train_freq: int = Field(default=1, ge=1, le=10**6, description="of each device between two updates [agent steps]")
-    gradient_steps: int = Field(default=8, ge=1, le=10**6, description="of an update [batches]")
+    batch_size: int = Field(default=512, ge=2, le=10**6, description="samples in a gradient step [agent steps]")
+    tau: float = Field(
+        default=0.02, gt=0, le=1, description="share by which the target critic moves to the critic at each update [1]"
+    )
+    gamma: float = Field(default=0.99, ge=0, le=1, description="discount factor per agent step [1]")
+    train_freq: int = Field(
+        default=1, ge=1, le=10**6, description="steps of each device between two updates [agent steps]"
+    )
+    gradient_steps: int = Field(default=8, ge=1, le=10**6, description="gradient steps in an update [batches]")
     ent_coef: float | None = Field(
-        default=None, ge=0, le=100, description="price of certainty [1]; null: it is learned"
+        default=None, ge=0, le=100, description="weight of the entropy [1]; null: it is learned"
     )
-    initial_ent_coef: float = Field(default=0.01, gt=0, le=100, description="where it starts if it is learned [1]")
+    initial_ent_coef: float = Field(
+        default=0.01, gt=0, le=100, description="weight of the entropy at the beginning, if it is learned [1]"
+    )
     target_entropy: float = Field(
-        default=-2.0, ge=-100, le=100, description="what it is learned for [nat]; -1: an exploration of about 0.1"
+        default=-2.0,
+        ge=-100,
+        le=100,
+        description="entropy that its weight is learned for [nat]; -1: an exploration of about 0.1",
     )
     reward_scale: float = Field(default=10.0, gt=0, le=1e6, description="fixed factor on what SAC sees [1]")
-    initial_std: float = Field(default=0.2, gt=0, le=10, description="of the exploration, before the tanh [1]")
+    initial_std: float = Field(
+        default=0.2,
+        gt=0,
+        le=10,
+        description="standard deviation of the exploration at the beginning, before the tanh [1]",
+    )
 
 
 class NetworkSettings(Group):
@@ -185,15 +229,16 @@ class NetworkSettings(Group):
         default=[64, 64], min_length=1, max_length=8, description="sizes of the policy's layers, up to 1024"
     )
     critic_hidden: list[int] | None = Field(
-        default=[128, 128], min_length=1, max_length=8, description="of the critic's; null: like the policy's"
+        default=[128, 128],
+        min_length=1,
+        max_length=8,
+        description="sizes of the critic's layers; null: like the policy's",
     )
     standard_inputs: bool = Field(
-        default=True, description="bring each observation to mean 0 and deviation 1, as measured before training"
+        default=True, description="standardise each observation by its mean and deviation, measured before training"
     )
-    features: bool = Field(
-        default=True, description="also see nonlinear features of the observation: what is small, but matters"
-    )
-    activation: Literal["tanh", "relu"] = Field(default="relu", description="of the hidden layers")
+    features: bool = Field(default=True, description="also see nonlinear features of the observation (laws.features)")
+    activation: Literal["tanh", "relu"] = Field(default="relu", description="activation of the hidden layers")
     initial_tension: float | None = Field(
         default=7.0, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
     )
@@ -201,8 +246,8 @@ class NetworkSettings(Group):
     start: str | None = Field(
         default=None,
         min_length=1,
-        description="PPO's first policy is that of this bundle (a folder, or pretrained), and no constant; what it was "
-        "not shown begins without weight",
+        description="PPO's first policy is that of this bundle (a folder, or pretrained) instead of a constant; inputs "
+        "that the bundle does not have begin with weight 0",
     )
 
     @field_validator("hidden", "critic_hidden")
@@ -216,36 +261,39 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
-    every_steps: int = Field(default=500_000, ge=1, le=10**12, description="between two validations [agent steps]")
-    episodes: int = Field(default=200, ge=1, le=10**5, description="scenarios, one device each [1]")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="of the first scenario [1]")
+    every_steps: int = Field(
+        default=500_000, ge=1, le=10**12, description="steps between two validations [agent steps]"
+    )
+    episodes: int = Field(default=200, ge=1, le=10**5, description="number of scenarios, one device each [1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of the first scenario [1]")
 
 
 class TrainConfig(Group):
     """A training run."""
 
-    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="what learns; the other's group is not read")
+    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="algorithm; the other one's group is not read")
     env: EnvSettings = Field(default=EnvSettings(), description="what is trained in")
     ppo: PpoSettings = Field(default=PpoSettings(), description="read if PPO learns")
     sac: SacSettings = Field(default=SacSettings(), description="read if SAC learns")
     network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
     validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
-    num_envs: int = Field(default=2048, ge=1, le=10**6, description="simulated side by side [devices]")
+    num_envs: int = Field(default=2048, ge=1, le=10**6, description="devices simulated side by side [1]")
     staggered: bool = Field(
-        default=True, description="let devices be at different times of their episodes: a rollout shows all of them"
+        default=True,
+        description="start the devices at different times of their episodes, so that a rollout shows all times",
     )
-    total_steps: int = Field(default=5_000_000, ge=1, le=10**12, description="of all devices together [agent steps]")
+    total_steps: int = Field(
+        default=5_000_000, ge=1, le=10**12, description="length of the training, all devices together [agent steps]"
+    )
     max_seconds: float | None = Field(
-        default=None, gt=0, le=1e9, description="stop after this time, too [s]; null: none"
+        default=None, gt=0, le=1e9, description="limit on the training's duration [s]; null: none"
     )
-    seed: int = Field(default=0, ge=0, lt=2**31, description="of all that is drawn [1]")
-    threads: int = Field(default=1, ge=1, le=256, description="of torch [threads]")
+    seed: int = Field(default=0, ge=0, lt=2**31, description="seed of everything random [1]")
+    threads: int = Field(default=1, ge=1, le=256, description="torch's threads [1]")
     checkpoint_seconds: float = Field(
         default=10.0, ge=0, le=1e9, description="wall time between two checkpoints to resume from [s]; 0: every rollout"
     )
-    checkpoint: bool = Field(
-        default=False, description="also keep last_sb3.zip, for SB3 itself (a pickle: mind who made it)"
-    )
+    checkpoint: bool = Field(default=False, description="also keep last_sb3.zip for Stable-Baselines3 (a pickle)")
 
     @property
     def first_scenario(self) -> int:

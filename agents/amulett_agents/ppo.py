@@ -66,5 +66,5 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
 
 
 def sees_more(config: TrainConfig) -> bool:
-    """Tell whether a recipe's critic sees more than its policy, for which the environment has to show it."""
+    """Return whether a recipe's critic sees more than its policy does."""
     return config.algorithm == "ppo" and config.ppo.privileged_critic and not config.env.privileged

@@ -80,7 +80,7 @@ def load_sb3_zip(
     if not trust_pickle:
         raise AmulettError(
             f"'{path}' is a zip of Stable-Baselines3: parts of it are pickles, and to open a pickle is to run whatever "
-            "code its maker put into it. If you trust whoever made it, say so with --trust-pickle (trust_pickle=True); "
+            "code its maker put into it. If you trust its maker, say so with --trust-pickle (trust_pickle=True); "
             "policy bundles are data, and need no trust"
         )
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""What changes over a training run: the learning rate, the exploration, and who learns."""
+"""What changes over a training run: the learning rate, the exploration, and whether the policy learns."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ class FadingExploration(BaseCallback):
 class CriticFirst(BaseCallback):
     """Lets PPO's critic learn alone at the beginning of a run.
 
-    A policy that knows something would unlearn it while the critic, which knows nothing yet, praises and blames at
-    random.
+    An untrained critic's advantages are noise, by which a policy that starts from a bundle would get worse.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ class CriticFirst(BaseCallback):
         super().__init__()
         self.steps = steps
 
-    def _on_rollout_end(self) -> None:  # and not at its start, where a resumed run is yet to be told how far it was
+    def _on_rollout_end(self) -> None:  # not at its start: a resumed run's steps are restored there
         model = self.model
         assert isinstance(model, PPO)
         begun = model.num_timesteps - model.n_steps * model.n_envs

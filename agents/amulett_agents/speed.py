@@ -79,7 +79,7 @@ class ConstantVecEnv(VecEnv):
         return [None for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Tell that no device is wrapped."""
+        """Return False for each device."""
         return [False for _ in self._get_indices(indices)]
 
 
@@ -238,7 +238,7 @@ class Referee:
         return evaluate(model, self.envs[split], self.seeds[split])["cost"]
 
     def beats(self, model: PPO, cost: float, line: str) -> bool:
-        """Tell whether a model that costs so much on the validation scenarios is better than a line everywhere."""
+        """Return whether a model with this cost on the validation scenarios is below a line on both splits."""
         if cost >= getattr(self.lines["validation"], line):
             return False
         return self.cost(model, "held-out") < getattr(self.lines["held-out"], line)

@@ -1,4 +1,4 @@
-"""What is beyond an episode's time limit, told to PPO for all devices at once."""
+"""The value of what follows an episode's time limit, added to PPO's rewards for all devices at once."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trust-pickle",
         action="store_true",
-        help="also open zips of Stable-Baselines3: they are pickles, and can run any code of whoever made them",
+        help="also open zips of Stable-Baselines3: they are pickles, and can run any code of their makers",
     )
 
 

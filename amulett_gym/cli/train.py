@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overrides(parser, "change keys of the recipe, for example ppo.gamma=0.98")
     parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
     parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
-    parser.add_argument("--seed", type=int, help="in the place of the recipe's")
+    parser.add_argument("--seed", type=int, help="replaces the recipe's")
     parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
     add_json(parser, "the result")
 
