@@ -257,7 +257,7 @@ def test_the_command_writes_its_files_and_prints_both_tables(tmp_path, capsys, e
     assert main(["reproduce", "--out", str(folder)]) == 0
     output = capsys.readouterr().out
     assert in_words(evidence) in output
-    numbers = ["claims.csv", "readings.csv", "reproduction.html", "reproduction.json", "rows.csv"]
+    numbers = ["claims.csv", "command.json", "readings.csv", "reproduction.html", "reproduction.json", "rows.csv"]
     assert sorted(path.name for path in folder.iterdir()) == sorted(numbers + [f"{name}.png" for name in CAPTIONS])
     assert json.loads((folder / "reproduction.json").read_text()) == json.loads(json.dumps(content(evidence)))
     with (folder / "rows.csv").open() as file:
