@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from types import TracebackType
@@ -46,7 +47,7 @@ class Progress:
     """
 
     def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True, done: int = 0) -> None:
-        terminal = show and sys.stderr.isatty()
+        terminal = show and sys.stderr.isatty() and _has_width()
         self._bar = tqdm(
             total=total,
             initial=done,
@@ -95,3 +96,11 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _has_width() -> bool:
+    """Return whether stderr's terminal has columns; one made by `script` or a container may have none for a bar."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns > 0
+    except (OSError, ValueError):
+        return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import pytest
@@ -65,3 +66,20 @@ def test_text_is_wrapped_and_a_command_to_be_copied_is_not(capsys):
     first, second, third = capsys.readouterr().out.splitlines()
     assert (first, second) == ("  amulett train --resume", f"  {words.split()[-1]} and more")
     assert third == words
+
+
+def test_a_terminal_without_columns_gets_lines(clock, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(sys.stderr, "fileno", lambda: 2, raising=False)
+    monkeypatch.setattr(progress.os, "get_terminal_size", lambda file: os.terminal_size((0, 0)))
+    with Progress(10, "evaluate", "steps") as shown:
+        clock[0] += 3
+        shown.update(4)
+    assert capsys.readouterr().err == "evaluate: 4 of 10 steps (40 %) in 3 s, about 4 s left\n"
+
+
+def test_the_estimate_of_resumed_work_is_of_the_rest(clock, capsys):
+    with Progress(1000, "training", "steps", done=800) as shown:
+        clock[0] += 4
+        shown.update(100)
+    assert capsys.readouterr().err == "training: 900 of 1,000 steps (90 %) in 4 s, about 4 s left\n"
