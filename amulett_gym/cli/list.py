@@ -23,14 +23,14 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.reporting.table import Table
-    from amulett_gym.tasks.suites import SPLITS, describe_suite, suite_names
+    from amulett_gym.tasks.suites import SPLITS, SUITES
 
     names = {
         "environments": {
             ENV_IDS[0]: "choose the factor by which eq. 6 scales the tension",
             ENV_IDS[1]: "choose the tension setpoint in N",
         },
-        "suites": {suite: describe_suite(suite) for suite in suite_names()},
+        "suites": dict(SUITES),
         "splits": dict(
             zip(
                 SPLITS,

@@ -144,7 +144,7 @@ class Simulation:
     def read_scenarios(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
         """Return a copy of the given devices' scenarios, `SCENARIO` records of shape (len(devices),)."""
         block, lane = np.divmod(devices, LANES)
-        copies = np.zeros(block.size, dtype=SCENARIO)  # its gaps too: who hashes a record hashes them
+        copies = np.zeros(block.size, dtype=SCENARIO)  # its gaps too: a hash of a record is one of its gaps as well
         for copy, own in zip(words(copies, 1), words(self.scenarios, LANES), strict=True):
             copy[..., 0] = own[block, :, lane]
         return copies

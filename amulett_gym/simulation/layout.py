@@ -25,7 +25,7 @@ from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import Pid, Profile
 
 Control = Literal["decentralized", "position-only"]
-CONTROLS = ("decentralized", "position-only")
+CONTROLS: tuple[Control, ...] = get_args(Control)
 
 LANES = 8
 _CACHE_LINE = 64  # bytes
@@ -111,7 +111,7 @@ DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_tr
 """By which a scenario's device may differ from its profile: 1 leaves it as it is."""
 
 Orientation = Literal["profile", "horizontal", "vertical"]
-ORIENTATIONS: tuple[Orientation, ...] = ("profile", "horizontal", "vertical")
+ORIENTATIONS: tuple[Orientation, ...] = get_args(Orientation)
 """What a packed scenario's `orientation` stands for; ``"profile"`` leaves it to the profile."""
 
 Family = Literal["paper-step", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload"]

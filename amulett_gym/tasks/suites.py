@@ -152,11 +152,6 @@ def families_of(suite: str) -> list[str]:
     return list(SUITES)[_STEPS:_MIXED] if suite == "mixed" else [suite]
 
 
-def describe_suite(suite: str) -> str:
-    """Return a suite's one-line description."""
-    return SUITES[suite]
-
-
 @compiled
 def _fill(
     rows: Rows, draws: NDArray[np.float64], suite: int, shifted: bool, max_force: float, radius: float, weight: float

@@ -75,3 +75,14 @@ def test_commands_warn_of_a_device_of_ones_own_once(command, tmp_path, capsys):
     names = [] if command[0] == "config" else ["eq6-tuned"]
     assert json.loads(out)["remarks"] == device_remarks(load_profile(path), names)
     assert err.count("the agonist of the resting arm switches") == 1
+
+
+def test_train_warns_by_the_recipes_own_device_and_tension_range(tmp_path, capsys):
+    upright = tmp_path / "upright.yaml"
+    upright.write_text(json.dumps({"name": "upright", "base": "testbed", "plant": {"orientation": "vertical"}}))
+    (tmp_path / "full" / "file").mkdir(parents=True)  # so that no training begins
+    command = ["train", "--out", str(tmp_path / "full"), "--set", f"env.profile={upright}"]
+    assert main(command) == 2
+    assert capsys.readouterr().err.count("the joint rests 15.3 deg from its setpoint") == 1
+    assert main([*command, "env.tension_range=[4.0, 10.0]"]) == 2
+    assert "from its setpoint" not in capsys.readouterr().err
