@@ -10,12 +10,12 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.reward import check_weights
+from amulett_gym.envs.action import TENSION_RANGE
+from amulett_gym.envs.settings import Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import MOST_TENSION, load_profile, profile_names
+from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
-from amulett_gym.tasks.suites import suite_names
 
 
 class RecipeError(AmulettError):
@@ -29,10 +29,8 @@ class EnvSettings(Group):
     profile: str | dict[str, Any] = Field(
         default="testbed", description="shipped profile, or a YAML file or mapping, whose content is kept"
     )
-    suite: str = Field(default="mixed", description="scenarios; see `amulett list`")
-    tension_range: list[float] = Field(
-        default=[4.0, 15.0], min_length=2, max_length=2, description="tension setpoint at action -1 and +1 [N]"
-    )
+    suite: Suite = Field(default="mixed", description="scenarios; see `amulett list`")
+    tension_range: TensionList = Field(default=[*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
     agent_period: float = Field(default=0.02, gt=0, le=10, description="time from action to action [s]")
     follow_time: float = Field(
         default=0.05,
@@ -42,7 +40,7 @@ class EnvSettings(Group):
         "step [s]; all of it if that is 1 or more",
     )
     max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
-    reward_weights: dict[str, float] = Field(
+    reward_weights: Weights = Field(
         default={}, description="reward term -> weight, of those that differ from the defaults [1]"
     )
     observation_noise: float = Field(
@@ -77,26 +75,6 @@ class EnvSettings(Group):
     def _keep_profile(cls, profile: str | dict[str, Any]) -> str | dict[str, Any]:
         """Return a shipped profile's name, or all that an own one says: its files may change, or be elsewhere."""
         return profile if profile in profile_names() else load_profile(profile).model_dump(mode="json")
-
-    @field_validator("suite")
-    @classmethod
-    def _check_suite(cls, suite: str) -> str:
-        if suite not in suite_names():
-            raise unknown("suite", suite, suite_names())
-        return suite
-
-    @field_validator("reward_weights")
-    @classmethod
-    def _check_weights(cls, weights: dict[str, float]) -> dict[str, float]:
-        check_weights(weights)
-        return weights
-
-    @field_validator("tension_range")
-    @classmethod
-    def _check_range(cls, tension_range: list[float]) -> list[float]:
-        if not 0 < tension_range[0] < tension_range[1] <= MOST_TENSION:
-            raise ValueError(f"it has to be [low, high] with 0 < low < high, at most {MOST_TENSION:,.0f} N")
-        return tension_range
 
     @property
     def share(self) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Self
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
@@ -26,6 +26,9 @@ NO_LIMIT = -1
 """`max_episode_steps` of episodes that no time limit ends, as in `gymnasium.make`."""
 
 
+Bounds = TypeVar("Bounds", bound=Sequence[float])
+
+
 def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
     def check(name: Any) -> Any:
         if not isinstance(name, str) or name not in choices:
@@ -35,9 +38,10 @@ def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def _check_range(tension_range: tuple[float, float]) -> tuple[float, float]:
-    if not 0 < tension_range[0] < tension_range[1] <= MOST_TENSION:
-        raise ValueError(f"it has to be (low, high) with 0 < low < high, at most {MOST_TENSION:,.0f} N")
+def _check_range(tension_range: Bounds) -> Bounds:
+    low, high = tension_range
+    if not 0 < low < high <= MOST_TENSION:
+        raise ValueError(f"{low:g} to {high:g} N; it has to be 0 < low < high, at most {MOST_TENSION:,.0f} N")
     return tension_range
 
 
@@ -52,6 +56,7 @@ AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 Suite = Annotated[str, _one_of("suite", suite_names())]
 Split = Annotated[str, _one_of("split", SPLITS)]
 TensionRange = Annotated[tuple[float, float], AfterValidator(_check_range)]
+TensionList = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_check_range)]  # of JSON files
 AgentPeriod = Annotated[float, Field(gt=0, le=100)]
 Weights = Annotated[dict[str, float], AfterValidator(check_weights)]
 Noise = Annotated[float, Field(ge=0)]
