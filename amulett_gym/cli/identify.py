@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 from collections.abc import Mapping
 from itertools import count
 from typing import Any
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.errors import AmulettError
-from amulett_gym.reporting.progress import Progress, say
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="searches at once (default: all cores)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace a study of other sizes in the folder")
-    parser.add_argument("--json", action="store_true", help="print the content of identification.json and nothing else")
+    add_json(parser, "the content of identification.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -59,24 +59,22 @@ def run(arguments: argparse.Namespace) -> int:
         given["seeds"] = tuple(arguments.seeds)
     recipe = Recipe(**given)
     total, numbers = stage_count(recipe), count(1)
-    progress = Progress(total, "identify", "searches", show=not arguments.json)
-    if not arguments.json:
-        say(f"{total} searches, {min(arguments.processes, total)} at once; a search may take minutes.")
+    progress = Progress(total, "identify", "searches")
+    show = printer(arguments)
+    show(f"{total} searches, {min(arguments.processes, total)} at once; a search may take minutes.")
 
     def report(name: str, stage: Mapping[str, Any]) -> None:
-        if not arguments.json:
-            shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"
-            say(f"{next(numbers):3d} of {total}  {name:32} {shown}")
+        shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"
+        show(f"{next(numbers):3d} of {total}  {name:32} {shown}")
         progress.update()
 
     with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out), progress:
         words = _command(arguments.out, recipe)
         content = study(arguments.out, recipe, Readings(), arguments.processes, report, arguments.overwrite, words)
     if arguments.json:
-        print(json.dumps(content, indent=2, allow_nan=False))
-        return 0
-    print(in_words(content))
-    print(f"Written to {arguments.out}: identification.json, simulation.yaml and testbed.yaml.")
+        print_json(content)
+    show(in_words(content))
+    show(f"Written to {arguments.out}: identification.json, simulation.yaml and testbed.yaml.")
     return 0
 
 

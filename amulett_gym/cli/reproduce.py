@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 from contextlib import nullcontext
 from pathlib import Path
 
+from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import output_folder
 
@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--study", metavar="DIR", help="devices that `amulett identify` wrote to a folder, instead of the shipped ones"
     )
-    parser.add_argument("--json", action="store_true", help="print the content of reproduction.json and nothing else")
+    add_json(parser, "the content of reproduction.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
     with nullcontext(False) if out is None else output_folder(out, "reproduction", [REPRODUCTION_MARKS]) as earlier:
-        with Progress(PARTS, "reproduce", "parts", show=not arguments.json) as progress:
+        with Progress(PARTS, "reproduce", "parts") as progress:
             evidence = gather(study, lambda part: progress.update(note=part))
         result = content(evidence) if out is None else write_numbers(evidence, out)
         if out is not None:
@@ -63,14 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         write_document(evidence, figures, arguments.doc)
     if arguments.json:
-        print(json.dumps(result, indent=2, allow_nan=False))
-        return 0
-    print(in_words(evidence))
+        print_json(result)
+    show = printer(arguments)
+    show(in_words(evidence))
     if out is not None:
         replaced = ", instead of the reproduction that was there" if earlier else ""
-        print(f"Written to {out}: reproduction.html, reproduction.json, CSV files and figures{replaced}.")
+        show(f"Written to {out}: reproduction.html, reproduction.json, CSV files and figures{replaced}.")
     if arguments.doc is not None:
-        print(f"Renewed: {arguments.doc}")
+        show(f"Renewed: {arguments.doc}")
     return 0
 
 

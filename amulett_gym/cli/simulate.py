@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from amulett_gym.cli.output import add_json, print_json, printer
 from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
 from amulett_gym.errors import AmulettError
+from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.episode import Episode
@@ -59,11 +60,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(f"--out '{arguments.out}' has to end in .csv")
     if arguments.plot is not None and Path(arguments.plot).suffix.lower() not in (".png", ".svg"):
         raise AmulettError(f"--plot '{arguments.plot}' has to end in .png or .svg")
+    for path in (arguments.out, arguments.plot):
+        if path is not None:
+            check_writable(path)
 
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.profile import load_profile
+    from amulett_gym.reporting.progress import Progress
     from amulett_gym.simulation.trajectory import write_csv
 
     profile = load_profile(arguments.profile)
@@ -74,7 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
     remarks = device_remarks(profile, names)
     print_remarks(remarks)
     contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
-    played = [record_episode(contender, protocol, arguments.scenario) for contender in contenders]
+    with Progress(math.ceil(arguments.duration) * len(contenders), "simulate", "s") as bar:
+        played = [record_episode(each, protocol, arguments.scenario, bar.update) for each in contenders]
     label = labels(names)
     episodes = {label[name]: episode for name, episode in zip(names, played, strict=True)}
     trajectories = {name: episode.trajectory for name, episode in episodes.items()}

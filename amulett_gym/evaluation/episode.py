@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,10 @@ class Episode:
 
 
 def record_episode(
-    name: str | Contender, protocol: Protocol, scenario: str | Path | Mapping[str, Any] | Scenario | None = None
+    name: str | Contender,
+    protocol: Protocol,
+    scenario: str | Path | Mapping[str, Any] | Scenario | None = None,
+    report: Callable[[int], object] = lambda seconds: None,
 ) -> Episode:
     """Play one episode with a contender and keep every control tick.
 
@@ -59,6 +62,8 @@ def record_episode(
         Its first scenario is played; `episodes` does not matter.
     scenario : str, Path, mapping or Scenario, optional
         Played instead of the protocol's.
+    report : callable
+        Called with 1 after each second of simulated time.
 
     Raises
     ------
@@ -76,11 +81,14 @@ def record_episode(
     simulation = episodes.simulation
     ticks_per_step = round(keywords["agent_period"] / simulation.control_period)
 
+    ticks_per_second = max(round(1.0 / simulation.control_period), 1)
     wanted = simulation.read("tension_command")
 
     def act(tick: int) -> None:
         """Start the kernel's own ramp at each agent step, as the environment does; late ticks are the kernel's."""
         nonlocal wanted
+        if tick > 0 and tick % ticks_per_second == 0:
+            report(1)
         if tick % ticks_per_step == 0:
             simulation.command_tension(wanted)
             last, action = wanted, np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)

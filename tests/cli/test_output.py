@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 
@@ -49,6 +50,12 @@ def test_lines_fit_80_columns(words, folder, capsys):
 def test_json_prints_one_document_and_nothing_else(words, folder, capsys):
     main([*words.split(), "--json"])
     assert json.loads(capsys.readouterr().out)
+
+
+def test_every_command_is_tried_from_the_wheel():
+    script = (Path(__file__).parents[2] / ".ci" / "wheel").read_text()
+    tried = {line.split()[0] for line in script.split('COMMANDS = """')[1].split('"""')[0].strip().splitlines()}
+    assert tried == set(COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

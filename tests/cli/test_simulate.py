@@ -12,6 +12,7 @@ from amulett_gym.cli.simulate import add_arguments, run
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting import progress
 
 
 def simulate(*words: str) -> int:
@@ -140,6 +141,7 @@ def test_several_laws_are_printed_side_by_side(capsys):
         (("--plot", "figure.jpg"), ".png or .svg"),
         (("--scenario", "missing.json"), "missing.json"),
         (("--out", "x.txt"), "has to end in .csv"),
+        (("--plot", "/dev/null/x.png"), "cannot write '/dev/null/x.png'"),
     ],
 )
 def test_wrong_input_is_named_and_nothing_is_written(words, message, tmp_path, monkeypatch):
@@ -159,3 +161,13 @@ def test_a_figure_that_fails_loses_no_number(json_too, tmp_path, capsys, monkeyp
     printed = capsys.readouterr().out
     assert json.loads(printed)["metrics"]["position_ise"] >= 0 if json_too else "position_ise" in printed
     assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
+
+
+def test_a_long_episode_shows_how_much_of_it_is_simulated(monkeypatch, capsys):
+    monkeypatch.setattr(progress, "FIRST", 0.0)
+    monkeypatch.setattr(progress, "BETWEEN", 0.0)
+    assert simulate("--law", "eq6", "--duration", "4", "--json") == 0
+    output, lines = capsys.readouterr()
+    assert json.loads(output)["duration"] == 4
+    shown = [line for line in lines.splitlines() if line.startswith("simulate: ")]
+    assert [line.split(" (")[0] for line in shown] == [f"simulate: {k} of 4 s" for k in (1, 2, 3)]
