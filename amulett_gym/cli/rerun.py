@@ -170,7 +170,7 @@ def _compared(folder: Path) -> Numbers:
     from amulett_gym.storage.reading import read_json, read_text
 
     rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
-    policies = read_json(folder / "results.json", "a comparison's results", 40_000_000)["policies"]
+    policies = read_json(folder / "results.json", "a comparison's results", 400_000_000)["policies"]
     return {"policies": policies, "scenarios": {f"{row['policy']} {row['scenario']}": row for row in rows}}
 
 

@@ -103,7 +103,7 @@ def read_provenance(folder: str | Path) -> Provenance:
     path = user_path(folder) / COMMAND
     if not path.is_file():
         raise AmulettError(f"'{folder}' was not written by a command that can be run again: there is no {COMMAND}")
-    content = read_json(path, "note of a command", limit=1_000_000)
+    content = read_json(path, "note of a command", limit=400_000_000)
     found = content.get("version", FORMAT) if isinstance(content, dict) else FORMAT
     if isinstance(found, int) and found != FORMAT:
         raise other_version(f"'{path}'", found, FORMAT, "give the command that it holds again")

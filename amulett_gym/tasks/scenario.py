@@ -41,7 +41,7 @@ from amulett_gym.storage.table import read_columns
 MAX_BYTES = 20_000_000
 """Largest scenario file accepted, some hundred thousand samples or moves."""
 
-_MAX_TABLE_BYTES = 400_000_000
+_MAX_TABLE_BYTES = 40_000_000
 
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
 _PACKING = 1e-6  # more than the share by which packing changes a number

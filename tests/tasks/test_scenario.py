@@ -16,11 +16,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amulett_gym.c.build import build, find_compiler
-from amulett_gym.cli import main
+from amulett_gym.cli import Parser, main
+from amulett_gym.cli.evaluate import add_arguments, resolve
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation import reference
 from amulett_gym.simulation.batch import Simulation
+from amulett_gym.storage.provenance import read_provenance, write_provenance
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 
 TESTBED = load_profile("testbed")
@@ -223,6 +225,20 @@ def test_commands_play_a_logged_setpoint(tmp_path, capsys):
     table = np.genfromtxt(out, delimiter=",", names=True)
     np.testing.assert_allclose(table["setpoint_deg"][:796:4], angles[:199], atol=1e-6)
     assert told["scenario"]["setpoint"]["angle_deg"] == pytest.approx(angles.tolist())
+
+
+def test_a_command_with_a_long_log_can_be_run_again(tmp_path):
+    write_log(tmp_path, count=40_000)
+    source = {"file": "log.csv", "column": "angle", "time_column": "stamp", "time_unit": "ms"}
+    (tmp_path / "mine.json").write_text(json.dumps({"setpoint": source}))
+    words = ["evaluate", "--policies", "eq6", "--scenario", str(tmp_path / "mine.json"), "--out", "comparison"]
+    arguments = Parser()
+    add_arguments(arguments)
+    config = resolve(arguments.parse_args(words[1:]))
+    (tmp_path / "comparison").mkdir()
+    write_provenance(tmp_path / "comparison", "evaluate", config, [0], words)
+    again = read_provenance(tmp_path / "comparison")
+    assert load_scenario(again.config["scenarios"][0]) == load_scenario(tmp_path / "mine.json")
 
 
 @pytest.mark.parametrize(
