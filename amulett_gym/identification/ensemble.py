@@ -26,8 +26,6 @@ def ensemble(
 
     Parameters
     ----------
-    cost : callable
-    seed : int
     candidates : ndarray, shape (candidates, parameters)
         Search vectors; the walkers start from some of those within the limit.
     limit : float

@@ -205,10 +205,7 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
 def devices(parameters: Mapping[str, float]) -> dict[str, Profile]:
     """Return both shipped devices, the simulation and the testbed, with a set of parameters instead of theirs.
 
-    Raises
-    ------
-    AmulettError
-        If a profile does not allow one of the values.
+    Raises AmulettError if a profile does not allow one of the values.
     """
     return {
         name: load_profile({"base": name, "name": f"{name}-identified", **changes})

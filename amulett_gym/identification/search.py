@@ -39,10 +39,8 @@ def search(
 
     Parameters
     ----------
-    cost : callable
     seed : int
         Of the first generation and of the search.
-    generations : int
     population : int or ndarray, shape (candidates, parameters)
         Candidates in a generation, which then begins anywhere between the bounds; or the search vectors to begin with.
     fixed : mapping of str to float, optional

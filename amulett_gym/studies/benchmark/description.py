@@ -227,10 +227,7 @@ def load_profile_of(description: Benchmark, folder: Path) -> Profile:
 def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str] = ()) -> Any:
     """Return the checked recipe, `amulett_agents.TrainConfig`, of one training run; torch is not imported.
 
-    Raises
-    ------
-    AmulettError
-        If the recipe cannot be read or is wrong.
+    Raises AmulettError if the recipe cannot be read or is wrong.
     """
     path = None if entry.recipe is None else find_config(entry.recipe, "recipe", folder)
     return load_learning("recipes").load_train_config(path, [*entry.set, *more, f"seed={seed}"])

@@ -23,10 +23,7 @@ PRICES_SHA256 = "e5e4393edbb6a45a15900136442047d3e4d33a07c43eb787462b31f6dd4bed4
 def check_frozen(suites: Sequence[str]) -> None:
     """Refuse suites, divisors or weights that are not those that were frozen.
 
-    Raises
-    ------
-    AmulettError
-        If a suite draws otherwise than its committed hash says, or a price is another one.
+    Raises AmulettError if a suite draws otherwise than its committed hash says, or a price is another one.
     """
     profile, committed = load_profile(PROFILE), frozen()["hashes"]
     changed = [

@@ -61,10 +61,7 @@ def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]
 def check_starts(description: Benchmark) -> None:
     """Refuse starts that have no schedule, before anything is done.
 
-    Raises
-    ------
-    AmulettError
-        If one is unknown, or acts inside the loop.
+    Raises AmulettError if one is unknown, or acts inside the loop.
     """
     for name in description.clairvoyant.starts:
         if parse_contender(name).policy_name is None:
@@ -90,7 +87,6 @@ def search(
 
     Parameters
     ----------
-    description : Benchmark
     protocol : Protocol
         From `protocols`.
     folder : Path

@@ -82,7 +82,6 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
 
     Parameters
     ----------
-    evidence : Evidence
     command, machine : str, optional
         What made it, and on what; to be reported.
     quick : bool

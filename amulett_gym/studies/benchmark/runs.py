@@ -59,10 +59,7 @@ def ablation_name(entry: str, term: str) -> str:
 def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[TrainingRun]:
     """Return the runs that a description asks for, each with its checked recipe and its place in `folder`.
 
-    Raises
-    ------
-    AmulettError
-        If a recipe cannot be read or is wrong.
+    Raises AmulettError if a recipe cannot be read or is wrong.
     """
     runs = []
     for name, entry in description.learned.items():
@@ -92,10 +89,7 @@ def _check_period(description: Benchmark, name: str, config: Any) -> None:
 def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
     """Return the runs that are not finished, after checking that those that are there have the recipes asked for.
 
-    Raises
-    ------
-    AmulettError
-        If a run was trained by another recipe, or runs are missing and what learns is not installed.
+    Raises AmulettError if a run was trained by another recipe, or runs are missing and what learns is not installed.
     """
     for run in runs:
         if (run.folder / _CONFIG).is_file():
@@ -113,10 +107,7 @@ def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
 def train_run(run: TrainingRun, progress: bool = False) -> None:
     """Train a run, or go on with it where it was stopped.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        If Ctrl-C or SIGTERM ended it; what was learned is kept.
+    Raises KeyboardInterrupt if Ctrl-C or SIGTERM ended it; what was learned is kept.
     """
     training = load_learning("training")
     if (run.folder / _CONFIG).is_file():
@@ -138,10 +129,7 @@ def train_missing(runs: Sequence[TrainingRun], advance: Callable[[TrainingRun], 
 def outcome(run: TrainingRun) -> dict[str, Any]:
     """Return ``steps``, ``seconds``, ``best_steps`` and ``best_cost`` (capped, on validation) of a finished run.
 
-    Raises
-    ------
-    AmulettError
-        If the file that says so is damaged.
+    Raises AmulettError if the file that says so is damaged.
     """
     path = run.folder / _FINISHED
     content = read_json(path, "a run's result")
@@ -154,10 +142,7 @@ def outcome(run: TrainingRun) -> dict[str, Any]:
 def learning_curve(run: TrainingRun) -> NDArray[np.float64]:
     """Return a run's validations, shape (n, 3): agent steps, wall clock [s], and cost.
 
-    Raises
-    ------
-    AmulettError
-        If the file cannot be read.
+    Raises AmulettError if the file cannot be read.
     """
     path = run.folder / _EVALUATIONS
     rows = list(csv.DictReader(io.StringIO(read_text(path, "a run's validations"))))

@@ -144,7 +144,6 @@ def run_benchmark(
 
     Parameters
     ----------
-    description : Benchmark
     out : str or Path
         Folder; what is finished in it is not done again. It is kept to this process.
     recipes : Path
@@ -330,10 +329,7 @@ def _remove_leftovers(out: Path) -> None:
 def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: dict[str, Any]) -> None:
     """Write down what a folder is about, or check that it is about the same.
 
-    Raises
-    ------
-    AmulettError
-        If it is about something else: the error names what has changed.
+    Raises AmulettError if it is about something else: the error names what has changed.
     """
     files = {
         name: {} if entry.recipe is None else read_yaml(find_config(entry.recipe, "recipe", recipes), "recipe")

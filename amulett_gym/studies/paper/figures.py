@@ -139,7 +139,6 @@ def remarks(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, st
     ----------
     profiles : mapping of str to Profile
         The devices, by `tables.DEVICES`.
-    readings : Readings
 
     Raises
     ------
@@ -256,7 +255,6 @@ def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[s
     ----------
     profiles : mapping of str to Profile
         The devices, by `tables.DEVICES`.
-    readings : Readings
 
     Returns
     -------

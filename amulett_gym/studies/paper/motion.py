@@ -126,10 +126,7 @@ class ForceRise:
 def force_rise_times(profiles: Mapping[str, Profile], readings: Readings) -> tuple[ForceRise, ...]:
     """Return the string force's rise times for each device and configuration of Tables 2-5.
 
-    Raises
-    ------
-    AmulettError
-        If a device cannot hold the posture at which a configuration starts.
+    Raises AmulettError if a device cannot hold the posture at which a configuration starts.
     """
     return tuple(_force_rise(profiles[name], name, item, readings) for name in DEVICES for item in CONFIGURATIONS)
 
@@ -373,7 +370,6 @@ def vary(profiles: Mapping[str, Profile], readings: Readings) -> Sensitivity:
     ----------
     profiles : mapping of str to Profile
         The devices, by `tables.DEVICES`.
-    readings : Readings
 
     Raises
     ------

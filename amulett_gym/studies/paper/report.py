@@ -95,7 +95,6 @@ def write_numbers(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
 
     Parameters
     ----------
-    evidence : Evidence
     folder : str or Path
         ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
         ``claims.csv`` the paper's claims.
@@ -125,10 +124,7 @@ def write_numbers(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
 def write_pictures(evidence: Evidence, folder: str | Path) -> dict[str, Figure]:
     """Draw the figures, write them and ``reproduction.html`` into the folder of the numbers, and return them.
 
-    Raises
-    ------
-    AmulettError
-        If a file cannot be written.
+    Raises AmulettError if a file cannot be written.
     """
     from amulett_gym.reporting.style import save_figures
 
@@ -144,7 +140,6 @@ def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
 
     Parameters
     ----------
-    evidence : Evidence
     figures : mapping of str to Figure
         By the names of `figures.CAPTIONS`; may be empty.
     """
@@ -200,10 +195,8 @@ def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str 
 
     Parameters
     ----------
-    evidence : Evidence
     figures : mapping of str to Figure
         From `draw`.
-    path : str or Path
 
     Raises
     ------

@@ -268,7 +268,6 @@ def measure(
     ----------
     devices : mapping of str to Profile
         By `tables.DEVICES`.
-    readings : Readings
     repetitions : int
         On the testbed; the simulation has nothing to repeat.
     duration : mapping of str to float, optional
@@ -313,10 +312,7 @@ def apply_readings(profile: Profile, readings: Readings) -> Profile:
 def paper_step(profile: Profile, configuration: str, eq6: str = "text", noise_seed: int = 1) -> Scenario:
     """Return the paper's step from 0 to 45 deg, from rest at the configuration's own tension setpoint.
 
-    Raises
-    ------
-    AmulettError
-        If the configuration is none of `tables.CONFIGURATIONS`.
+    Raises AmulettError if the configuration is none of `tables.CONFIGURATIONS`.
     """
     if configuration not in CONFIGURATIONS:
         raise unknown("configuration", configuration, CONFIGURATIONS)
@@ -336,7 +332,6 @@ def there_and_back(profile: Profile, configuration: str, eq6: str = "text") -> S
 
     Parameters
     ----------
-    profile : Profile
     configuration : str
         One of `tables.CONFIGURATIONS`; its tension is that of the start.
     eq6 : {"text", "printed"}
@@ -355,7 +350,6 @@ def start(profile: Profile, configuration: str, scenarios: Sequence[Scenario], e
         With the readings applied (`reproduction.apply_readings`).
     configuration : str
         One of `tables.CONFIGURATIONS`.
-    scenarios : sequence of Scenario
     eq6 : {"text", "printed"}
         Form of eq. 6, for the configuration ``variable``.
 
@@ -420,7 +414,6 @@ def step_response(
 
     Parameters
     ----------
-    profile : Profile
     configuration : str
         One of `tables.CONFIGURATIONS`.
     eq6 : {"text", "printed"}

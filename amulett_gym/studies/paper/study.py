@@ -114,10 +114,7 @@ def reproduced(
 ) -> tuple[Row, ...]:
     """Return the rows of Tables 2-5 that a set of parameters gives (see `reproduction.measure`).
 
-    Raises
-    ------
-    AmulettError
-        If a device cannot hold a posture at which a configuration starts.
+    Raises AmulettError if a device cannot hold a posture at which a configuration starts.
     """
     return compare(measure(devices(parameters), readings, repetitions, duration, first_key), readings)
 
@@ -217,8 +214,6 @@ def study(
     ----------
     folder : str or Path
         For ``recipe.json``, ``command.json``, ``stages/*.json``, ``identification.json`` and a profile for each device.
-    recipe : Recipe
-    readings : Readings
     processes : int
         Searches that run at once.
     report : callable
@@ -639,11 +634,8 @@ class OwnStudy:
 def read_study(folder: str | Path) -> OwnStudy:
     """Read ``identification.json`` and both profiles from a folder that `amulett identify` wrote.
 
-    Raises
-    ------
-    AmulettError
-        If there is no study, or one that is not finished, was made under other readings or for other parameters, or
-        whose files cannot be read, lack a key or do not belong together.
+    Raises AmulettError if there is no study, or one that is not finished, was made under other readings or for other
+    parameters, or whose files cannot be read, lack a key or do not belong together.
     """
     path = Path(folder) / "identification.json"
     if not path.is_file():

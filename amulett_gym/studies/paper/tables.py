@@ -193,9 +193,6 @@ def published(metric: str, profile: str, configuration: str, drive: str | None =
 
     Parameters
     ----------
-    metric : {"rise_time", "position_ise", "tension_ise", "isav"}
-    profile : {"simulation", "testbed"}
-    configuration : {"position-only", "tension-5", "tension-10", "variable"}
     drive : {"biceps", "triceps"}, optional
         Needed for ``isav``, and for nothing else.
 
@@ -222,10 +219,7 @@ def published(metric: str, profile: str, configuration: str, drive: str | None =
 def printed_parameters(profile: str) -> tuple[Parameter, ...]:
     """Return what Table 1, Figure 3 and Figure 6 print about one device.
 
-    Raises
-    ------
-    AmulettError
-        If the profile is none of `DEVICES`.
+    Raises AmulettError if the profile is none of `DEVICES`.
     """
     if profile not in DEVICES:
         raise unknown("profile", profile, DEVICES)

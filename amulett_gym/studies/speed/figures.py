@@ -29,7 +29,6 @@ def draw(data: Data, folder: str | Path) -> list[Path]:
     ----------
     data : mapping
         What ``--json`` writes.
-    folder : str or Path
 
     Returns
     -------

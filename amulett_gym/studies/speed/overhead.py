@@ -77,10 +77,8 @@ def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Ove
 
     Parameters
     ----------
-    profile : str
     num_envs : int or None
         Devices of the vector environment; None: the single environment.
-    turns : int
     """
     env: Any
     if num_envs is None:

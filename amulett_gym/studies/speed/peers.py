@@ -73,10 +73,7 @@ def enter(peers: Sequence[Peer] = PEERS, seed: int = 0) -> tuple[list[Contestant
 def make(peer: Peer) -> gym.Env[Any, Any]:
     """Make a peer's environment.
 
-    Raises
-    ------
-    ImportError
-        If its package is not installed.
+    Raises ImportError if its package is not installed.
     """
     for module in peer.modules:
         import_module(module)

@@ -153,7 +153,6 @@ def race(
 
     Parameters
     ----------
-    entrants : sequence of Contestant
     turns : int
         Turns each of them takes.
     seconds : float

@@ -122,11 +122,8 @@ def long_run(
 
     Parameters
     ----------
-    profile : str
-    devices : int
     seconds : float
         Simulated time [s]; rounded up to whole episodes in whole slices.
-    seed : int
     watch : callable
         Called `SLICES` times, for a progress bar.
 

@@ -55,10 +55,7 @@ class Settings:
 def prepare(section: str, settings: Settings) -> Any:
     """Return what a section needs beside the settings, before anything is measured: the checked recipe, or None.
 
-    Raises
-    ------
-    AmulettError
-        If the recipe is wrong, or something is not installed.
+    Raises AmulettError if the recipe is wrong, or something is not installed.
     """
     if section == "c" and find_compiler() is None:
         raise AmulettError(f"--c: {NO_COMPILER}")

@@ -33,7 +33,6 @@ def count_work(simulation: Simulation, ticks: int = 20) -> dict[str, float]:
     ----------
     simulation : Simulation
         Devices in the middle of their scenarios; it does not advance. Keep it small: this is plain Python.
-    ticks : int
 
     Returns
     -------

@@ -109,10 +109,7 @@ class Speed:
 def agree(builds: Mapping[str, Advance], write: Callable[[str], object] = lambda line: None) -> dict[str, float]:
     """Return how far each build's states are from the kernel's, at most over both profiles and two laws.
 
-    Raises
-    ------
-    AmulettError
-        If one is farther than its tolerance: it would not do the same work.
+    Raises AmulettError if one is farther than its tolerance: it would not do the same work.
     """
     found, wrong = {}, []
     for name, advance in builds.items():
@@ -140,9 +137,6 @@ def race(
 
     Parameters
     ----------
-    contestants : mapping of str to callable
-    profile : str
-    num_devices, turns : int
     seconds : float
         Length of a turn [s], at least one call.
     reference : str
@@ -249,10 +243,7 @@ def roofline(work: Mapping[str, float], limits: Mapping[str, float], ticks: int,
 def report(sizes: Sequence[int], turns: int, write: Callable[[str], object] = print) -> dict[str, Any]:
     """Build, check and measure everything; write it as text and return it as plain data.
 
-    Raises
-    ------
-    AmulettError
-        If there is no compiler, it refuses, or what it built deviates from the kernel.
+    Raises AmulettError if there is no compiler, it refuses, or what it built deviates from the kernel.
     """
     with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder:
         builds = {name: build(name, Path(folder)) for name in BUILDS}

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
+import yaml
 
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.profile import load_profile
+from amulett_gym.studies.paper import claims as module
 from amulett_gym.studies.paper.claims import (
     CLAIMS,
     WITH_TENSION,
@@ -29,6 +32,9 @@ from amulett_gym.studies.paper.motion import UNITS, observe
 from amulett_gym.studies.paper.reproduction import MEASUREMENT_TIME, Reproduction, apply_readings, paper_step, reproduce
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES
 from amulett_gym.tasks.suites import START
+
+TEXTS = Path(module.__file__).with_name("claims.yaml")
+"""The paper's words, and how they are taken."""
 
 CONTRADICTED = {
     "position-ise-simulation",  # variable stiffness: 115.12 after 116.21
@@ -102,6 +108,7 @@ def test_every_claim_says_where_it_stands_and_how_it_is_taken():
     assert len({claim.id for claim in CLAIMS}) == len(CLAIMS)
     assert {claim.section for claim in CLAIMS} == {"3.1", "3.2", "3.3", "3.4", "3.5", "4", "5.1"}
     assert all(claim.quote and claim.taken_as and claim.statements for claim in CLAIMS)
+    assert list(yaml.safe_load(TEXTS.read_text())) == [claim.id for claim in CLAIMS]
 
 
 def test_every_claim_is_tried_on_our_numbers_and_on_the_papers(claims):
