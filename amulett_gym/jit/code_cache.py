@@ -32,8 +32,6 @@ import numba
 import platformdirs
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
-from amulett_gym.jit.notice import compiling
-
 PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
 
@@ -120,12 +118,9 @@ class CodeCache(FunctionCache):  # type: ignore[misc]
         except Exception:  # a damaged file raises anything; without its index it is written anew
             with suppress(OSError):
                 self.flush()
-            code = None
-        # numba numbers files: two processes at a time may have given one number to two signatures.
-        if code is None or code.signature.args != tuple(sig):
-            compiling()
             return None
-        return code
+        # numba numbers files: two processes at a time may have given one number to two signatures.
+        return code if code is None or code.signature.args == tuple(sig) else None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the code for a signature, if it can be written."""

@@ -16,6 +16,8 @@ os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 import numba
 import numpy as np
 
+from amulett_gym.jit.notice import watch_compilation
+
 try:
     from amulett_gym.jit.code_cache import keep_code
 except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
@@ -24,6 +26,8 @@ except (ImportError, AttributeError):  # numba has rearranged its cache: then it
         """Keep the code where numba does."""
         function.enable_caching()
 
+
+watch_compilation()
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -1,20 +1,74 @@
-"""Announces the longest wait of a first run: that code is compiled."""
+"""Compilation as the user of a command sees it: it is announced, and Ctrl-C ends the command after it.
+
+numba swallows an interrupt that arrives while LLVM works, and goes on with half of its result.
+"""
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
+from typing import Any
 
-TEXT = "Compiling the simulation (about 12 s, once per version) ..."
+COMPILING = "Compiling the simulation (about 12 s, once per version) ..."
+STOPPING = "Stopping as soon as it is compiled ..."
 
-_listeners: list[Callable[[str], object]] = []
+_shows: list[Callable[[str], object]] = []
 
 
 def announce_compilation(show: Callable[[str], object]) -> None:
-    """Have `show` called with a line of text when this process compiles for the first time."""
-    _listeners[:] = [show]
+    """Have `show` called with a line of text when this process compiles; to be called before anything is compiled."""
+    _shows[:] = [show]
 
 
-def compiling() -> None:
-    """Announce a compilation, if this process has not compiled before."""
-    while _listeners:
-        _listeners.pop()(TEXT)
+def watch_compilation() -> None:
+    """Have numba report when it compiles, if somebody has asked for it and this numba can."""
+    if not _shows:
+        return
+    try:
+        from numba.core.event import Listener, register
+    except ImportError:
+        return
+    Listener.register(Watch)
+    register("numba:compile", Watch(_shows[0]))
+
+
+class Watch:
+    """Listens to numba: announces its first compilation, and holds back interrupts until the outermost one ends."""
+
+    def __init__(self, show: Callable[[str], object]) -> None:
+        self._show = show
+        self._announced = self._interrupted = False
+        self._depth = 0
+        self._handler: Any = None
+
+    def notify(self, event: Any) -> None:
+        """Take in that a compilation starts or ends; called by numba."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if event.is_start:
+            self._start()
+        else:
+            self._end()
+
+    def _start(self) -> None:
+        self._depth += 1
+        if self._depth > 1:
+            return
+        self._handler = signal.signal(signal.SIGINT, self._hold)
+        if not self._announced:
+            self._announced = True
+            self._show(COMPILING)
+
+    def _hold(self, number: int, frame: Any) -> None:
+        self._interrupted = True
+        self._show(STOPPING)
+
+    def _end(self) -> None:
+        self._depth -= 1
+        if self._depth:
+            return
+        signal.signal(signal.SIGINT, self._handler)
+        if self._interrupted:
+            self._interrupted = False
+            signal.raise_signal(signal.SIGINT)

@@ -14,7 +14,7 @@ import pytest
 
 import amulett_gym
 from amulett_gym.jit import code_cache
-from amulett_gym.jit.notice import TEXT
+from amulett_gym.jit.notice import COMPILING, STOPPING
 from amulett_gym.studies.speed.startup import COLD, COMMANDS, LIMITS, table
 
 PACKAGE = Path(amulett_gym.__file__).parent
@@ -37,6 +37,21 @@ announce_compilation(lines.append)
 from amulett_gym.simulation.random import noise
 noise(uint64(3), uint64(5)), noise(3, 5)
 print(json.dumps(lines))
+"""
+
+HELD = """
+import json, signal
+from numpy import uint64
+from amulett_gym.jit.notice import announce_compilation
+lines, ended = [], "not interrupted"
+announce_compilation(lambda line: (lines.append(line), len(lines) == 1 and signal.raise_signal(signal.SIGINT)))
+from amulett_gym.simulation.random import noise
+try:
+    noise(uint64(3), uint64(5))
+except KeyboardInterrupt:
+    ended = "interrupted"
+noise(uint64(3), uint64(5))
+print(json.dumps([lines, ended]))
 """
 
 SIGNATURES = 2  # whole numbers with a sign, and without
@@ -276,6 +291,11 @@ def test_benchmark_says_which_limits_are_missed():
     assert lines[-1].split() == [*COLD.split(), "0.500", "0.25-9.00", "1.0", "1.00", "12", "s"]
 
 
+def test_ctrl_c_while_code_is_compiled_ends_the_process_after_it(site):
+    lines, ended = run(site, HELD)
+    assert lines == [COMPILING, STOPPING] and ended == "interrupted"
+
+
 def test_a_compilation_is_announced_once_and_only_where_code_is_compiled(site):
-    assert run(site, ANNOUNCED) == [TEXT]
+    assert run(site, ANNOUNCED) == [COMPILING]
     assert run(site, ANNOUNCED) == []
