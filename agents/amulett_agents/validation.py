@@ -56,7 +56,7 @@ def evaluate(
     """
     act = Actor(*describe_policy(model), env)
     observations, info = env.reset(seed=seed)
-    std = exploration_std(model, act.see(observations))
+    std = exploration_std(model, act.inputs(observations))
     playing = np.ones(env.num_envs, dtype=bool)
     step = 0
     costs = dict.fromkeys(TERMS, 0.0)

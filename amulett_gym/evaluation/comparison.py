@@ -1,4 +1,4 @@
-"""Results as numbers with intervals, as words, and as files."""
+"""The summary of a comparison: means and ratios with intervals, verdict, table."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym import __version__
 from amulett_gym.envs.reward import COST_CAP, default_weights, divisors, divisors_owner
@@ -25,41 +28,31 @@ COMPARISON_MARKS = ("results.json", "scenarios.csv")
 
 
 def summarise(results: Results) -> Summary:
-    """Turn results into the content of ``results.json``.
+    """Return the content of ``results.json``.
 
     Returns
     -------
     dict
         ``{"suite", "profile", "env_id", "seed", "episodes", "policies": {name: {metric: {"mean", "low", "high",
-        "ratio_to_eq6": {"mean", "low", "high"}}}}}``, and what else it takes to understand and repeat them. A number
-        that does not exist is None; metrics that some scenarios do not have count those as ``"not_reached"``.
+        "ratio_to_eq6": {"mean", "low", "high"}}}}}``, and what is needed to understand and repeat them. An undefined
+        number is None; ``"not_reached"`` counts the scenarios in which a metric is undefined.
     """
     protocol = results.protocol
     families = protocol.families
     weights = draw_weights(protocol.episodes)
     yardstick = results.values[YARDSTICK]
-    policies: dict[str, dict[str, Any]] = {}
-    for name, metrics in results.values.items():
-        policies[name] = {}
-        for metric, values in metrics.items():
-            entry: dict[str, Any] = {
-                **mean(values, weights).plain(),
-                "ratio_to_eq6": ratio_of_sums(values, yardstick[metric], weights).plain(),
-            }
-            if metric in MAY_BE_MISSING:
-                entry["not_reached"] = sum(map(math.isnan, values.tolist()))
-            policies[name][metric] = entry
+
+    def entry(metric: str, values: NDArray[np.float64]) -> dict[str, Any]:
+        missing = {"not_reached": int(np.isnan(values).sum())} if metric in MAY_BE_MISSING else {}
+        ratio = ratio_of_sums(values, yardstick[metric], weights).plain()
+        return {**mean(values, weights).plain(), "ratio_to_eq6": ratio, **missing}
+
     return {
         "suite": protocol.suite,
         "task": protocol.task,
         "scenarios": [scenario.model_dump() for scenario in protocol.scenarios],
         "profile": protocol.profile.name,
-        "env_id": protocol.env_id,
-        "split": protocol.split,
-        "seed": protocol.seed,
-        "episodes": protocol.episodes,
-        "duration": protocol.duration,
-        "agent_period": protocol.agent_period,
+        **{key: getattr(protocol, key) for key in ("env_id", "split", "seed", "episodes", "duration", "agent_period")},
         "push_suite": results.push_suite,
         "push_failures": dict(results.push_failures),
         "labels": labels(list(results.values)),
@@ -76,27 +69,25 @@ def summarise(results: Results) -> Summary:
         "versions": {"amulett-gym": __version__, "numba": version("numba"), "numpy": version("numpy")},
         "command": results.command,
         "verdict": verdict(results),
-        "policies": policies,
+        "policies": {
+            name: {metric: entry(metric, values) for metric, values in metrics.items()}
+            for name, metrics in results.values.items()
+        },
     }
 
 
 def verdict(results: Results) -> str:
-    """Return in a sentence or two which contender has the lowest cost, how sure that is, and which ones failed."""
+    """Return in a sentence or two which contender has the lowest cost, by how much, and which ones failed."""
     protocol = results.protocol
     label = labels(list(results.values))
     costs = {label[name]: values["cost"] for name, values in results.values.items()}
     kind = "own scenarios" if protocol.scenarios else f"{protocol.split} scenarios of {protocol.suite}"
     scenarios = f"{protocol.episodes} {kind} on the {protocol.profile.name}"
     scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
+    counts = [(name, len(reasons) - reasons.count(""), "") for name, reasons in results.failures.items()]
+    counts += [(name, count, f" on {results.push_suite}") for name, count in results.push_failures.items()]
     failed = [
-        f"{label[name]} failed in {count} of {protocol.episodes}"
-        for name, reasons in results.failures.items()
-        if (count := sum(reason != "" for reason in reasons))
-    ]
-    failed += [
-        f"{label[name]} failed in {count} of {protocol.episodes} on {results.push_suite}"
-        for name, count in results.push_failures.items()
-        if count
+        f"{label[name]} failed in {count} of {protocol.episodes}{where}" for name, count, where in counts if count
     ]
     ending = f" Failures: {', '.join(failed)}." if failed else ""
     ranking = sorted(costs, key=lambda name: float(costs[name].mean()))
@@ -115,10 +106,10 @@ def verdict(results: Results) -> str:
 
 
 def in_words(summary: Summary) -> str:
-    """Return the comparison for the terminal: table, verdict, and what a reader has to know."""
+    """Return the comparison for the terminal: table, verdict, remarks."""
     remarks = list(summary["remarks"])
     if not summary["yardstick"]["listed"]:
-        remarks.append(f"{YARDSTICK} was not asked for; it always runs, as the yardstick")
+        remarks.append(f"{YARDSTICK} was not named; it always runs, as the yardstick")
     lines = [summary["verdict"], *(f"Note: {remark}." for remark in remarks)]
     return "\n".join([table(summary).text(), "", *map(fill, lines)])
 
@@ -143,13 +134,13 @@ def table(summary: Summary) -> Table:
 
 
 def risen(metrics: Mapping[str, Any]) -> str:
-    """Return the share of setpoint steps that reached their target: a time is a mean over those only."""
+    """Return the share of setpoint steps that reached their target: times are means over these steps only."""
     steps = metrics["setpoint_steps"]["mean"]
     return f"{metrics['steps_risen']['mean'] / steps:.0%}" if steps else "no steps"
 
 
 def write_scenarios(results: Results, path: str | Path) -> None:
-    """Write one CSV row for each policy and scenario: seed, failure, and every metric (empty: not reached)."""
+    """Write one CSV row for each policy and scenario: seed, failure, and every metric (empty: undefined)."""
     rows = (
         [name, i, results.protocol.seed + i, failure, *(float(metrics[key][i]) for key in METRICS)]
         for name, metrics in results.values.items()

@@ -1,6 +1,6 @@
-"""Conformance: what an environment promises by Gymnasium, SB3 and this package, and a check of each promise.
+"""Conformance checks of an environment: of Gymnasium, of Stable-Baselines3 and of this package.
 
-A check is a function that takes a `Subject` and raises an exception if the promise is broken.
+A check is a function of a `Subject` that raises an exception if the environment breaks the promise.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STEPS = 120
 
 
 class NotApplicable(Exception):
-    """A promise that says nothing about this environment."""
+    """The promise does not apply to this environment."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,7 @@ class Outcome:
 
 
 def run_checks(subject: Subject) -> Iterator[Outcome]:
-    """Run every check on an environment, with every warning an error.
-
-    Yields
-    ------
-    Outcome
-        One for each check, in order, as soon as it is known.
-    """
+    """Run every check on an environment, with warnings as errors, and yield each outcome at once."""
     for promise, check in CHECKS.items():
         try:
             with warnings.catch_warnings():
@@ -146,7 +140,7 @@ def _copies(subject: Subject) -> None:
     for _ in range(40):
         expected = env.step(action)
         for twin in twins:
-            _assert(data_equivalence(twin.step(action), expected, exact=True), "a copy went another way")
+            _assert(data_equivalence(twin.step(action), expected, exact=True), "a copy's trajectory differs")
 
 
 def _vector(subject: Subject) -> None:
@@ -160,13 +154,8 @@ def _vector(subject: Subject) -> None:
     for actions in np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 1)).astype(np.float32):
         observations, rewards, terminated, truncated, _ = vector.step(actions)
         for i, env in enumerate(singles):
-            outcome: tuple[Any, ...]
-            if ended[i]:
-                outcome = (env.reset()[0], 0.0, False, False)
-                ended[i] = False
-            else:
-                outcome = env.step(actions[i])[:4]
-                ended[i] = bool(outcome[2] or outcome[3])
+            outcome = (env.reset()[0], 0.0, False, False) if ended[i] else env.step(actions[i])[:4]
+            ended[i] = bool(outcome[2] or outcome[3])
             got = (observations[i], rewards[i], terminated[i], truncated[i])
             _assert(all(np.array_equal(a, b) for a, b in zip(got, outcome, strict=True)), f"device {i} differs")
 
@@ -189,7 +178,7 @@ def _bad_actions(subject: Subject) -> None:
             env.step(action)
         except AmulettError:
             continue
-        raise AssertionError(f"action {action!r} was taken")
+        raise AssertionError(f"action {action!r} was accepted")
 
 
 def _closes(subject: Subject) -> None:
@@ -209,9 +198,9 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "Same seed, same trajectory, in this process and another one": _same_seed,
     "Another seed, and another reset, give another episode": _other_seed,
     "Returned arrays never alias the environment's state": _aliasing,
-    "Pickle and deepcopy in the middle of an episode go on alike": _copies,
+    "Pickled and deep copies in the middle of an episode continue alike": _copies,
     "The vector environment equals the single one, bit for bit, over an automatic reset": _vector,
-    "reset_mask starts the chosen devices anew and leaves the others alone": _reset_mask,
+    "reset_mask resets the chosen devices and no others": _reset_mask,
     "NaN and misshapen actions are refused": _bad_actions,
     "close() twice": _closes,
 }
@@ -219,12 +208,12 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
 
 
 def fingerprint(subject: Subject, seed: int) -> str:
-    """Return an episode's beginning as text, each number to its last bit."""
+    """Return an episode's beginning as text, with exact numbers."""
     return repr(_rollout(subject.make(), seed))
 
 
 def elsewhere(subjects: list[Subject], seed: int) -> list[str]:
-    """Return the fingerprints of some environments in another process."""
+    """Return the fingerprints of environments, computed in another process."""
     script = (
         "import pickle, sys; from amulett_gym.evaluation.conformance import fingerprint; "
         "given = pickle.load(sys.stdin.buffer); "
@@ -238,7 +227,7 @@ def elsewhere(subjects: list[Subject], seed: int) -> list[str]:
 
 
 def _drawn(env: Any, seed: int) -> Any:
-    """Return the scenario that a seed draws, but for its noise."""
+    """Return the scenario that a seed draws, without its noise seed."""
     env.reset(seed=seed)
     return env.scenario.model_copy(update={"noise_seed": None})
 

@@ -1,7 +1,7 @@
-"""Measure the reward's divisors: what eq. 6 pays per episode of each suite and family, on each shipped profile.
+"""Measure the reward's divisors: eq. 6's costs of an episode of each suite and family, on each shipped profile.
 
-``python -m amulett_gym.evaluation.divisors`` prints them; ``--write`` replaces the frozen file in the package. Changing
-them changes every reward, so it goes with a new version of the environments.
+``python -m amulett_gym.evaluation.divisors`` prints them; ``--write`` replaces the frozen file in the package. New
+divisors change every reward, so they need a new version of the environments.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from amulett_gym.storage.writing import write_json
 from amulett_gym.tasks.suites import episode_keys, families_of, sample, suite_names
 
 EPISODES = 400
-"""A family; about as many where families are mixed."""
+"""Episodes of each family; about as many in a mix."""
 
 DURATION = 10.0  # [s]
 NO_CONTACT = 0.1
-"""Divisor of the contact term where eq. 6 meets no obstacle: 0.1 N2 m2 s, a tenth of a second at 1 N m."""
+"""Divisor of the contact term in suites without obstacles: 0.1 N2 m2 s, a tenth of a second at 1 N m."""
 
 
 def measure() -> dict[str, Any]:
-    """Return eq. 6's mean cost per episode: ``divisors``, profile -> suite -> term, and those of mixed families."""
+    """Return eq. 6's mean costs: ``divisors``, profile -> suite -> term, and ``divisors_in_mixed``, by family."""
     found = {name: {suite: _measure(name, suite) for suite in suite_names()} for name in profile_names()}
     return {
         "divisors": {name: {suite: costs[None] for suite, costs in suites.items()} for name, suites in found.items()},
@@ -62,14 +62,12 @@ def _measure(profile_name: str, suite: str) -> dict[str | None, dict[str, float]
         }
         return {term: float(f"{cost:.4g}") for term, cost in means.items()}
 
-    found: dict[str | None, dict[str, float]] = {None: costs(slice(None))}
-    for family in families_of(suite):
-        found[family] = costs(rows["family"] == FAMILIES.index(family))
-    return found
+    by_family = {family: costs(rows["family"] == FAMILIES.index(family)) for family in families_of(suite)}
+    return {None: costs(slice(None)), **by_family}
 
 
 def main() -> None:
-    """Print the divisors, or write them into the package."""
+    """Print the divisors; with ``--write``, write them into the package, too."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="replace the frozen file in the package")
     arguments = parser.parse_args()

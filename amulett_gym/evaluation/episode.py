@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +29,10 @@ class Episode:
     ----------
     contender : str
     trajectory : Trajectory
-        Up to the failure, if there was one.
+        Until the failure, if there was one.
     scenario : Scenario
     metrics : dict of str to float
-        Final values; NaN where not reached. ``return`` is not among them: it is defined at agent rate.
+        Final values, NaN where not reached; without ``return``, which is defined at agent rate.
     failure : str
         Why the device failed; empty if it did not.
     """
@@ -50,16 +50,16 @@ def record_episode(
     scenario: str | Path | Mapping[str, Any] | Scenario | None = None,
     report: Callable[[int], object] = lambda seconds: None,
 ) -> Episode:
-    """Play one episode with a contender and keep every control tick.
+    """Play one episode with a contender and record every control tick.
 
-    The contender acts at its own rate; what happens is, bit for bit, what it does in :func:`runner.evaluate`.
+    The contender acts at its own rate; the episode is, bit for bit, that of :func:`runner.evaluate`.
 
     Parameters
     ----------
     name : str or Contender
-        A contender, by its name or a policy bundle's folder.
+        A contender, its name or a policy bundle's folder.
     protocol : Protocol
-        Its first scenario is played; `episodes` does not matter.
+        Its first scenario is played; `episodes` is ignored.
     scenario : str, Path, mapping or Scenario, optional
         Played instead of the protocol's.
     report : callable
@@ -85,7 +85,7 @@ def record_episode(
     wanted = simulation.read("tension_command")
 
     def act(tick: int) -> None:
-        """Start the kernel's own ramp at each agent step, as the environment does; late ticks are the kernel's."""
+        """Start the kernel's ramp at each agent step, as the environment does; the kernel handles late ticks."""
         nonlocal wanted
         if tick > 0 and tick % ticks_per_second == 0:
             report(1)
@@ -99,11 +99,8 @@ def record_episode(
     failure = FAILURES[int(simulation.read("failure")[0])]
     if failure:
         rows = int(trajectory["tick"][-1]) + 1  # a failed device's clock stands still
-        trajectory = Trajectory(
-            trajectory.profile,
-            trajectory.control_period,
-            {signal: values[:rows] for signal, values in trajectory.signals.items()},
-        )
+        signals = {signal: values[:rows] for signal, values in trajectory.signals.items()}
+        trajectory = replace(trajectory, signals=signals)
     raw = dict(zip(METRICS, episodes.report().T[FIRST_METRIC:], strict=True))
     ended = float(trajectory["time"][-1])
     charge = failure_cost(ended, protocol.duration, protocol.agent_period) if failure else 0.0

@@ -1,4 +1,4 @@
-"""The registry of metrics: what is reported of an episode, its name, unit and definition; and the cost.
+"""The registry of metrics: key, name, unit and definition of every number that is reported of an episode.
 
 There are two costs. ``cost`` is computed from the metrics below and ranks contenders: neither shaped nor capped. The
 *capped cost* is minus the return, at most `COST_CAP` for each agent step: training minimises and validates it.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ class Metric:
     Attributes
     ----------
     key : str
-        Its key in ``results.json``, CSV files and ``info["metrics"]``.
+        In ``results.json``, CSV files and ``info["metrics"]``.
     name : str
         In tables, figures and text.
     unit : str
@@ -32,11 +32,11 @@ class Metric:
     meaning : str
         Its definition, with the paper's equation if it has one.
     lower_is_better : bool or None
-        None: neither is better by itself.
+        None: neither is better.
     digits : int
         Significant digits that are shown.
     paper_name : str
-        What the paper's tables call it, as the reproduction reads them; `name` if empty.
+        Its name in the paper's tables, as the reproduction reads them; `name` if empty.
     """
 
     key: str
@@ -50,15 +50,12 @@ class Metric:
     @property
     def heading(self) -> str:
         """Name and unit, such as ``"position ISE [deg2 s]"``."""
-        return self._with_unit(self.name)
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
 
     @property
     def paper_heading(self) -> str:
-        """The paper's name and the unit."""
-        return self._with_unit(self.paper_name or self.name)
-
-    def _with_unit(self, name: str) -> str:
-        return name if self.unit == "1" else f"{name} [{self.unit}]"
+        """The paper's name with the unit."""
+        return replace(self, name=self.paper_name or self.name).heading
 
     def text(self, value: float | None) -> str:
         """Return a value as it is shown; a dash if there is none."""
@@ -66,10 +63,16 @@ class Metric:
 
 
 _COST = "share of the cost"
-_DRIVE = "{} of the {}' drive"
+_TIME = "from a setpoint step to the {} entry into the band around its target; mean over the steps that reached it"
+
+
+def _of_drives(key: str, name: str, unit: str, meaning: str) -> list[Metric]:
+    drives = ("biceps", "triceps")
+    return [Metric(f"{key}_{drive}", f"{name} of the {drive}' drive", unit, meaning, True) for drive in drives]
+
 
 _ALL = (
-    Metric("cost", "cost", "1", "sum of the five terms below; what eq. 6 has in training is about 1", True),
+    Metric("cost", "cost", "1", "sum of the five terms below; that of eq. 6 in training is about 1", True),
     Metric("cost_position", "cost of position", "1", f"position ISE: {_COST}", True),
     Metric("cost_effort", "cost of effort", "1", f"effort: {_COST}", True),
     Metric("cost_tension", "cost of tension", "1", f"tension ISE: {_COST}", True),
@@ -80,46 +83,18 @@ _ALL = (
     Metric("effort", "effort", "deg2/s", "ISAV (eq. 8) of both drives without the setpoint's jump", True),
     Metric("position_ise", "position ISE", "deg2 s", "integrated squared error of the true angle (eq. 7)", True, 4),
     Metric("tension_ise", "tension ISE", "N2 s", "eq. 7 of the antagonist's true force", True),
-    *(
-        Metric(f"isav_{drive}", _DRIVE.format("ISAV", drive), "deg2/s", "eq. 8: squared rate of its command", True)
-        for drive in ("biceps", "triceps")
-    ),
-    *(
-        Metric(f"iav_{drive}", _DRIVE.format("IAV", drive), "deg", "integrated absolute rate of its command", True)
-        for drive in ("biceps", "triceps")
-    ),
-    Metric(
-        "rise_time",
-        "rise time",
-        "s",
-        "from a setpoint step to the first entry into the band around its target; mean over the steps that got there",
-        paper_name="first entry",
-    ),
-    Metric(
-        "settling_time",
-        "settling time",
-        "s",
-        "from a setpoint step to the last entry into the band around its target; mean over the steps that got there",
-        paper_name="rise time (last entry)",
-    ),
+    *_of_drives("isav", "ISAV", "deg2/s", "eq. 8: squared rate of its command"),
+    *_of_drives("iav", "IAV", "deg", "integrated absolute rate of its command"),
+    Metric("rise_time", "rise time", "s", _TIME.format("first"), paper_name="first entry"),
+    Metric("settling_time", "settling time", "s", _TIME.format("last"), paper_name="rise time (last entry)"),
     Metric("overshoot", "overshoot", "deg", "largest excursion beyond the target of a step", True),
-    Metric(
-        "tension_ise_estimated", "tension ISE, estimated", "N2 s", "eq. 7 of the antagonist's estimated force", True
-    ),
-    Metric("isav_kick", "ISAV of the jumps", "deg2/s", "eq. 8 of what the setpoint's jumps alone contribute"),
-    *(
-        Metric(f"effort_{drive}", _DRIVE.format("effort", drive), "deg2/s", "eq. 8 without the setpoint's jump", True)
-        for drive in ("biceps", "triceps")
-    ),
+    Metric("tension_ise_estimated", "tension ISE, estimated", "N2 s", "eq. 7 of the antagonist's estimate", True),
+    Metric("isav_kick", "ISAV of the jumps", "deg2/s", "eq. 8: contribution of the setpoint's jumps"),
+    *_of_drives("effort", "effort", "deg2/s", "eq. 8 without the setpoint's jump"),
     Metric("contact_ise", "contact ISE", "N2 m2 s", "integrated square of the contact torque", True),
     Metric("contact_peak", "peak contact torque", "N m", "largest contact torque", True),
     Metric("push_deflection", "push deflection", "deg", "largest error while a push acts", True),
-    Metric(
-        "resting_stiffness",
-        "resting stiffness",
-        "N m/rad",
-        "mean joint stiffness while the joint is inside the band around a standing setpoint",
-    ),
+    Metric("resting_stiffness", "resting stiffness", "N m/rad", "mean joint stiffness in the band of a fixed setpoint"),
     Metric("setpoint_steps", "setpoint steps", "1", "number of steps of the setpoint"),
     Metric("steps_risen", "steps risen", "1", "number of steps that have a rise time"),
     Metric("steps_settled", "steps settled", "1", "number of steps that have a settling time"),
@@ -139,32 +114,22 @@ Values = NDArray[np.float64]
 
 
 def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[str, Values]:
-    """Add what follows from raw metrics: the cost with its terms, whether the device failed, both drives' effort.
+    """Return all of `METRICS` but ``return``: `raw`, and the cost with its terms, failures and effort.
 
     The cost is the sum of each raw metric times its price: its weight over its frozen divisor, both of the scenario's
     family.
 
     Parameters
     ----------
-    raw : mapping of str to ndarray
+    raw : mapping of str to ndarray, shape (N,)
         Final values of ``info["metrics"]``.
-    charge : ndarray
+    charge : ndarray, shape (N,)
         `failure_cost` of the devices that failed, 0 for the others.
     prices : ndarray, shape (N, len(COST_TERMS))
         Of each scenario: `envs.reward.prices` of its family.
-
-    Returns
-    -------
-    dict of str to ndarray
-        `raw` and the derived metrics: all of `METRICS` but ``return``.
     """
     effort = raw["effort_biceps"] + raw["effort_triceps"]
-    terms = {
-        "position": raw["position_ise"],
-        "effort": effort,
-        "tension": raw["tension_ise"],
-        "contact": raw["contact_ise"],
-    }
+    terms = {"effort": effort} | {term: raw[f"{term}_ise"] for term in ("position", "tension", "contact")}
     costs = {f"cost_{term}": prices[:, k] * terms[term] for k, term in enumerate(COST_TERMS)}
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
@@ -172,20 +137,15 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[st
 
 
 def capped_cost(values: Mapping[str, Values]) -> Values:
-    """Return minus the return: what training minimises, and by which it chooses a policy on validation scenarios."""
+    """Return minus the return, which training minimises, also when it chooses a policy on validation scenarios."""
     return -values["return"]
 
 
 def failure_cost(time: float, duration: float, agent_period: float) -> float:
-    """Return what a device that failed at `time` [s] is charged, as by the reward: `COST_CAP` for each step left.
+    """Return the cost of a failure at `time` [s], as in the reward: `COST_CAP` for each agent step left.
 
-    Its other metrics stay what they were when it failed, and would flatter it.
-
-    Parameters
-    ----------
-    time, duration, agent_period : float
-        When it failed, how long the episode would have been, and the length of a step [s]. The step is that of the
-        comparison, not of the contender, so that all contenders are charged alike.
+    Without it a failure would lower the cost: the other metrics end there. `agent_period` [s] is the comparison's, not
+    the contender's, so that a failure costs all contenders the same; `duration` [s] is that of a whole episode.
     """
     steps_done = math.floor(time / agent_period + 1e-9)
     return COST_CAP * max(round(duration / agent_period) - steps_done, 1)

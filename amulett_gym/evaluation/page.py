@@ -1,4 +1,4 @@
-"""The files of a comparison: numbers, figures, and a page that explains them and needs nothing else."""
+"""The files of a comparison, the page with its figures above all; it loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FEW = 20
 FIGURES = ("cost", "schedule", "trade_off", "responses")
 
 RESPONSES = 12
-"""Most contenders whose responses are drawn side by side; learned policies come before laws."""
+"""Most contenders whose responses are drawn; learned policies are preferred to laws."""
 
 _NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES))
 
@@ -44,18 +44,13 @@ _DETAILS = (
 def write_report(results: Results, folder: str | Path) -> Summary:
     """Write ``results.json``, ``scenarios.csv``, ``report.html`` and the figures into a folder.
 
-    The numbers come first, together, and replace all files of an earlier comparison in the folder; other files stay.
-    The figures are drawn after that, so that an error in one of them loses no number.
-
-    Returns
-    -------
-    dict
-        The content of ``results.json``.
+    The numbers are written first and replace all files of an earlier comparison in the folder; other files stay.
+    Figures are drawn then, so that an error in them loses no number. The content of ``results.json`` is returned.
 
     Raises
     ------
     AmulettError
-        If the folder cannot be written. If that is so from the start, an earlier comparison in it stays as it was.
+        If the folder cannot be written; if it never could, an earlier comparison in it is unchanged.
     """
     summary = summarise(results)
     with files_together(folder, _NAMES) as new:
@@ -73,7 +68,7 @@ def write_report(results: Results, folder: str | Path) -> Summary:
 
 
 def remove_comparison(folder: Path) -> None:
-    """Remove the files of an earlier comparison: none may stay that the next one does not replace."""
+    """Remove the files of an earlier comparison: the next one may not replace all of them."""
     try:
         for name in _NAMES:
             (folder / name).unlink(missing_ok=True)
@@ -82,14 +77,14 @@ def remove_comparison(folder: Path) -> None:
 
 
 def draw(results: Results, summary: Summary) -> dict[str, Figure]:
-    """Return the figures of a comparison by name: `cost`, `schedule` (if one chose tensions), `trade_off`, `responses`.
+    """Return the figures of a comparison by name: `cost`, `schedule` (if there is one), `trade_off`, `responses`.
 
     The responses are those to the first scenario, recorded again at control rate.
     """
-    protocol = results.protocol
-    first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
     from amulett_gym.evaluation import plots
 
+    protocol = results.protocol
+    first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
     names = [name for name in results.values if name in first]
     trajectories = {name: record_episode(results.contender(name), protocol).trajectory for name in names}
     figures = {"cost": plots.cost_figure(summary)}
@@ -101,15 +96,9 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
 
 
 def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> str:
-    """Return the report as one HTML page with inline figures, styles and no script.
+    """Return the report as one HTML page with inline figures and styles, without scripts.
 
-    Parameters
-    ----------
-    results : Results
-    summary : dict
-        From :func:`amulett_gym.evaluation.comparison.summarise`.
-    figures : dict of str to Figure
-        From :func:`draw`.
+    `summary` is from :func:`amulett_gym.evaluation.comparison.summarise`, `figures` from :func:`draw`.
     """
     from amulett_gym.reporting.style import figure_svg
 
@@ -133,7 +122,7 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
 
 
 def _table(summary: Summary, keys: Iterable[str], ratios: bool = True, titles: bool = True) -> Markup:
-    """Return a line for each contender: means, intervals, maybe ratios to eq. 6; under the metrics' names or keys."""
+    """Return a row for each contender: means, intervals, maybe ratios to eq. 6; headings are metrics' names or keys."""
     label, policies, metrics = summary["labels"], summary["policies"], [METRICS[key] for key in keys]
     rows = [[label[name], *(_cell(metric, policies, name, ratios) for metric in metrics)] for name in policies]
     head = [metric.heading if titles else metric.heading.replace(metric.name, metric.key) for metric in metrics]
@@ -141,7 +130,7 @@ def _table(summary: Summary, keys: Iterable[str], ratios: bool = True, titles: b
 
 
 def _cell(metric: Metric, policies: Mapping[str, Any], name: str, ratios: bool) -> Markup:
-    """Return a mean, bold if it is the best of several, and what has to be known about it below."""
+    """Return a mean, bold if it is the best of several, with its interval and remarks below."""
     entry = policies[name][metric.key]
     means = {other[metric.key]["mean"] for other in policies.values()} - {None}
     best = {True: min, False: max}[metric.lower_is_better] if metric.lower_is_better is not None else None
@@ -151,7 +140,7 @@ def _cell(metric: Metric, policies: Mapping[str, Any], name: str, ratios: bool) 
         below.append(f"× eq6: {span(entry['ratio_to_eq6'])}")
     if metric.key == "rise_time":
         share = risen(policies[name])
-        below.append(f"{share} of the steps got there" if "%" in share else share)
+        below.append(f"{share} of the steps risen" if "%" in share else share)
     if missing := entry.get("not_reached", 0):
         below.append(f"none in {missing} scenario{'' if missing == 1 else 's'}")
     small = Markup("").join(Markup('<span class="small">{}</span>').format(pretty(text)) for text in below)
@@ -162,18 +151,14 @@ def _cell(metric: Metric, policies: Mapping[str, Any], name: str, ratios: bool) 
 
 def _failures(results: Results) -> list[str]:
     label, episodes = labels(list(results.values)), results.protocol.episodes
-    failures = [
-        f"{label[name]}: {count} of {episodes}, {reason}"
+    where = f" on {results.push_suite}, where the push deflection was measured"
+    counts = [
+        (name, count, f", {reason}")
         for name, reasons in results.failures.items()
-        for reason, count in sorted(Counter(reasons).items())
-        if reason
+        for reason, count in sorted(Counter(filter(None, reasons)).items())
     ]
-    pushed = [
-        f"{label[name]}: {count} of {episodes} on {results.push_suite}, where the push deflection was measured"
-        for name, count in results.push_failures.items()
-        if count
-    ]
-    return failures + pushed
+    counts += [(name, count, where) for name, count in results.push_failures.items() if count]
+    return [f"{label[name]}: {count} of {episodes}{how}" for name, count, how in counts]
 
 
 def _call(results: Results) -> str:

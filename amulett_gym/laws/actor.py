@@ -1,4 +1,4 @@
-"""A network as a policy: what it is shown of an observation, and what its output means."""
+"""A network as a policy: from observations to its inputs, and from its output to actions."""
 
 from __future__ import annotations
 
@@ -16,38 +16,32 @@ TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 
 
 class Actor:
-    """Lets a network act in an environment; for all of the environment's devices if it remembers.
+    """A network that acts in an environment; with a history, only for all of its devices at once.
 
-    Parameters
-    ----------
-    layers : list of (weight, bias)
-    policy : PolicyDescription
-        Its action range is that of the observations and actions here.
-    env : gymnasium.Env or VectorEnv
-        An AMULETT environment, by whose clock a network with a history knows where episodes begin.
+    Observations and actions are scaled by the tension range of `policy`. The clock of `env`, an AMULETT environment
+    (single or vector), shows where episodes begin.
     """
 
     def __init__(self, layers: Layers, policy: PolicyDescription, env: Any) -> None:
         self._layers, self._policy = layers, policy
-        low, high = policy.tension_range
-        self._range = (low, high)
+        self._range = policy.tension_range[0], policy.tension_range[1]
         self._history = History(env, policy.history, policy.size) if policy.history > 1 else None
 
     def __call__(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Return the actions, shape (N, 1), for a batch of observations, shape (N, 13) or wider."""
-        wanted = forward(self._layers, self._policy.network, self.see(observations))
+        wanted = forward(self._layers, self._policy.network, self.inputs(observations))
         return follow(wanted, observations, self._policy.follow)
 
-    def see(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Return what the network is shown, shape (N, inputs)."""
-        seen = observations[:, : len(self._policy.observations)].astype(np.float64)
+    def inputs(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Return the network's inputs, shape (N, inputs)."""
+        found = observations[:, : len(self._policy.observations)].astype(np.float64)
         if self._policy.features:
-            seen = with_features(seen, self._range)
-        return seen if self._history is None else self._history.add(seen)
+            found = with_features(found, self._range)
+        return found if self._history is None else self._history.add(found)
 
 
 def follow(wanted: NDArray[np.float32], observations: NDArray[np.floating[Any]], share: float) -> NDArray[np.float32]:
-    """Return the actions, shape (N, 1), that go a share of the way from the present setpoint to the wanted one."""
+    """Return the actions, shape (N, 1), a share of the way from the present setpoint to the wanted one."""
     if share == 1.0:
         return wanted
     present = observations[:, TENSION_SETPOINT : TENSION_SETPOINT + 1].astype(np.float64)

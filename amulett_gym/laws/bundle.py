@@ -10,9 +10,9 @@ A bundle is a folder:
 ``manifest.json``        the SHA-256 of every other file
 =======================  ==============================================================================
 
-Nothing is unpickled, no name in a bundle is a path or a module, and nothing is believed before the manifest has vouched
-for it. The manifest proves that a bundle is whole, not who made it: a changed file can come with a new manifest. No
-running normalisation has to be kept: observations are scaled by constants.
+Nothing is unpickled, no name in a bundle is a path or a module, and no file is used before its hash was checked. The
+manifest proves that a bundle is complete, not who made it: a changed file can come with a new manifest. There is no
+running normalisation: observations are scaled by constants.
 """
 
 from __future__ import annotations
@@ -52,8 +52,7 @@ FORMAT = 1
 """Version of the format, in the manifest and in ``policy.json``."""
 
 MAX_WEIGHT = 1e6
-"""Largest magnitude of a weight: no network of the sizes allowed can overflow then."""
-
+"""Largest magnitude of a weight: no network of the allowed sizes can overflow."""
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
@@ -62,8 +61,8 @@ class Network(Group):
     """A fully connected network."""
 
     layers: list[int] = Field(min_length=2, max_length=20, description="sizes, from the observation to the action")
-    activation: Literal["tanh", "relu"] = Field(description="of every layer but the last")
-    output: Literal["clip", "tanh"] = Field(description="how the last layer's output is brought into [-1, 1]")
+    activation: Literal["tanh", "relu"] = Field(description="activation of every layer but the last")
+    output: Literal["clip", "tanh"] = Field(description="how the last layer's output is limited to [-1, 1]")
 
     @model_validator(mode="after")
     def _check_sizes(self) -> Network:
@@ -73,30 +72,24 @@ class Network(Group):
 
 
 class PolicyDescription(Group):
-    """Content of ``policy.json``: all that is needed to run the weights, and to know on what."""
+    """Content of ``policy.json``: the meaning of the network's inputs and output."""
 
-    version: Literal[1] = Field(default=1, description="of this format")
+    version: Literal[1] = Field(default=1, description="version of this format")
     network: Network
     observations: list[str] = Field(description="names of the observation's entries, in order; all in [-1, 1]")
     observation_scales: dict[str, float] = Field(description="what an entry of 1 stands for [rad, rad/s, s, N]")
     features: list[str] = Field(
-        default=[], description="names of the features that follow an observation's first 13 entries: all, or none"
+        default=[], description="names of the features after an observation's first 13 entries: all, or none"
     )
     tension_range: TensionList = Field(
         description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
     )
     agent_period: AgentPeriod = Field(description="time an action is held [s]")
     follow: float = Field(
-        default=1.0,
-        gt=0,
-        le=1,
-        description="share of the way from the present tension setpoint to the network's output that an action goes",
+        default=1.0, gt=0, le=1, description="an action's share of the way from the present setpoint to the output"
     )
     history: int = Field(
-        default=1,
-        ge=1,
-        le=100,
-        description="how many observations the network sees, one an agent step, the newest last; 0 before the first",
+        default=1, ge=1, le=100, description="number of the newest observations in the input, newest last; 0: none yet"
     )
 
     @model_validator(mode="after")
@@ -112,21 +105,21 @@ class PolicyDescription(Group):
 
     @property
     def size(self) -> int:
-        """How many numbers the network sees of a moment."""
+        """Number of the network's inputs for one agent step."""
         return len(self.observations) + len(self.features)
 
     @property
     def is_privileged(self) -> bool:
-        """Whether it needs observations that no device can measure (see `envs.privileged`)."""
+        """Whether the policy needs observations that no device can measure (see `envs.privileged`)."""
         return len(self.observations) > len(OBSERVATIONS)
 
 
 class TrainingEnv(Group):
-    """Content of ``env.json``: what ``gym.make(id, max_episode_steps=..., **keywords)`` needs."""
+    """Content of ``env.json``: the arguments of ``gym.make(id, max_episode_steps=..., **keywords)``."""
 
-    id: str = Field(description="of `amulett_gym.ENV_IDS`")
+    id: str = Field(description="one of `amulett_gym.ENV_IDS`")
     keywords: dict[str, Any] = Field(
-        description="JSON-serialisable keywords of the environment; its profile by a shipped name, or whole"
+        description="JSON-serialisable keywords of the environment; its profile is a shipped name or a whole profile"
     )
     max_episode_steps: Steps = Field(description="length of an episode [agent steps]; -1: no limit")
 
@@ -153,14 +146,7 @@ class Manifest(Group):
 class Bundle:
     """A verified policy bundle.
 
-    Attributes
-    ----------
-    folder : Path
-    layers : list of (weight, bias)
-        ndarrays of float32, shapes (outputs, inputs) and (outputs,).
-    policy : PolicyDescription
-    env : TrainingEnv
-    provenance : dict
+    `layers` are pairs (weight, bias) of float32, shapes (outputs, inputs) and (outputs,).
     """
 
     folder: Path
@@ -170,17 +156,10 @@ class Bundle:
     provenance: dict[str, Any]
 
     def act(self, observations: ArrayLike) -> NDArray[np.float32]:
-        """Run the network on a batch.
+        """Return the actions, shape (N, 1), in [-1, 1] over the bundle's own `tension_range`.
 
-        Parameters
-        ----------
-        observations : array_like, shape (N, inputs)
-            The last `history` ones of each device, the newest last (see `laws.history`).
-
-        Returns
-        -------
-        ndarray of float32, shape (N, 1)
-            In [-1, 1], in terms of the bundle's own `tension_range`.
+        The observations have the shape (N, inputs): the last `history` ones of each device, the newest last (see
+        `laws.history`).
         """
         return forward(self.layers, self.policy.network, observations)
 
@@ -188,7 +167,7 @@ class Bundle:
 def forward(layers: Layers, network: Network, observations: ArrayLike) -> NDArray[np.float32]:
     """Return the network's output, shape (N, outputs).
 
-    Computed in float64 and rounded at the end: the order in which a batch is summed does not show in the result.
+    It is computed in float64 and then rounded to float32, so that the order of sums in a batch does not matter.
     """
     values = np.asarray(observations, dtype=np.float64)
     for k, (weight, bias) in enumerate(layers):
@@ -200,20 +179,12 @@ def forward(layers: Layers, network: Network, observations: ArrayLike) -> NDArra
 
 
 def read_bundle(folder: str | Path) -> Bundle:
-    """Read and verify a policy bundle.
-
-    Parameters
-    ----------
-    folder : str or Path
-
-    Returns
-    -------
-    Bundle
+    """Return the policy bundle in a folder, verified.
 
     Raises
     ------
     AmulettError
-        If a file is missing, too many, too large or not what the manifest says; if the format's version is unknown; if
+        If a file is missing, unlisted, too large or not what the manifest says; if the format's version is unknown; if
         weights are missing, misshapen or not finite; or if the observations are not those of this version of
         amulett-gym. The error names the file.
     """
@@ -223,12 +194,12 @@ def read_bundle(folder: str | Path) -> Bundle:
     except OSError as error:
         raise AmulettError(f"cannot read policy bundle '{folder}': {error.strerror or error}") from error
     if not is_folder:
-        raise AmulettError(f"cannot read policy bundle '{folder}': it is no folder")
+        raise AmulettError(f"cannot read policy bundle '{folder}': it is not a folder")
     listed = _read(folder / MANIFEST)
     manifest = _parse(Manifest, listed, folder / MANIFEST)
     contents = _verified(folder, manifest)
-    if listed.replace(b"\r\n", b"\n") != to_json(_json(listed, folder / MANIFEST)).encode():  # it has no hash itself
-        raise AmulettError(f"'{folder / MANIFEST}' was changed or damaged: amulett-gym does not write it like that")
+    if listed.replace(b"\r\n", b"\n") != to_json(_json(listed, folder / MANIFEST)).encode():  # has no hash itself
+        raise AmulettError(f"'{folder / MANIFEST}' was changed or damaged: amulett-gym writes it in another form")
     policy = _parse(PolicyDescription, contents[POLICY], folder / POLICY)
     _check_observations(policy, folder / POLICY)
     return Bundle(
@@ -243,23 +214,18 @@ def read_bundle(folder: str | Path) -> Bundle:
 def write_bundle(
     folder: str | Path, layers: Layers, policy: PolicyDescription, env: TrainingEnv, provenance: Mapping[str, Any]
 ) -> Path:
-    """Write a policy bundle, whole or not at all; a bundle that is already there is replaced.
+    """Write a policy bundle, completely or not at all, and return its folder; an existing bundle is replaced.
 
-    The files are written into a folder beside it and read back; then the folder is renamed.
-
-    Returns
-    -------
-    Path
-        The folder.
+    The files are written into a temporary folder next to it and read back; then that folder is renamed.
 
     Raises
     ------
     AmulettError
-        If the bundle would not be valid, `folder` holds something else than a bundle, or cannot be written.
+        If the bundle would not be valid, `folder` holds other files than a bundle's, or cannot be written.
     """
     folder = user_path(folder)
     if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or visible(folder)):
-        raise AmulettError(f"'{folder}' holds something else than a policy bundle; it is left as it is")
+        raise AmulettError(f"'{folder}' is not a policy bundle and not empty; it is not replaced")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
@@ -289,7 +255,7 @@ def _write_files(
 
 
 def _put_in_place(new: Path, folder: Path, old: Path) -> None:
-    """Rename `new` to `folder`; what was there goes to `old`, and comes back if that fails."""
+    """Rename `new` to `folder`; an existing folder is moved to `old`, and back if that fails."""
     replaces = folder.exists()
     if replaces:
         folder.rename(old)
@@ -303,7 +269,7 @@ def _put_in_place(new: Path, folder: Path, old: Path) -> None:
 
 
 def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
-    """Return the content of every file that the manifest lists, none of them changed, missing or unlisted."""
+    """Return the content of every file of the manifest; refuse changed, missing and unlisted files."""
     for name in sorted(set(manifest.sha256) ^ set(FILES)):
         lists = "lists" if name in manifest.sha256 else "does not list"
         raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}")
@@ -317,7 +283,7 @@ def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     for name, digest in manifest.sha256.items():
         contents[name] = _read(folder / name)
         if _digest(contents[name]) != digest:
-            raise AmulettError(f"'{folder / name}' was changed or damaged: its SHA-256 is another one")
+            raise AmulettError(f"'{folder / name}' was changed or damaged: its SHA-256 differs from the manifest's")
     return contents
 
 
@@ -331,7 +297,7 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
         shapes[f"layer_{k}.weight"], shapes[f"layer_{k}.bias"] = (outputs, inputs), (outputs,)
     if set(tensors) != set(shapes):
         wrong = ", ".join(sorted(set(tensors) ^ set(shapes)))[:200]
-        raise AmulettError(f"'{path}' does not hold the weights that {POLICY} describes: {wrong} missing or too many")
+        raise AmulettError(f"'{path}' does not hold the weights that {POLICY} describes: {wrong} missing or unexpected")
     for name, shape in shapes.items():
         tensor = tensors[name]
         if tensor.shape != shape or tensor.dtype != np.float32:
@@ -347,19 +313,18 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
 
 def _check_observations(policy: PolicyDescription, path: Path) -> None:
     """Refuse a policy whose observations are not, name by name and scale by scale, those of this version."""
-    if tuple(policy.observations) not in (OBSERVATIONS, OBSERVATIONS + PRIVILEGED):
-        different = ", ".join(sorted(set(policy.observations) ^ set(OBSERVATIONS))) or "their order"
-        raise AmulettError(f"'{path}': the observations are not those of this amulett-gym; what differs: {different}")
-    if tuple(policy.features) not in ((), FEATURES):
-        different = ", ".join(sorted(set(policy.features) ^ set(FEATURES))) or "their order"
-        raise AmulettError(f"'{path}': the features are not those of this amulett-gym; what differs: {different}")
+    for what, theirs, ours in (
+        ("observations", policy.observations, (OBSERVATIONS, OBSERVATIONS + PRIVILEGED)),
+        ("features", policy.features, (FEATURES, ())),
+    ):
+        if tuple(theirs) not in ours:
+            different = ", ".join(sorted(set(theirs) ^ set(ours[0]))) or "their order"
+            raise AmulettError(f"'{path}': the {what} are not those of this amulett-gym; different: {different}")
     scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {})}
     for name, scale in scales.items():
-        theirs = policy.observation_scales.get(name, math.nan)
-        if not math.isclose(theirs, scale, rel_tol=1e-12):
-            raise AmulettError(
-                f"'{path}': observation '{name}' was scaled by {theirs}; this amulett-gym's scale is {scale}"
-            )
+        found = policy.observation_scales.get(name, math.nan)
+        if not math.isclose(found, scale, rel_tol=1e-12):
+            raise AmulettError(f"'{path}': the scale of observation '{name}' is {found}; here it has to be {scale}")
 
 
 def _parse(model: type[Any], content: bytes, path: Path) -> Any:

@@ -1,6 +1,6 @@
-"""Contenders: pairs of environment keywords and a policy, by name.
+"""Contenders by name: what can be compared, as environment keywords with a policy.
 
-Some contenders live in the loop (eq. 6 at control rate, position control alone) and are chosen by a keyword of the
+Some contenders act inside the loop (eq. 6 at control rate, position control alone) and are chosen by a keyword of the
 environment; the others act from outside, through :func:`amulett_gym.laws.policies.load_policy`.
 """
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
-from amulett_gym.laws.parametric import is_tuned, is_tuned_file, read_tuned, tuned_names
+from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_names
 from amulett_gym.storage.reading import user_path
 
 CONSTANT = "constant:"
@@ -40,12 +40,12 @@ _DESCRIPTIONS = {
     "position-only": "position control alone: a fixed co-contraction, no tension loop",
     "eq6-held": "eq. 6 as the text describes it, from outside at agent rate",
     "eq6-held-printed": "eq. 6 exactly as printed, from outside at agent rate",
-    "pretrained": "the best learned policy that comes with the package (PPO on mixed, Amulett/Scaling-v0)",
-    "pretrained:tension": "the same, trained in Amulett/Tension-v0",
+    "pretrained": "the best learned policy in the package (PPO on mixed, Amulett/Scaling-v0)",
+    "pretrained:tension": "the best learned policy that was trained in Amulett/Tension-v0",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
-    "<file.json>": "a law that `python -m amulett_gym.evaluation.search.laws` has tuned",
-    "<file.py:function>": "a function of your own that maps observations to actions; the file is run",
+    "<file.json>": "a tuned law, from `python -m amulett_gym.evaluation.search.laws`",
+    "<file.py:function>": "your own function from observations to actions; the file is run",
 }
 
 
@@ -53,14 +53,8 @@ _DESCRIPTIONS = {
 class Contender:
     """One entry of a comparison.
 
-    Attributes
-    ----------
-    name : str
-        As it was given.
-    env_keywords : dict
-        Keywords of the environment that this contender needs.
-    policy_name : str or None
-        What `load_policy` loads; None where the environment's loop decides and any action will do.
+    `env_keywords` are the environment's keywords that it needs; `policy_name` is for `load_policy`, None where the
+    environment's loop decides and actions are ignored.
     """
 
     name: str
@@ -70,16 +64,14 @@ class Contender:
 
 @dataclass(frozen=True)
 class Own(Contender):
-    """A contender of your own: any callable that chooses actions.
-
-    ``Own("mine", {"agent_period": 0.1}, act=function)`` runs with the environment's keywords that it needs.
+    """A contender of your own, such as ``Own("mine", {"agent_period": 0.1}, act=function)``.
 
     Attributes
     ----------
     act : callable
         Maps observations, a float32 array of shape (N, 13), see `envs.transition.OBSERVATIONS`, to actions, shape
-        (N, 1) or (N,), in [-1, 1]. It is called once an agent step with all scenarios, from the first step on; if it
-        has a method ``reset``, that is called before with N.
+        (N, 1) or (N,), in [-1, 1]. It is called once per agent step for all scenarios; its method ``reset``, if there
+        is one, is called with N before the first step.
     """
 
     act: Callable[[NDArray[np.float32]], Any] | None = None
@@ -92,35 +84,25 @@ def contender_names() -> dict[str, str]:
 
 
 def parse_contender(name: str) -> Contender:
-    """Turn a name into a contender.
-
-    Parameters
-    ----------
-    name : str
-        A name of `contender_names`, ``constant:<N>``, a tuned law's JSON file, or a folder that holds a policy bundle.
-
-    Returns
-    -------
-    Contender
+    """Return a contender by a name of `contender_names`, in which patterns are filled in.
 
     Raises
     ------
     AmulettError
-        If the name is unknown, a tension is not a positive number, or a folder holds no valid policy bundle.
+        If the name is unknown, a tension is not a positive number, or a file or folder is not valid.
     """
     if name in IN_THE_LOOP:
         return Contender(name, dict(IN_THE_LOOP[name]))
-    if is_tuned_file(name):
-        read_tuned(name)
-    if name in ("eq6-held", "eq6-held-printed") or is_tuned(name):
-        return Contender(name, policy_name=name)
     if name.startswith(CONSTANT):
         constant_tension(name)
-        return Contender(name, policy_name=name)
-    folder = bundle_folder(name)
-    policy = read_bundle(folder).policy
-    sight = {"privileged": True} if policy.is_privileged else {}
-    return Contender(name, {"agent_period": policy.agent_period, **sight}, str(folder))
+    elif is_tuned_file(name):
+        read_tuned(name)
+    elif name not in ("eq6-held", "eq6-held-printed") and name not in tuned_names():
+        folder = bundle_folder(name)
+        policy = read_bundle(folder).policy
+        privileged = {"privileged": True} if policy.is_privileged else {}
+        return Contender(name, {"agent_period": policy.agent_period, **privileged}, str(folder))
+    return Contender(name, policy_name=name)
 
 
 def python_file(name: str) -> Path | None:
@@ -130,13 +112,7 @@ def python_file(name: str) -> Path | None:
 
 
 def constant_tension(name: str) -> float:
-    """Return the tension setpoint [N] in a name like ``constant:10``.
-
-    Raises
-    ------
-    AmulettError
-        If it is no positive, finite number.
-    """
+    """Return the tension setpoint [N] in a name like ``constant:10``; refuse all but positive, finite numbers."""
     text = name.removeprefix(CONSTANT)
     try:
         tension = float(text)
@@ -153,7 +129,7 @@ def bundle_folder(name: str) -> Path:
     Raises
     ------
     AmulettError
-        If `name` is neither a known name nor such a folder.
+        If `name` is neither a shipped policy nor such a folder.
     """
     if not name:
         raise unknown("policy", name, contender_names())
@@ -167,11 +143,9 @@ def bundle_folder(name: str) -> Path:
     except OSError as error:
         raise AmulettError(f"cannot read policy bundle '{name[:100]}': {error.strerror or error}") from error
     if python_file(name) is not None:
-        raise AmulettError(
-            f"'{name}' is code, which evaluate, simulate and play run, and amulett_gym.laws.own.load_own"
-        )
+        raise AmulettError(f"'{name}' is code; evaluate, simulate and play run it, or amulett_gym.laws.own.load_own")
     if folder.is_dir():
-        raise AmulettError(f"'{name}' holds no policy bundle: neither manifest.json nor best/manifest.json is there")
+        raise AmulettError(f"'{name}' holds no policy bundle: it has neither manifest.json nor best/manifest.json")
     if folder.exists():
         hint = "; a zip of Stable-Baselines3 is loaded by amulett_agents.load_sb3_zip" if name.endswith(".zip") else ""
         raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json{hint}")

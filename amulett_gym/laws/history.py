@@ -1,4 +1,4 @@
-"""What a policy remembers that sees more than the present: the last observations of each device."""
+"""The last observations of each device, as inputs of a policy."""
 
 from __future__ import annotations
 
@@ -11,19 +11,10 @@ from amulett_gym.errors import AmulettError
 
 
 class History:
-    """The last observations of each of an environment's devices, as Stable-Baselines3's `VecFrameStack` has them.
+    """The last observations of each of an environment's devices, in the order of Stable-Baselines3's `VecFrameStack`.
 
-    The environment's own clock says when an episode begins; the observations of the one before are dropped then.
-    Repeated calls within an agent step return the same.
-
-    Parameters
-    ----------
-    env : gymnasium.Env or VectorEnv
-        An AMULETT environment, wrapped or not.
-    length : int
-        How many observations, at least 1.
-    size : int
-        Entries of each.
+    The clock of `env`, an AMULETT environment (single or vector), shows where an episode begins: earlier observations
+    are dropped then. Repeated calls within an agent step return the same.
     """
 
     def __init__(self, env: Any, length: int, size: int) -> None:
@@ -33,28 +24,23 @@ class History:
         self._steps = np.full(devices, -1)
 
     def add(self, observations: ArrayLike) -> NDArray[np.float64]:
-        """Take in what the devices see now.
-
-        Parameters
-        ----------
-        observations : array_like, shape (N, size)
-            Of all devices.
+        """Add the present observations of all devices, shape (N, size), and return the last ones.
 
         Returns
         -------
         ndarray, shape (N, length * size)
-            The newest last; zeros where an episode has not been going on for so long.
+            The newest last; zeros before the first step of an episode.
 
         Raises
         ------
         AmulettError
-            If they are not as many as the devices.
+            If the shape is not that of all devices.
         """
         steps, batch = self._episodes.steps(), np.asarray(observations)
         if batch.shape != (len(steps), self._seen.shape[2]):
             raise AmulettError(
-                f"the observations have shape {batch.shape}; a policy that remembers needs those of all devices of its "
-                f"environment, ({len(steps)}, {self._seen.shape[2]})"
+                f"the observations have shape {batch.shape}; a policy with a history needs those of all devices of "
+                f"its environment, ({len(steps)}, {self._seen.shape[2]})"
             )
         self._seen[steps == 0] = 0.0
         passed = steps != self._steps

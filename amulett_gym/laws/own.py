@@ -1,6 +1,7 @@
-"""Laws from a Python file, by ``mylaw.py:function``: loading one runs the file.
+"""Laws from a Python file, named ``mylaw.py:function``.
 
-So a file is loaded only where the user names it, as a command's word or in Python; no bundle, recipe or note does.
+Loading one runs the file. So only files that the user names in a command or in Python are loaded, never one that a
+bundle, a recipe or a record names.
 """
 
 from __future__ import annotations
@@ -18,20 +19,15 @@ from amulett_gym.laws.contenders import Own, python_file
 
 
 def load_own(name: str) -> Own:
-    """Run a Python file and make a contender of one of its functions.
+    """Run a Python file and return one of its functions as a contender.
 
     Parameters
     ----------
     name : str
         ``path/mylaw.py:function``. The function (or any callable object) takes observations, a float32 array of shape
         (N, 13), see `envs.transition.OBSERVATIONS`, and returns N actions in [-1, 1], shape (N,) or (N, 1). Index with
-        ``observations[:, 0]``; `N` is 1 where a single arm moves. A method or attribute ``reset`` is called with N
-        before an episode. An attribute ``env_keywords`` holds what the environment needs, such as
-        ``{"agent_period": 0.1}``.
-
-    Returns
-    -------
-    Own
+        ``observations[:, 0]``; `N` is 1 for a single arm. An attribute ``reset`` is called with N before an episode. An
+        attribute ``env_keywords`` has keywords that the environment needs, such as ``{"agent_period": 0.1}``.
 
     Raises
     ------
@@ -54,7 +50,7 @@ def load_own(name: str) -> Own:
         raise AmulettError(
             f"'{name}' takes {signature}; it has to take one argument, the observations, and return actions"
         ) from error
-    except ValueError:  # some built-in callables do not say what they take
+    except ValueError:  # some built-in callables have no signature
         pass
 
     def act(observations: Any) -> Any:
@@ -69,7 +65,7 @@ def load_own(name: str) -> Own:
 
 
 def _run(path: Path) -> ModuleType:
-    """Run a file as a module of its own; it may import its neighbours."""
+    """Run a file as a module of its own; it may import modules of its folder."""
     if not path.is_file():
         raise AmulettError(f"cannot read Python file '{path}': there is no such file")
     spec = importlib.util.spec_from_file_location(f"amulett_own_{path.stem}", path)
@@ -88,7 +84,7 @@ def _run(path: Path) -> ModuleType:
 
 
 def _failed(name: str, path: Path, error: BaseException) -> AmulettError:
-    """Say what a file's code raised, and in which of its lines."""
+    """Return an error that names the exception raised by a file's code, and the line."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path]
     if isinstance(error, SyntaxError) and not lines:
         lines = [error.lineno]

@@ -1,27 +1,28 @@
-"""Hand-made laws with parameters to tune: eq. 6 with its own, and a richer one.
+"""Laws with tunable parameters.
 
-A law maps what the environment shows, and nothing else, to a tension setpoint. Both act from outside the loop, at agent
-rate, on observations of shape (N, 13), each row with parameters of its own if wanted: tuning tries many at once.
+A law maps an observation to a tension setpoint. Both laws act from outside the loop, at agent rate, on observations of
+shape (N, 13). Each row can have its own parameters: tuning tries many at once.
 
-**Eq. 6** is the paper's, with its exponent (4) as a fourth parameter.
+``eq6-tuned`` is the paper's eq. 6 with its exponent (4) as a fourth parameter.
 
-**The richer law** is a sum, brought smoothly into the range that tensions may have (see `_squash`), and followed at one
-rate when the tension rises and at another when it falls::
+``parametric`` is a sum, limited smoothly to the range of tensions (see `_squash`) and low-pass filtered, with one time
+constant for a rising tension and another for a falling one::
 
     base + g1 E + g2 d + g3 S + g4 V + g5 d v + g6 L + g7 L E + g8 T + g9 d t + g10 a + g11 L d
 
-    E = 1 - exp(-(e / error_width)^2)      how far the arm is from its setpoint
-    d = tanh(e / error_width)              which way it has to go
-    S = max(-agonist d, 0)                 whether the other drive will have to take over
-    V = 1 - exp(-(rate / speed_width)^2)   how fast it moves
-    v = tanh(rate / speed_width)           d v: whether it moves there or away
+    E = 1 - exp(-(e / error_width)^2)      size of the position error
+    d = tanh(e / error_width)              direction to the setpoint
+    S = max(-agonist d, 0)                 whether the agonist has to switch
+    V = 1 - exp(-(rate / speed_width)^2)   size of the joint rate
+    v = tanh(rate / speed_width)           direction of motion; d v: to the setpoint or away from it
     L = exp(-time / early_time)            how recently the setpoint began to move
     T = 1 - exp(-(torque / torque_width)^2), t = tanh(torque / torque_width)
-                                           what pushes it; d t: whether it pushes there or away
+                                           size and direction of the external torque; d t: to the setpoint or away
     a = joint angle / 90 deg
 
-The external torque is what eq. 1 leaves at constant speed: friction less the strings' torque by both force estimates.
-The estimates are slow and never below their floor, and the weight counts as a push; nothing better is known on board.
+The external torque is the remainder of eq. 1 at constant speed: friction minus the strings' torque by both force
+estimates. The estimates are slow and never below their floor, and gravity is part of the remainder; the device has no
+better signal.
 """
 
 from __future__ import annotations
@@ -47,10 +48,10 @@ from amulett_gym.profile import Profile
 from amulett_gym.storage.reading import read_json
 
 RANGE = TENSION_RANGE
-"""Tension setpoints that the laws choose from [N]: those of the environments' default actions."""
+"""Range of the laws' tension setpoints [N]: that of the environments' default actions."""
 
 DEFAULT_SUITE = "mixed"
-"""On which a law was tuned if its name does not say."""
+"""Suite on which a law was tuned if its name does not contain one."""
 
 FORMAT = "amulett-tuned-law"
 
@@ -78,19 +79,7 @@ Tensions = Callable[..., None]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number to tune.
-
-    Attributes
-    ----------
-    name, unit : str
-    low, high : float
-        Between which it is looked for.
-    start : float
-        Where the search may begin.
-    meaning : str
-    logarithmic : bool
-        Whether the search goes by its logarithm.
-    """
+    """A tunable parameter, searched from `low` to `high`, first at `start`; `logarithmic`: by its logarithm."""
 
     name: str
     unit: str
@@ -103,15 +92,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Law:
-    """A law and the parameters that make it one.
-
-    Attributes
-    ----------
-    name, description : str
-    parameters : tuple of Parameter
-    fill : callable
-        Compiled: fills the tensions of a batch.
-    """
+    """A law with its parameters; the compiled `fill` computes the tensions of a batch."""
 
     name: str
     description: str
@@ -124,7 +105,7 @@ class Law:
         Raises
         ------
         AmulettError
-            If one is missing, unknown, or outside the range that it is looked for in.
+            If one is missing, unknown, or outside its range.
         """
         names = [parameter.name for parameter in self.parameters]
         for name in values:
@@ -140,18 +121,18 @@ class Law:
         return np.array([values[name] for name in names])
 
     def start(self) -> Values:
-        """Return the vector that a search may begin with."""
+        """Return the vector of start values for a search."""
         return np.array([parameter.start for parameter in self.parameters])
 
     def from_unit(self, points: Values) -> Values:
-        """Turn points of the unit cube, shape (..., parameters), into parameters."""
+        """Return parameters by points of the unit cube, shape (..., parameters)."""
         low, high, logarithmic = self._bounds()
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(logarithmic, high / low, 1.0)
         return np.clip(np.where(logarithmic, low * ratio**points, low + points * (high - low)), low, high)
 
     def to_unit(self, vectors: Values) -> Values:
-        """Turn parameters, shape (..., parameters), into points of the unit cube."""
+        """Return points of the unit cube by parameters, shape (..., parameters)."""
         low, high, logarithmic = self._bounds()
         with np.errstate(divide="ignore", invalid="ignore"):
             by_logarithm = np.log(vectors / low) / np.log(high / low)
@@ -160,46 +141,34 @@ class Law:
     def tensions(
         self, observations: NDArray[Any], vectors: Values, device: Device, setpoint_range: tuple[float, float]
     ) -> Values:
-        """Return the tension setpoints of a batch.
+        """Return the tension setpoints of a batch [N], shape (N,), within `RANGE`.
 
         Parameters
         ----------
         observations : ndarray, shape (N, 13)
         vectors : ndarray, shape (N, parameters) or (1, parameters)
-            Each row's own parameters, or those of all.
+            Each row's own parameters, or those of all rows.
         device : Device
         setpoint_range : tuple of float
-            What -1 and 1 in the observed tension setpoint mean [N].
-
-        Returns
-        -------
-        ndarray, shape (N,)
-            [N], within `RANGE`.
+            Tension setpoints at -1 and 1 in the observation [N].
         """
         tensions = np.empty(len(observations))
         rows = np.asarray(observations, dtype=np.float64)
-        low, high = setpoint_range
-        self.fill(rows, np.ascontiguousarray(vectors), device.constants, device.agent_period, low, high, tensions)
+        constants, period = device.constants, device.agent_period
+        self.fill(rows, np.ascontiguousarray(vectors), constants, period, *setpoint_range, tensions)
         return tensions
 
     def _bounds(self) -> tuple[Values, Values, NDArray[np.bool_]]:
-        return (
-            np.array([parameter.low for parameter in self.parameters]),
-            np.array([parameter.high for parameter in self.parameters]),
-            np.array([parameter.logarithmic for parameter in self.parameters]),
-        )
+        low, high, logarithmic = zip(*((p.low, p.high, p.logarithmic) for p in self.parameters), strict=True)
+        return np.array(low), np.array(high), np.array(logarithmic)
 
 
 @dataclass(frozen=True)
 class Device:
-    """What a law knows of the device by construction: the nominal one, without a payload.
+    """The nominal device, without a payload, as a law's constants, with the agent period [s].
 
-    Attributes
-    ----------
-    constants : ndarray, shape (6,)
-        R_2 [m], J [kg m2], and a [1/s], b [1/N], c and d [1/s] of the decay rate (`model.damping.decay_rate`).
-    agent_period : float
-        Time between two actions [s].
+    The constants are R_2 [m], J [kg m2], and a [1/s], b [1/N], c and d [1/s] of the decay rate
+    (`model.damping.decay_rate`).
     """
 
     constants: Values
@@ -207,7 +176,7 @@ class Device:
 
     @classmethod
     def of(cls, profile: Profile, agent_period: float) -> Device:
-        """Return what a law knows of a profile's device."""
+        """Return the nominal device of a profile."""
         masses, damping = profile.plant.masses, profile.damping
         c = damping.b * damping.c if damping.fit == "shifted" else damping.c
         nominal = inertia([item.mass for item in masses], [item.arm for item in masses])
@@ -254,15 +223,15 @@ def _fill_parametric(rows, vectors, device, period, low, high, tensions):  # typ
 
 @compiled
 def _size(x: float) -> float:
-    """Return how large a number is, smoothly, from 0 to 1."""
+    """Return a smooth measure of a number's size, from 0 to 1."""
     return 1.0 - math.exp(-x * x)
 
 
 @compiled
 def _squash(wanted: float) -> float:
-    """Bring a tension [N] smoothly into `RANGE`: within its middle 80 % by less than 0.1 N.
+    """Limit a tension [N] smoothly to `RANGE`; in the middle 80 % it changes by less than 0.1 N.
 
-    A softened clip, ``m + h x / (1 + x^8)^(1/8)``, where m and h are the range's middle and half width.
+    It is ``m + h x / (1 + x^8)^(1/8)``, where m and h are the range's middle and half width.
     """
     middle, half = 0.5 * (RANGE[0] + RANGE[1]), 0.5 * (RANGE[1] - RANGE[0])
     x = (wanted - middle) / half
@@ -279,7 +248,7 @@ def _follow(last: float, wanted: float, rise_time: float, fall_time: float, peri
 
 @compiled
 def _external_torque(device, biceps, triceps, rate):  # type: ignore[no-untyped-def]
-    """Return what pushes the joint [N m] by eq. 1 at constant speed, from both force estimates [N] and rate [rad/s]."""
+    """Return the external torque [N m] by eq. 1 at constant speed, from force estimates [N] and rate [rad/s]."""
     radius, moment, a, b, c, d = device
     return 2.0 * decay_rate(0.5 * (biceps + triceps), a, b, c, d) * moment * rate - (biceps - triceps) * radius
 
@@ -334,15 +303,14 @@ LAWS = {law.name: law for law in (EQ6_TUNED, PARAMETRIC)}
 def tuned_names() -> dict[str, str]:
     """Return the tuned laws by name, each with a one-line description.
 
-    ``<law>:<suite>`` has the parameters tuned on that suite, a law's bare name those tuned on the mix of all: one law
-    for everything, as one policy is learned for everything.
+    ``<law>:<suite>`` has the parameters tuned on that suite; the law's name alone has those tuned on `DEFAULT_SUITE`.
     """
     names = {law.name: f"{law.description}; as {law.name}:{DEFAULT_SUITE}" for law in LAWS.values()}
     return names | {f"{law}:{suite}": f"{law}, tuned on {suite}" for _, law, suite in _shipped()}
 
 
 def is_tuned(name: str) -> bool:
-    """Return whether a name is that of a tuned law: from `tuned_names`, or the JSON file that a search wrote."""
+    """Return whether a name is one of `tuned_names` or a JSON file, as a search writes it."""
     return is_tuned_file(name) or name in tuned_names()
 
 
@@ -352,20 +320,7 @@ def is_tuned_file(name: str) -> bool:
 
 
 def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
-    """Return a tuned law and its parameters.
-
-    Parameters
-    ----------
-    name : str
-        From `tuned_names`, or a file of `evaluation.search.laws`, whose parameters are for any profile.
-    profile : Profile
-        A profile that is based on a shipped one has that one's parameters.
-
-    Raises
-    ------
-    AmulettError
-        If nothing was tuned for that device, or the file cannot be read or is none of a tuned law.
-    """
+    """Return a tuned law with its parameters, by a name of `tuned_names` or a file; see `tuned_content`, `read_tuned`."""
     if is_tuned_file(name):
         return read_tuned(name)
     law_name, _, suite = name.partition(":")
@@ -375,16 +330,16 @@ def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
 
 
 def read_tuned(path: str) -> tuple[Law, Values]:
-    """Return the law and the parameters in a file of `evaluation.search.laws`.
+    """Return a law with its parameters from a file of `evaluation.search.laws`; they can be used on any profile.
 
     Raises
     ------
     AmulettError
-        If it cannot be read or is none of a tuned law.
+        If it cannot be read or is not such a file.
     """
     content = read_json(path, "tuned law")
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise AmulettError(f"'{path}' is no tuned law: its 'format' is not '{FORMAT}'")
+        raise AmulettError(f"'{path}' is not a tuned law: its 'format' is not '{FORMAT}'")
     try:
         law = LAWS[content["recipe"]["law"]]
         values = {key: float(entry["value"]) for key, entry in content["parameters"].items()}
@@ -396,10 +351,12 @@ def read_tuned(path: str) -> tuple[Law, Values]:
 def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
     """Return the shipped file of a tuned law: its parameters, and on what and how they were tuned.
 
+    A profile that is based on a shipped one uses that one's parameters.
+
     Raises
     ------
     AmulettError
-        If nothing was tuned for that device and suite.
+        If the law was not tuned for that device and suite.
     """
     shipped = _shipped()
     key = (profile.root, law, suite)
@@ -415,7 +372,7 @@ def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
 
 @cache
 def _shipped() -> dict[tuple[str, str, str], tuple[str, ...]]:
-    """Return where the package has which tuned law: (profile, law, suite) -> path."""
+    """Return the paths of the tuned laws in the package: (profile, law, suite) -> path."""
     found: dict[tuple[str, str, str], tuple[str, ...]] = {}
     folder = resources.files("amulett_gym").joinpath(*TUNED)
     for law in LAWS:

@@ -1,4 +1,4 @@
-"""Policies by name: anything that maps an observation to an action, from outside the loop."""
+"""Policies by name: functions from observations to actions, outside the loop."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
 
 Act = Callable[[NDArray[np.float64]], NDArray[np.float32]]
-"""The same of a batch alone."""
+"""A policy for batches only."""
 
 _POSITION_ERROR = OBSERVATIONS.index("position_error")
 
 
 def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Policy:
-    """Make a policy for an environment.
+    """Return a policy for an environment.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
         ``"pretrained"``, or a policy bundle's folder (or a training run's, for its best policy); or a function of your
         own, see `contenders.Own.act`.
     env : gymnasium.Env or VectorEnv
-        An AMULETT environment, wrapped or not. Its profile gives eq. 6 its parameters, its action range the meaning of
-        an action. The policy is for this environment: one that remembers (`laws.history`) reads its clock.
+        An AMULETT environment, wrapped or not. Its profile has eq. 6's parameters, its action range scales actions. The
+        policy is for this environment only: one with a history (`laws.history`) reads its clock.
 
     Returns
     -------
     callable
         Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1]. In a
-        privileged environment observations are longer, and every policy takes what it knows of them.
+        privileged environment observations are longer; a policy ignores entries that it was not made for.
 
     Raises
     ------
@@ -62,9 +62,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     name, tension_range = str(name_or_folder), base.tension_range
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
-        raise AmulettError(
-            f"'{name}' acts inside the loop, not on observations: make the environment with {key}='{value}' instead"
-        )
+        raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
     elif is_tuned(name):
@@ -77,16 +75,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
 
 
 def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Policy:
-    """Return a function of the user's own as a policy whose actions are checked; a wrong shape is not broadcast.
-
-    Parameters
-    ----------
-    act : callable
-        See `contenders.Own.act`.
-    env : gymnasium.Env or VectorEnv
-    name : str, optional
-        For messages; that of the function if None.
-    """
+    """Return a user's function (see `contenders.Own.act`) as a policy that checks its actions; `name`: for messages."""
     name = name or getattr(act, "__name__", type(act).__name__)
 
     def policy(observation: ArrayLike) -> NDArray[np.float32]:
@@ -115,31 +104,25 @@ def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Po
 
 
 def begin_episode(policy: Callable[..., Any]) -> None:
-    """Let a policy that remembers forget the last episode; one without a method ``reset`` is left alone."""
+    """Call a policy's method ``reset``, if it has one."""
     if callable(reset := getattr(policy, "reset", None)):
         reset()
 
 
 def _constant(tension: float, tension_range: tuple[float, float]) -> Act:
     _check_reach(f"the tension of constant:{tension:g}", tension, tension, tension_range)
-    action = tension_to_action(np.array([tension]), tension_range).astype(np.float32)
-
-    def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.repeat(action[None], len(batch), axis=0)
-
-    return act
+    action = tension_to_action(np.array([[tension]]), tension_range).astype(np.float32)
+    return lambda batch: np.repeat(action, len(batch), axis=0)
 
 
 def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) -> Act:
-    """Eq. 6 at agent rate, by the observed position error, which reaches 90 deg."""
+    """Return eq. 6 at agent rate, by the observed position error, which is limited to 90 deg."""
     law = profile.variable_stiffness
     _check_reach("eq. 6", law.minimum_tension, law.nominal_tension, tension_range)
     scale, offset = OBSERVATION_SCALES["position_error"], float(np.radians(law.error_offset_deg))
     if offset > scale:
-        raise AmulettError(
-            f"eq. 6 with an error_offset_deg of {law.error_offset_deg} needs errors that the observation cannot show; "
-            f"it ends at {np.degrees(scale):g} deg"
-        )
+        largest, wanted = np.degrees(scale), law.error_offset_deg
+        raise AmulettError(f"eq. 6 has an error_offset_deg of {wanted}; the largest observed error is {largest:g} deg")
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         factors = _factors(batch[:, _POSITION_ERROR] * scale, law.nominal_tension, law.minimum_tension, offset, printed)
@@ -149,7 +132,7 @@ def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) ->
 
 
 def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agent_period: float) -> Act:
-    """Follow a law with parameters that were tuned on a suite."""
+    """Return a law with parameters that were tuned on a suite."""
     _check_reach(f"'{name}'", *RANGE, tension_range)
     law, vector = tuned_vector(name, profile)
     device = Device.of(profile, agent_period)
@@ -173,12 +156,12 @@ def _factors(errors, nominal, minimum, offset, printed):  # type: ignore[no-unty
 
 
 def _from_bundle(bundle: Bundle, env: Any) -> Act:
-    """Run a bundle; where its action range is not the environment's, actions are converted through tensions."""
+    """Return a bundle's policy; if its action range is not the environment's, actions are converted by tensions."""
     tension_range, agent_period = env.tension_range, env.episodes.agent_period
     trained, size = bundle.policy.agent_period, len(bundle.policy.observations)
     if bundle.policy.is_privileged and not env.episodes.privileged:
         raise AmulettError(
-            f"policy bundle '{bundle.folder}' needs what no device can know; make the environment with privileged=True"
+            f"policy bundle '{bundle.folder}' needs privileged observations; make the environment with privileged=True"
         )
     if not np.isclose(trained, agent_period, rtol=1e-9):
         raise AmulettError(
@@ -210,7 +193,7 @@ def _check_reach(what: str, lowest: float, highest: float, tension_range: tuple[
 
 
 def _for_one_or_many(act: Act, size: int) -> Policy:
-    """Let a function of a batch take a single observation, too."""
+    """Return a policy that takes a single observation, too."""
 
     def policy(observation: ArrayLike) -> NDArray[np.float32]:
         observations = np.asarray(observation, dtype=np.float64)

@@ -1,1 +1,1 @@
-"""Tables, words, pages, documents and the style of figures."""
+"""How everything that a person reads is written."""

@@ -1,4 +1,4 @@
-"""The base of all HTML pages: one look, one place where templates are filled, nothing loaded from elsewhere."""
+"""The base of all HTML pages: templates of one style, filled; a page loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -11,14 +11,9 @@ from amulett_gym.reporting.words import html, number, pretty
 
 
 def fill_page(template: str, **values: Any) -> str:
-    """Return a page: a template of the package that extends ``reporting/page.html.j2``, filled.
+    """Return a filled template, by its path in the package; it extends ``reporting/page.html.j2``.
 
-    Parameters
-    ----------
-    template : str
-        Its path in the package.
-    **values
-        What the template needs; text is escaped. `number`, `pretty` and `html` of `reporting.words` are there for all.
+    Text in `values` is escaped. Templates can use `number`, `pretty` and `html` of `reporting.words`.
     """
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_read), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True

@@ -1,4 +1,4 @@
-"""How much of some work is done and what is left: a bar on a terminal, else a plain line now and then; on stderr."""
+"""Progress of long work on stderr: a bar on a terminal, else a plain line every few seconds."""
 
 from __future__ import annotations
 
@@ -13,37 +13,32 @@ from tqdm import tqdm
 from amulett_gym.reporting.table import fill
 
 FIRST, BETWEEN = 2.0, 10.0
-"""When the first plain line is written, and how long after one the next [s]; a bar begins after `FIRST`, too."""
+"""Time until the first plain line (or the bar), and between plain lines [s]."""
 
 _LARGE = 10_000
-"""Totals from here on are shown as thousands and millions."""
+"""Totals from this on are shown as thousands and millions."""
 
 
 def say(text: str, wrap: bool = True) -> None:
-    """Print text on stdout above the bars; in lines of at most 80 characters, unless it is a command to be copied."""
+    """Print text on stdout above the bars; `wrap` it to 80 columns, unless it is a command to be copied."""
     with tqdm.external_write_mode():
         print(fill(text) if wrap else text, flush=True)
 
 
 class Progress:
-    """Shows how much of some work is done, and an estimate of the time that the rest takes.
+    """Shows how much of some work is done, with an estimate of the remaining time.
 
     Parameters
     ----------
     total : int or None
-        Units of all work; None if it is not known.
+        Units of all work; None if unknown.
     what : str
-        What is done, in a word or two.
+        Name of the work, in a word or two.
     unit : str
     show : bool
         False shows nothing.
     done : int
-        Units that were done earlier; the estimate is of the rest.
-
-    Attributes
-    ----------
-    done : int
-    what : str
+        Units that were done in an earlier run; the estimate does not count them.
     """
 
     def __init__(self, total: int | None, what: str, unit: str = "", show: bool = True, done: int = 0) -> None:
@@ -53,18 +48,18 @@ class Progress:
             initial=done,
             desc=what,
             unit=f" {unit}",
+            disable=not terminal,
             unit_scale=(total or 0) >= _LARGE,
             delay=FIRST,
             leave=False,
             dynamic_ncols=True,
-            disable=not terminal,
         )
         self._total, self.what, self._unit, self.done, self._before = total, what, unit, done, done
         self._started = time.monotonic()
         self._due = self._started + FIRST if show and not terminal else float("inf")
 
     def update(self, count: int = 1, note: str = "") -> None:
-        """Add `count` units to what is done; `note` says what was done last."""
+        """Add `count` units to what is done; `note` names the last of them."""
         self.done += count
         if note:
             self._bar.set_postfix_str(note[-40:], refresh=False)
@@ -77,7 +72,7 @@ class Progress:
             print(self._line(now - self._started, note), file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """End it; may be called again."""
+        """Remove the bar; may be called again."""
         self._bar.close()
         self._due = float("inf")
 

@@ -1,8 +1,8 @@
-"""What our figures look like, and how they are written: all that sets up matplotlib.
+"""The style of all figures: the only module that sets up matplotlib.
 
-Figures depend on nothing of the user's matplotlib: not on ``MPLBACKEND``, a ``matplotlibrc`` or changed ``rcParams``.
-They are drawn without pyplot, and leave its settings as they were. Import matplotlib's classes from here: importing
-matplotlib itself fails where its backend is set to one that is not installed. Colours are those of Okabe and Ito, which
+Figures do not depend on the user's matplotlib settings: ``MPLBACKEND``, a ``matplotlibrc`` or changed ``rcParams``.
+They are drawn without pyplot, and do not change its settings. Import matplotlib's classes from here: importing
+matplotlib itself fails if its backend is set to one that is not installed. Colours are those of Okabe and Ito, which
 colour-blind readers can distinguish.
 """
 
@@ -25,19 +25,19 @@ from amulett_gym.storage.writing import atomic_path
 
 
 def _import_matplotlib() -> None:
-    """Import matplotlib; where the user's settings make that fail, without them."""
+    """Import matplotlib; if the user's settings make that fail, without them."""
     try:
         import matplotlib
 
         return
-    except (ValueError, OSError):  # MPLBACKEND names no backend; matplotlibrc is no text, or cannot be read
+    except (ValueError, OSError):  # MPLBACKEND is not a backend; matplotlibrc is not text, or cannot be read
         backend = os.environ.pop("MPLBACKEND", None)
     for name in [name for name in sys.modules if name.startswith("matplotlib.")]:
         del sys.modules[name]  # the parts that were imported before it failed
     found = find_spec("matplotlib")
     assert found is not None and found.origin is not None
     try:
-        # A matplotlibrc in the current folder comes before all others, and here is the one that matplotlib brings.
+        # A matplotlibrc in the current folder is preferred to all others; this folder has matplotlib's own.
         with chdir(Path(found.origin).parent / "mpl-data"):
             import matplotlib  # noqa: F401
     finally:
@@ -61,13 +61,13 @@ ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B
 INDIGO, OLIVE, BROWN = "#5B4BA8", "#9AA51E", "#8A5A33"
 
 JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
-"""The renderer's colours (`envs.rendering.picture`), so that a string has the same one everywhere."""
+"""The renderer's colours (`envs.rendering.picture`): a string has the same colour everywhere."""
 
 WIDTH = 10.0
-"""Of every figure of a comparison [in], so that their texts have one size on the page."""
+"""Width of a comparison's figures [in]: one text size on the page."""
 
 PRINT_WIDTH = 7.0
-"""Of the paper's figures [in]: the text width of a printed page."""
+"""Width of the paper's figures [in]: the text width of a printed page."""
 
 _SETTINGS = {key: value for key, value in mpl.rcParamsDefault.items() if key != "backend"} | {
     "font.family": "DejaVu Sans",
@@ -77,8 +77,8 @@ _SETTINGS = {key: value for key, value in mpl.rcParamsDefault.items() if key != 
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.7,
-    "axes.grid": True,
     "axes.axisbelow": True,
+    "axes.grid": True,
     "grid.color": "#e3e3e3",
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
@@ -90,16 +90,16 @@ _SETTINGS = {key: value for key, value in mpl.rcParamsDefault.items() if key != 
     "savefig.dpi": 180,
     "svg.hashsalt": "amulett-gym",
 }
-"""All of matplotlib's settings, its own defaults among them: none is left to the user's."""
+"""All of matplotlib's settings, its own defaults included: none depends on the user's."""
 
 P = ParamSpec("P")
 Estimate = Mapping[str, float | None]
-"""``"mean"``, ``"low"`` and ``"high"``; None: there is no such number."""
+"""``"mean"``, ``"low"`` and ``"high"``; None: undefined."""
 
 
 @contextmanager
 def _settings() -> Iterator[None]:
-    """Use our settings of matplotlib in a block, and the user's again after it."""
+    """Use our settings of matplotlib within a block."""
     with mpl.rc_context():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # some defaults are deprecated
@@ -108,14 +108,14 @@ def _settings() -> Iterator[None]:
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Let a function draw in our style, whatever matplotlib's settings are, and leave those as they were."""
+    """Return a function that draws in our style; matplotlib's settings are neither used nor changed."""
 
     @wraps(draw)
     def styled(*args: P.args, **keywords: P.kwargs) -> Figure:
         with _settings():
             figure = draw(*args, **keywords)
             FigureCanvasAgg(figure)  # not the canvas of the user's backend
-            # Laid out once: the layout engine moves things a little each time that it runs.
+            # Only once: the layout engine moves things a little in every run.
             figure.draw_without_rendering()
             figure.set_layout_engine("none")
             return figure
@@ -124,7 +124,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG or SVG, by the file's suffix, whole or not at all.
+    """Write a figure as PNG or SVG, by the file's suffix, completely or not at all.
 
     Raises
     ------
@@ -148,14 +148,7 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
 
 
 def figure_svg(figure: Figure, prefix: str) -> str:
-    """Return a figure as an SVG element to put into a page.
-
-    Parameters
-    ----------
-    figure : Figure
-    prefix : str
-        Goes before every id, so that figures in the same page do not meet.
-    """
+    """Return a figure as an SVG element for a page; `prefix` makes its ids differ from those of other figures."""
     buffer = io.StringIO()
     _write(figure, buffer, "svg")
     svg = buffer.getvalue()
@@ -166,14 +159,14 @@ def figure_svg(figure: Figure, prefix: str) -> str:
 
 
 def _write(figure: Figure, target: Path | io.StringIO, kind: str) -> None:
-    """Render a figure as ``"png"`` or ``"svg"``, without dates and versions: the same bytes each time."""
+    """Write a figure as ``"png"`` or ``"svg"``, without dates and versions: the same bytes each time."""
     backend, metadata = {"png": ("agg", {"Software": None}), "svg": ("svg", {"Date": None})}[kind]
     with _settings():
         figure.savefig(target, format=kind, backend=backend, metadata=metadata)
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure, whose panels are laid out when it is drawn; sizes in inches."""
+    """Return an empty figure with automatic layout; sizes in inches."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -184,18 +177,10 @@ def one_panel(height: float, width: float = WIDTH) -> tuple[Figure, Any]:
 
 
 def panel_grid(count: int, columns: int, margin: float, height: float, **sharing: Any) -> tuple[Figure, list[Any]]:
-    """Return a figure and its panels, row by row.
+    """Return a figure and its `count` panels, row by row, in at most `columns` columns.
 
-    Parameters
-    ----------
-    count : int
-        Number of panels.
-    columns : int
-        Most panels in a row.
-    margin, height : float
-        Of the figure without panels, and of a panel [in].
-    **sharing
-        ``sharex``, ``sharey``.
+    `margin` is the height of the figure without panels, `height` that of a panel [in]; `sharing` is ``sharex``,
+    ``sharey``.
     """
     columns = min(count, columns)
     rows = -(-count // columns)
@@ -209,7 +194,7 @@ def panel_grid(count: int, columns: int, margin: float, height: float, **sharing
 def draw_dot(
     panel: Any, x: Estimate, y: Estimate | float, colour: str, marker: str, label: str = "", **keywords: Any
 ) -> None:
-    """Draw a point with the intervals of its coordinates; `label` goes into the legend, without them."""
+    """Draw a point with the intervals of its coordinates; `label` is its entry in the legend."""
     across, up = x["mean"], y["mean"] if isinstance(y, Mapping) else y
     bars = {"xerr": reach(x), "yerr": reach(y) if isinstance(y, Mapping) else None}
     shape = {"markersize": 7, "elinewidth": 1.1, "markeredgecolor": "white", "markeredgewidth": 0.6} | keywords
@@ -219,7 +204,7 @@ def draw_dot(
 
 
 def name_rows(panel: Any, names: Sequence[str]) -> None:
-    """Let the rows of a panel of bars or dots be contenders: the first one on top, at the highest y."""
+    """Name the rows of a panel of bars or dots; the first name is on top, at the highest y."""
     panel.set_yticks(range(len(names)), list(reversed(names)))
     panel.set_ylim(-0.6, len(names) - 0.4)
     panel.tick_params(axis="y", length=0)
@@ -232,13 +217,13 @@ def legend_beside(panel: Any, **keywords: Any) -> None:
 
 
 def legend_below(figure: Figure, handles: Sequence[Any], ncols: int) -> None:
-    """Put a legend below all panels: one entry for each label of the handles."""
+    """Put a legend below all panels, with one entry for each label of the handles."""
     labelled = {handle.get_label(): handle for handle in handles if not handle.get_label().startswith("_")}
     figure.legend(handles=list(labelled.values()), loc="outside lower center", ncols=ncols)
 
 
 def label_outer(panels: Sequence[Any], x_label: str, y_label: str) -> None:
-    """Label the axes of a grid's panels with no panel below or to the left of them."""
+    """Label the x axes of a grid's lowest panels and the y axes of its leftmost panels."""
     for k, panel in enumerate(panels):
         columns = panel.get_subplotspec().get_gridspec().ncols
         if k % columns == 0:
@@ -249,11 +234,11 @@ def label_outer(panels: Sequence[Any], x_label: str, y_label: str) -> None:
 
 
 PLAIN = FuncFormatter(lambda value, _: f"{value:g}")
-"""Ticks without exponents, on logarithmic axes too."""
+"""Ticks without exponents, also on logarithmic axes."""
 
 
 def reach(estimate: Estimate) -> list[list[float]] | None:
-    """Return how far an interval reaches below and above its mean, for `Axes.errorbar`; None without an interval."""
+    """Return an interval's distances below and above its mean, for `Axes.errorbar`; None without an interval."""
     middle, low, high = estimate["mean"], estimate["low"], estimate["high"]
     if middle is None or low is None or high is None:
         return None

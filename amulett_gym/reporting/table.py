@@ -20,24 +20,21 @@ TEXT_WIDTH = 80
 
 _GAP = 2
 _NARROW = 16
-"""Least width that a column of words is narrowed to."""
+"""Least width of a column of words that had to be made narrower."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A titled table, and what has to be said about it.
+    """A table with a title and a note, which may be empty.
 
     Attributes
     ----------
-    title : str
-        May be empty.
     head : tuple of str
-        Headings of all columns; all of them empty: none is shown.
+        Headings of all columns; not shown if all are empty.
     rows : sequence of sequence of str
-        Cells. Those that are `Markup` go into HTML as they are; all others are escaped there.
-    note : str
+        Cells; in HTML all but `Markup` are escaped.
     left : collection of int
-        Columns of words, which are aligned on the left and may be wrapped; the others are numbers.
+        Columns of words, aligned on the left and wrapped; the others are numbers.
     """
 
     title: str
@@ -47,15 +44,10 @@ class Table:
     left: Collection[int] = (0,)
 
     def text(self, width: int = TEXT_WIDTH) -> str:
-        """Return the title, the aligned table and the note, wrapped between words.
+        """Return the title, the aligned table and the note, in lines of at most `width` characters.
 
-        A table that is too wide has its headings and then its columns of words wrapped; if that is not enough, it goes
-        on below with the remaining columns, of which each block repeats the first.
-
-        Parameters
-        ----------
-        width : int
-            Most characters of a line. Longer words and numbers are not cut.
+        Lines are broken between words only. In a table that is too wide, headings are wrapped, then columns of words;
+        if that is not enough, the remaining columns follow in blocks below, each with the first column repeated.
         """
         blocks = ["\n".join(self._block(columns, width)) for columns in self._blocks(width)]
         parts = [fill(self.title, width), "\n\n".join(blocks), fill(self.note, width)]
@@ -69,13 +61,7 @@ class Table:
         return "\n\n".join(part for part in (self.title and f"### {self.title}", body, self.note) if part)
 
     def html(self, classes: str = "stack lines narrow") -> Markup:
-        """Return the table and the note as HTML; headings label the cells where a narrow screen stacks them.
-
-        Parameters
-        ----------
-        classes : str
-            Of the table, see ``page.css``.
-        """
+        """Return the table and the note as HTML; `classes`: see ``page.css``. Narrow screens stack labelled cells."""
         words = [Markup(' class="words"') if k and k in self.left else "" for k in range(len(self.head))]
         labels = [
             Markup(' data-label="{}:"').format(pretty(cell)) if k and cell else "" for k, cell in enumerate(self.head)
@@ -96,7 +82,7 @@ class Table:
         return [str(row[column]) for row in self.rows]
 
     def _widths(self, columns: Sequence[int], width: int) -> list[int]:
-        """Return the widths of columns: with as few lines of headings as fit, then with narrower columns of words."""
+        """Return the widths of columns: with the fewest lines of headings that fit, then with narrower words."""
         room = width - _GAP * (len(columns) - 1)
         longest = [max((len(cell) for cell in self._cells(k)), default=0) for k in columns]
         widths: list[int] = []
@@ -178,12 +164,12 @@ def _joined(template: str, items: Iterable[Iterable[str]]) -> Markup:
 
 
 def fill(text: str, width: int = TEXT_WIDTH) -> str:
-    """Return a text wrapped between words; lines of it stay apart, and keep their indentation where they go on."""
+    """Return a text wrapped between words; line breaks and the lines' indentation are kept."""
     return "\n".join("\n".join(_wrap(line, width)) for line in text.split("\n"))
 
 
 def _wrap(text: str, width: int) -> list[str]:
-    """Return a text's lines; neither a word nor what stands in brackets is cut."""
+    """Return a text's lines; neither words nor texts in brackets are cut."""
     indent = text[: len(text) - len(text.lstrip(" "))]
     kept = re.sub(r"\[[^\]]*\]", lambda match: match[0].replace(" ", "\0"), text)
     lines = textwrap.wrap(kept, max(width, 1), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
@@ -195,6 +181,6 @@ def _longest_word(text: str) -> int:
 
 
 def _narrowest(text: str, lines: int) -> int:
-    """Return the least width in which a text has at most so many lines."""
+    """Return the least width for at most this number of lines."""
     widths = range(_longest_word(text), len(text) + 1)
     return next((width for width in widths if len(_wrap(text, width)) <= lines), 0)

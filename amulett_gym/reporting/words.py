@@ -1,4 +1,4 @@
-"""Numbers in words: significant digits, intervals, units."""
+"""Numbers as text: significant digits, intervals, units."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, a dash if there is none; no exponent below a million."""
+    """Return a number with its significant digits, a dash if there is none; no exponent below a million."""
     if value is None or not math.isfinite(value):
         return "-"
     if value == 0:
@@ -40,17 +40,10 @@ def with_interval(estimate: Mapping[str, float | None] | None) -> str:
 
 
 def span(ratio: Mapping[str, float | None]) -> str:
-    """Return a ratio with its interval, with as many digits as it takes to differ from 1.
+    """Return a ratio with its interval, with enough digits to differ from 1, like ``"0.853 [0.841, 0.866]"``.
 
-    Parameters
-    ----------
-    ratio : mapping
-        ``"mean"``, ``"low"``, ``"high"``; None or NaN where there is none.
-
-    Returns
-    -------
-    str
-        Like ``"0.853 [0.841, 0.866]"``; `EQUAL` if even six digits do not show a difference from 1.
+    `ratio` has ``"mean"``, ``"low"``, ``"high"``, None or NaN if undefined. If six digits show no difference from 1,
+    `EQUAL` is returned.
     """
     values = [ratio[key] for key in ("mean", "low", "high")]
     for digits in range(3, _MOST_DIGITS + 1):
@@ -61,14 +54,14 @@ def span(ratio: Mapping[str, float | None]) -> str:
 
 
 def pretty(text: str) -> str:
-    """Return a text with numbers as people write them: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
+    """Return a text with typeset numbers: 4.33×10⁶ for 4.33e+06, deg² for deg2, a true minus."""
     text = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda match: f"×10{str(int(match[1])).translate(_SUPERSCRIPTS)}", text)
     text = re.sub(r"\b(deg|rad|N|m)2\b", r"\1²", text)
     return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
 
 
 def html(text: str) -> Markup:
-    """Return a text as HTML: numbers as people write them, and `code` as code; HTML as it is."""
+    """Return a text as HTML, with typeset numbers and `code`; `Markup` is returned unchanged."""
     if isinstance(text, Markup):
         return text
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(pretty(text)))))

@@ -136,7 +136,7 @@ def test_a_policy_that_has_to_be_told_brings_its_keyword_and_is_refused_elsewher
     folder = keep(tmp_path / "bundle", history=2, privileged=True)
     contender = parse_contender(str(folder))
     assert contender.env_keywords == {"agent_period": 0.02, "privileged": True}
-    with pytest.raises(AmulettError, match="no device can know.*privileged=True"):
+    with pytest.raises(AmulettError, match="privileged observations.*privileged=True"):
         amulett_gym.load_policy(folder, gym.make(SCALING))
     results = compare([str(folder)], episodes=2, duration=1.0)
     assert np.isfinite(results.values[str(folder)]["cost"]).all()

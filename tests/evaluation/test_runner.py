@@ -354,7 +354,7 @@ def test_the_command_prints_a_table_and_says_that_eq6_always_runs(capsys):
     assert command("--policies", "constant:10", "--episodes", "2") == 0
     printed = capsys.readouterr().out
     assert "constant:10" in printed
-    assert "eq6 was not asked for" in printed
+    assert "eq6 was not named" in printed
 
 
 def test_nothing_is_written_when_something_is_wrong(tmp_path, monkeypatch, results):

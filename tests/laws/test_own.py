@@ -95,7 +95,7 @@ def test_a_name_alone_runs_no_file(file, env):
     assert python_file(f"{file}:softer") == file
     assert python_file("constant:5") is python_file(str(file)) is python_file("eq6") is None
     for take in (parse_contender, lambda name: load_policy(name, env), lambda name: evaluate([name], episodes=1)):
-        with pytest.raises(AmulettError, match="is code, which evaluate, simulate and play run"):
+        with pytest.raises(AmulettError, match="is code; evaluate, simulate and play run it"):
             take(f"{file}:softer")
 
 

@@ -221,7 +221,7 @@ def test_a_tuned_file_is_a_contender(tmp_path):
     strange = {"name": "mine", "base": "simulation", "drives": {"lag": 0.01}}
     assert evaluate([str(path)], profile=strange, episodes=1).values[str(path)]["cost"][0] > 0
     for wrong, message in (
-        ({**content, "format": "x"}, "is no tuned law: its 'format' is not 'amulett-tuned-law'"),
+        ({**content, "format": "x"}, "is not a tuned law: its 'format' is not 'amulett-tuned-law'"),
         ({**content, "recipe": {"law": "x"}}, "is damaged: KeyError 'x'"),
         ({**content, "parameters": {}}, "'base' is nan N; it has to be from 2 to 17"),
     ):
