@@ -320,7 +320,7 @@ def is_tuned_file(name: str) -> bool:
 
 
 def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
-    """Return a tuned law with its parameters, by a name of `tuned_names` or a file; see `tuned_content`, `read_tuned`."""
+    """Return a tuned law with its parameters, by a name of `tuned_names` or by a file (`read_tuned`)."""
     if is_tuned_file(name):
         return read_tuned(name)
     law_name, _, suite = name.partition(":")

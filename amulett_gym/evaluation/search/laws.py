@@ -1,7 +1,7 @@
 """Tune a law's parameters by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
 
-``python -m amulett_gym.evaluation.search.laws --law parametric --suite steps --out DIR`` tunes; ``--write`` puts what
-was found into the package, too. Each independent start is a *stage*: one that is in the folder is not done again.
+``python -m amulett_gym.evaluation.search.laws --law parametric --suite steps --out DIR`` tunes; ``--write`` puts the
+result into the package, too. Each independent start is a *stage*: those finished in the folder are not repeated.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ Values = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is tuned on what, and for how long; the defaults gave the shipped parameters.
+    """The settings of a tuning; the defaults gave the shipped parameters.
 
     Attributes
     ----------
     law, suite, profile : str
     seeds : tuple of int
-        Of the independent starts.
+        One for each independent start.
     population : int
         Candidates in a generation; 0: four, and two for each of the law's parameters.
     generations : tuple of (int, int)
-        Stages of a start: the number of training scenarios, and of generations on them. Few scenarios find the region,
-        more of them the place.
+        Stages of a start: the number of training scenarios, and of generations on them. The first, with few scenarios,
+        finds the region; the others refine it.
     validation : int
         Validation scenarios, which choose among the starts.
     """
@@ -83,20 +83,10 @@ Report = Callable[[str, Mapping[str, Any]], None]
 
 
 def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage: None) -> dict[str, Any]:
-    """Tune a law and write what was found.
+    """Tune a law, write ``<profile>/<law>-<suite>.json`` with its ``stages/``, and return the file's content.
 
-    Parameters
-    ----------
-    folder : str or Path
-        For ``<name of the profile>/<law>-<suite>.json``, which is a contender's name, and its ``stages/``.
-    recipe : Recipe
-    report : callable
-        Called with each start's name and result when it is there.
-
-    Returns
-    -------
-    dict
-        The content of the written file: the parameters of the start that costs least on `validation`, and its history.
+    The file is a contender. Its parameters are those of the start with the lowest cost on `validation`. `report` is
+    called with the name and result of each finished start.
 
     Raises
     ------
@@ -119,13 +109,13 @@ def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage
 
 
 def search(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
-    """Search from one start.
+    """Return the result of a search from one start.
 
     Returns
     -------
     dict
         ``parameters`` (a list), the mean cost on ``train`` (all its scenarios) and ``validation``, and ``history``:
-        pairs of the episodes simulated so far and the least cost found by then on the stage's own scenarios.
+        pairs of the number of simulated episodes and the least cost found so far on the stage's own scenarios.
     """
     law = LAWS[recipe.law]
     rng = np.random.default_rng(seed)
@@ -145,20 +135,9 @@ def search(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict
             history.append([episodes, least])
             return costs
 
-        found = differential_evolution(
-            value,
-            [(0.0, 1.0)] * len(law.parameters),
-            init=points,
-            seed=rng,
-            maxiter=generations,
-            tol=0.0,
-            atol=0.0,
-            mutation=(0.4, 0.9),
-            recombination=0.9,
-            polish=False,
-            vectorized=True,
-            updating="deferred",
-        )
+        bounds, batch = [(0.0, 1.0)] * len(law.parameters), {"vectorized": True, "updating": "deferred"}
+        evolution = {"mutation": (0.4, 0.9), "recombination": 0.9, "tol": 0.0, "atol": 0.0, "polish": False}
+        found = differential_evolution(value, bounds, init=points, seed=rng, maxiter=generations, **batch, **evolution)
         points, best = found.population, found.x
     vector = law.from_unit(best)
 
@@ -177,7 +156,7 @@ def mean_costs(law: Law, vectors: Values, trials: Trials, scenarios: NDArray[np.
 
 
 def following(law: Law, vectors: Values, trials: Trials) -> Choose:
-    """Let each device follow a law with parameters of its own, shape (N, parameters); one row is for all."""
+    """Return a law with parameters for each device, shape (N, parameters); one row is for all."""
     device = Device.of(trials.protocol.profile, trials.protocol.agent_period)
 
     def choose(step: int, observations: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -206,16 +185,14 @@ def _content(
         "recipe": json.loads(json.dumps(asdict(recipe))),
         "chosen_seed": chosen,
         "training_episodes": recipe.episodes,
-        "starts": {
-            str(seed): {"train": start["train"], "validation": start["validation"]} for seed, start in starts.items()
-        },
+        "starts": {str(seed): {key: start[key] for key in ("train", "validation")} for seed, start in starts.items()},
         "sha256": {"train": train.digest(), "validation": validation.digest()},
         "versions": {"amulett-gym": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
     }
 
 
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
-    """Return everything a start's result depends on."""
+    """Return all that a start's result depends on."""
     this = asdict(replace(recipe, seeds=(seed,)))
     law = [asdict(parameter) for parameter in LAWS[recipe.law].parameters]
     scenarios = [train.digest(), validation.digest()]
@@ -224,14 +201,14 @@ def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dic
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Tune by the command line's words."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--law", nargs="+", default=list(LAWS), choices=list(LAWS))
     parser.add_argument("--suite", nargs="+", default=["steps"])
     parser.add_argument("--profile", default="testbed")
-    parser.add_argument("--out", required=True, metavar="DIR", help="what is finished in it is not done again")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of results; its finished starts are reused")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(Recipe.seeds))
-    parser.add_argument("--write", action="store_true", help="put what was found into the package, too")
+    parser.add_argument("--write", action="store_true", help="put the result into the package, too")
     arguments = parser.parse_args(argv)
 
     def report(name: str, start: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
-"""Many laws in many scenarios at once: each device of a batch meets a scenario of its own under a law of its own.
+"""Batches of scenarios for searches: each device of a batch has its own scenario and its own law.
 
-What an episode costs here is minus its return in the environment, bit for bit: a law that is found here is what it
-seemed to be. All that searches (tuned laws, the clairvoyant reference) stands on this.
+The cost of an episode is minus its return in the environment, bit for bit: search costs equal evaluated costs. All
+searches (tuned laws, the clairvoyant reference) use this.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ Choose = Callable[[int, Observations], Actions]
 
 
 class Trials:
-    """The scenarios of a comparison, to be met as often as one likes.
+    """The scenarios of a comparison, which can be played any number of times.
 
     Parameters
     ----------
     protocol : Protocol
-        Scenario i is the one that `evaluation.runner.evaluate` would play with it; the action's range is the default.
+        Scenario i is that of `evaluation.runner.evaluate`; the action range is the default.
     control, tension_law : str
-        As of the environments.
+        As in the environments.
     threads : int
-        How many step at once; what an episode costs is the same.
+        Threads that simulate; they do not change costs.
 
     Attributes
     ----------
@@ -54,12 +54,12 @@ class Trials:
     steps : int
         Agent steps of an episode.
     draws : int
-        Rows of each scenario, which differ by chance alone: 1, but see `redrawn`.
+        Rows of each scenario, which differ by chance only: 1, but see `redrawn`.
 
     Raises
     ------
     AmulettError
-        If the protocol's duration is no whole number of agent steps.
+        If the protocol's duration is not a whole number of agent steps.
     """
 
     def __init__(
@@ -77,20 +77,13 @@ class Trials:
         self.draws = 1
 
     def redrawn(self, draws: int, first: int = 0) -> Trials:
-        """Return the same scenarios, each several times, one row after the other, with chance drawn anew.
+        """Return the same scenarios with `draws` rows each, which differ by chance, from draw number `first` on.
 
-        Chance is what follows from a scenario's noise key: its sensors' noise, how a posture is shaken, late ticks.
-
-        Parameters
-        ----------
-        draws : int
-            At least 1.
-        first : int
-            Number of the first draw; another number gives another draw.
+        Chance is what depends on a scenario's noise key: sensor noise, disturbances of postures, late ticks.
         """
         if draws < 1 or self.draws > 1:
             raise ValueError(
-                f"{draws} draws of {self.draws} each; at least 1 is needed, of what was not redrawn before"
+                f"draws is {draws}, of scenarios with {self.draws} each; it has to be at least 1, of 1 each"
             )
         other = copy.copy(self)
         other.draws, other.rows = draws, np.repeat(self.rows, draws)
@@ -99,20 +92,19 @@ class Trials:
         return other
 
     def play(self, scenarios: Devices, choose: Choose) -> Costs:
-        """Let every device meet its scenario once.
+        """Play one episode with each device.
 
         Parameters
         ----------
         scenarios : ndarray of int, shape (N,)
-            Which of `rows` each device meets.
+            Index into `rows` of each device's scenario.
         choose : callable
-            Agent step and observations, shape (N, 13) -> actions, shape (N,), in [-1, 1].
+            See `Choose`.
 
         Returns
         -------
         ndarray, shape (steps, N)
-            What each agent step cost, minus its reward; 0 once the episode has ended in a failure, whose charge the
-            step before holds.
+            Cost of each agent step: minus its reward; 0 after a failure, whose cost is in the step of the failure.
         """
         episodes = self._batch(scenarios.size)
         devices = np.arange(scenarios.size)
@@ -129,43 +121,34 @@ class Trials:
         return costs
 
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:
-        """Return a SHA-256 of all that the scenarios' costs hang on: device, rows, loop, rates, prices."""
+        """Return a SHA-256 of all that the scenarios' costs depend on: device, rows, loop, rates, prices."""
         profile, suite = self.protocol.profile, self.protocol.suite
         costs = [prices(profile, suite).tolist(), COST_CAP]
         loop = [self._laws, self.steps, self.protocol.agent_period, TENSION_RANGE]
         content = hashlib.sha256(profile.model_dump_json().encode())
-        for name in self.rows.dtype.names or ():  # not the whole records: what is in their gaps is chance
+        for name in self.rows.dtype.names or ():  # not whole records: the padding between fields is undefined
             content.update(np.ascontiguousarray(self.rows[name][scenarios]).tobytes())
         content.update(json.dumps([costs, loop, __version__]).encode())
         return content.hexdigest()
 
     def _batch(self, devices: int) -> Episodes:
-        """Return a batch of that size; one that was made is kept."""
+        """Return the batch of this size, made once."""
         if devices not in self._batches:
             control, tension_law = self._laws
-            settings = Settings.read(
-                {
-                    "profile": self.protocol.profile,
-                    "suite": self.protocol.suite,
-                    "split": self.protocol.split,
-                    "control": control,
-                    "tension_law": tension_law,
-                    "tension_range": TENSION_RANGE,
-                    "agent_period": self.protocol.agent_period,
-                    "failure_horizon": self.steps,
-                }
-            )
+            shared = {key: getattr(self.protocol, key) for key in ("profile", "suite", "split", "agent_period")}
+            own = {"tension_range": TENSION_RANGE, "failure_horizon": self.steps}
+            settings = Settings.read({**shared, "control": control, "tension_law": tension_law, **own})
             self._batches[devices] = Episodes(devices, settings, self._threads)
         return self._batches[devices]
 
 
 def held(tensions: ArrayLike) -> Choose:
-    """Let each device hold a constant tension setpoint [N], shape (N,)."""
+    """Return constant tension setpoints [N], one for each device, shape (N,)."""
     actions = tension_to_action(np.asarray(tensions, dtype=np.float64), TENSION_RANGE).astype(np.float32)
     return lambda step, observations: actions
 
 
 def scheduled(actions: Actions) -> Choose:
-    """Let each device follow a schedule of its own; `actions` has the shape (N, steps)."""
+    """Return schedules of actions, one for each device, shape (N, steps)."""
     by_step = np.ascontiguousarray(actions.T)
     return lambda step, observations: by_step[step]
