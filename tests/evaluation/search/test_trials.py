@@ -100,5 +100,5 @@ def test_redrawn_scenarios_differ_by_chance_alone(trials):
     assert np.array_equal(several.rows["noise_key"].reshape(-1, 2)[:, 1], trials.redrawn(1, 1).rows["noise_key"])
     assert trials.digest() != several.digest(np.arange(0, len(several.rows), 2))
     for wrong in (lambda: trials.redrawn(0), lambda: several.redrawn(2)):
-        with pytest.raises(ValueError, match="draws of"):
+        with pytest.raises(ValueError, match="it has to be at least 1, of 1 each"):
             wrong()
