@@ -62,8 +62,9 @@ def _measure(profile_name: str, suite: str) -> dict[str | None, dict[str, float]
         }
         return {term: float(f"{cost:.4g}") for term, cost in means.items()}
 
-    by_family = {family: costs(rows["family"] == FAMILIES.index(family)) for family in families_of(suite)}
-    return {None: costs(slice(None)), **by_family}
+    chosen: dict[str | None, Any] = {None: slice(None)}
+    chosen |= {family: rows["family"] == FAMILIES.index(family) for family in families_of(suite)}
+    return {family: costs(rows) for family, rows in chosen.items()}
 
 
 def main() -> None:
