@@ -1,4 +1,4 @@
-"""The paper's figures 3, 5b, 6, 7, 8 and 9 on our devices: the data behind them, and all of them drawn.
+"""The paper's figures (3, 5b, 6 to 9) on our devices.
 
 matplotlib is imported only where something is drawn.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +27,7 @@ from amulett_gym.studies.paper.motion import SWITCH_WINDOW, Switch, switching_ru
 from amulett_gym.studies.paper.reproduction import (
     HOLD,
     MOVES_FROM,
-    STEPS,
+    STEPS_TIME,
     Readings,
     apply_readings,
     follow,
@@ -55,17 +56,17 @@ CAPTIONS = {
     "figure_9_switching": "Steps with tension control and a switching agonist, on the testbed. The force fed back "
     "(thick) switches between the strings. Right: around one switch, and the angle had each switch not happened.",
 }
-"""Name -> what it shows: the figures that `paper_figures` returns, in its order. `remarks` say what one sees there."""
+"""Name -> caption of the figures of `paper_figures`, in its order; `remarks` add the results on given devices."""
 
 SLACK = 0.1
-"""A string of less true force counts as slack [N]."""
+"""True force below which a string counts as slack [N]."""
 
 BELOW_FLOOR = {
     "clamp": "clamped to it",
     "hold": "replaced by the last one above it",
     "ignore": "no error to the controller",
 }
-"""What a device does with estimates below the floor (`Sensors.below_floor`), in words."""
+"""Treatment of estimates below the floor (`Sensors.below_floor`), in words."""
 
 READINGS = 200
 """Single readings of the potentiometer at each deflection of Figure 5b."""
@@ -73,21 +74,11 @@ READINGS = 200
 
 @dataclass(frozen=True)
 class ForceEstimation:
-    """The string force and what single readings of the potentiometer make of it, before filter and floor.
+    """The true string force and its estimates from single readings of the potentiometer, before filter and floor."""
 
-    Attributes
-    ----------
-    deflection : ndarray, shape (n,)
-        Of the string [m].
-    force : ndarray, shape (n,)
-        The true string force [N].
-    estimate : ndarray, shape (n, `READINGS`)
-        [N]
-    """
-
-    deflection: Values
-    force: Values
-    estimate: Values
+    deflection: Values  # of the string, shape (n,) [m]
+    force: Values  # shape (n,) [N]
+    estimate: Values  # shape (n, `READINGS`) [N]
 
     @property
     def error(self) -> Values:
@@ -116,7 +107,7 @@ def undamped_below(damping: Damping, form: str) -> float:
 
 
 def force_estimation(profile: Profile, points: int = 300) -> ForceEstimation:
-    """Stretch a string from slack to its spring's end, and read the potentiometer many times on the way (Figure 5b)."""
+    """Return estimates at deflections from slack to the spring's end, `READINGS` at each (Figure 5b)."""
     tables, sensors = build_tables(profile.spring), profile.sensors
     resolution = sensors.potentiometer_travel / 2**sensors.potentiometer_bits if sensors.potentiometer_bits else 0.0
     deflection = np.linspace(0.0, tables.max_deflection, points + 1)[1:]
@@ -133,7 +124,7 @@ def force_estimation(profile: Profile, points: int = 300) -> ForceEstimation:
 
 
 def remarks(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, str]:
-    """Say what figures show on these devices that no caption can know, by the names of `CAPTIONS`.
+    """Return the results that figures show on these devices in words, by the names of `CAPTIONS`.
 
     Parameters
     ----------
@@ -154,12 +145,12 @@ def remarks(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, st
 
 
 def with_remark(caption: str, remark: str | None) -> str:
-    """Return a caption, followed by what the figure shows on these devices if there is such a remark."""
+    """Return a caption with a remark, if there is one."""
     return " ".join(filter(None, [caption, remark]))
 
 
 def slack_in_words(name: str, trajectory: Trajectory) -> str:
-    """Say whether the antagonist's string goes slack after a device's step, and what its estimate says of that."""
+    """Return whether the antagonist's string goes slack after a device's step, and its estimate then, in words."""
     stepped = trajectory["time"] >= START
     force, estimate = antagonist_force(trajectory)[stepped], force_feedback(trajectory)[stepped]
     where = {"simulation": "In the simulation", "testbed": "On the testbed"}[name]
@@ -176,7 +167,7 @@ def slack_in_words(name: str, trajectory: Trajectory) -> str:
 
 
 def switches_in_words(switches: Sequence[Switch]) -> str:
-    """Say what the switches of Figure 9 do at most to the joint, and to the force that is fed back."""
+    """Return the largest effects of the switches of Figure 9 on the joint and on the force fed back, in words."""
     if not switches:
         return "The agonist never switches."
     worst = max(switches, key=lambda switch: switch.deviation)
@@ -188,7 +179,7 @@ def switches_in_words(switches: Sequence[Switch]) -> str:
 
 
 def estimation_in_words(profile: Profile) -> str:
-    """Say what a device does with estimates below its floor, and whether its error grows there as the paper's does."""
+    """Return a device's treatment of estimates below its floor, and whether its error grows there, in words."""
     data, floor = force_estimation(profile), profile.sensors.force_floor
     below = data.force < floor
     if not below.any() or below.all():
@@ -220,23 +211,20 @@ def scaling_curves(law: VariableStiffness, error_deg: Values) -> dict[str, Value
 
 
 def position_only_steps(profile: Profile, readings: Readings) -> Trajectory:
-    """Do the steps of Figure 7: there, back and there again without tension control.
+    """Return the three steps of Figure 7, without tension control.
 
-    Returns
-    -------
-    Trajectory
-        Its tension setpoint is the mean of the force signal before the first step, as in the paper.
+    The tension setpoint is the mean of the force signal before the first step, as in the paper.
     """
     device = apply_readings(profile, readings)
     scenario = there_and_back(device, "position-only")
-    trajectory = follow(start(device, "position-only", [scenario]), MOVES_FROM + len(STEPS) * HOLD)
+    trajectory = follow(start(device, "position-only", [scenario]), STEPS_TIME)
     setpoint = force_feedback(trajectory)[trajectory["time"] < MOVES_FROM].mean()
     signals = {**trajectory.signals, "tension_setpoint": np.full(len(trajectory), setpoint)}
     return Trajectory(trajectory.profile, trajectory.control_period, signals)
 
 
 def variable_stiffness_step(profile: Profile, readings: Readings) -> Trajectory:
-    """Do the step of Figure 8: the paper's, with the tension setpoint of eq. 6."""
+    """Return the step of Figure 8: the paper's, with the tension setpoint of eq. 6."""
     device = apply_readings(profile, readings)
     scenario = paper_step(device, "variable", readings.eq6)
     return follow(start(device, "variable", [scenario], readings.eq6), START + HOLD)
@@ -249,59 +237,36 @@ def antagonist_force(trajectory: Trajectory) -> Values:
 
 
 def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[str, Figure]:
-    """Run what the paper's figures show, and draw them.
+    """Simulate and draw the paper's figures on the devices of `tables.DEVICES`; return them by the names of `CAPTIONS`.
 
-    Parameters
-    ----------
-    profiles : mapping of str to Profile
-        The devices, by `tables.DEVICES`.
-
-    Returns
-    -------
-    dict of str to Figure
-        By the names of `CAPTIONS`.
-
-    Raises
-    ------
-    AmulettError
-        If a device cannot hold a starting posture.
+    Raises AmulettError if a device cannot hold a starting posture.
     """
     from amulett_gym.evaluation import plots
 
     testbed = profiles["testbed"]
-    margins = {"position_margin": PROTOCOL.position_margin_deg, "tension_margin": PROTOCOL.tension_margin}
+    tracking = partial(
+        plots.tracking_figure, position_margin=PROTOCOL.position_margin_deg, tension_margin=PROTOCOL.tension_margin
+    )
     responses = {name: variable_stiffness_step(profiles[name], readings) for name in DEVICES}
     switching = switching_run(testbed, readings)
+    whole = plots.Tracked(switching.trajectory, title="three steps", shows_switches=True)
+    worst = replace(whole, span=_around_worst(switching.switches), title="the switch that moves the joint most")
+    worst = replace(worst, without=[switch.without for switch in switching.switches])
     return {
         "figure_3_damping": _draw_damping(testbed.damping, readings.damping),
         "figure_5b_force_estimation": _draw_estimation(apply_readings(testbed, readings)),
         "figure_6_scaling_factor": _draw_scaling(testbed.variable_stiffness, readings.eq6),
-        "figure_7_position_only": plots.tracking_figure(
-            [plots.Tracked(position_only_steps(testbed, readings))], **margins
-        ),
-        "figure_8_variable_stiffness": plots.tracking_figure(
+        "figure_7_position_only": tracking([plots.Tracked(position_only_steps(testbed, readings))]),
+        "figure_8_variable_stiffness": tracking(
             [
                 plots.Tracked(responses[name], span, title, true_force=antagonist_force(responses[name]))
                 for name, span, title in (
                     ("simulation", (START - 0.1, START + 0.9), "(a) simulation"),
                     ("testbed", (0.0, START + HOLD), "(b) testbed"),
                 )
-            ],
-            **margins,
+            ]
         ),
-        "figure_9_switching": plots.tracking_figure(
-            [
-                plots.Tracked(switching.trajectory, title="three steps", shows_switches=True),
-                plots.Tracked(
-                    switching.trajectory,
-                    _around_worst(switching.switches),
-                    "the switch that moves the joint most",
-                    shows_switches=True,
-                    without=[switch.without for switch in switching.switches],
-                ),
-            ],
-            **margins,
-        ),
+        "figure_9_switching": tracking([whole, worst]),
     }
 
 

@@ -1,9 +1,8 @@
-"""What is measured beside Tables 2-5: motions without a printed number, switches of the agonist, judgement calls.
+"""Measurements for which the paper prints no number.
 
-Motions show what the paper says of overshoot and joint stiffness, and the string force's rise time. Each switch of the
-agonist (section 3.5, Figure 9) is undone once: from the moment before it, the same device with the same noise goes on
-with the agonist that it had; what then differs is what this switch does. Judgement calls that no table decides are
-varied, each alone.
+They are the overshoot, the joint stiffness, the string force's rise time, and the effects of switching the agonist
+(section 3.5, Figure 9). To isolate the effect of one switch, the same device with the same noise is simulated from the
+moment before it with its agonist unchanged. Judgement calls that no table decides are varied, each alone.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.studies.paper.reproduction import (
-    HOLD,
     MEASUREMENT_TIME,
     MOVES_FROM,
     STEPS,
+    STEPS_TIME,
     Readings,
     Reproduction,
     antagonist_force,
@@ -64,10 +63,8 @@ UNITS = {
 }
 """Unit of each observed metric; "1" is dimensionless. Those of the step:
 
-overshoot
-    How far the joint goes beyond the setpoint.
-swing_back
-    How far it is short of the setpoint again after that.
+overshoot, swing_back
+    Largest angle beyond the setpoint, and largest angle short of it after that.
 stiffness_at_rest, stiffness_flexed
     Joint stiffness before the step, at 0 deg, and at its end, at 45 deg.
 stiffness_far, stiffness_near
@@ -79,15 +76,12 @@ Those of three steps to and fro on the testbed (`reproduction.there_and_back`):
 
 force_range
     Largest minus smallest true force of the triceps' string without tension control, over its mean.
-switches
-    Of the agonist.
-switch_deviation
-    Largest difference of the joint angle, within `SWITCH_WINDOW`, from what it would be had that one switch
-    not happened.
+switches, switch_deviation
+    Number of the agonist's switches; largest difference of the joint angle within `SWITCH_WINDOW` that one makes.
 force_jump
     Largest difference of both strings' estimated forces at a switch: the jump of the tension controller's feedback.
 force_swings
-    How often, per step, that feedback goes from one side of its error margin of 5 % to the other.
+    Number of changes, per step, of that feedback from one side of its error margin of 5 % to the other.
 switching_ise, fixed_ise
     Position ISE with the agonist switching, and with the biceps as agonist throughout.
 """
@@ -95,32 +89,20 @@ switching_ise, fixed_ise
 
 @dataclass(frozen=True)
 class ForceRise:
-    """When the string force reaches its error margin of 5 % after the paper's step (section 2.2).
+    """Rise time of the string force: when it reaches its error margin of 5 % after the paper's step (section 2.2).
 
     The paper defines this rise time and prints none. Force and setpoint are those of Table 4: the antagonist's true
-    force in the simulation, its estimate on the testbed.
-
-    Attributes
-    ----------
-    profile, configuration : str
-    first_entry : float or None
-        Time from the step to the first moment within the margin, mean over the repetitions [s]; 0 where the step finds
-        the force within it. None: not reached in all repetitions, or one of them failed.
-    last_entry : float or None
-        Time to the last entry, mean over those repetitions that are within the margin at T [s]; None: there are none.
-    inside_at_end, repetitions : int
-        Repetitions that are within the margin at T, and all of them.
-    share_inside : float
-        Part of the last second before T that the force is within the margin [1].
+    force in the simulation, its estimate on the testbed. Times are means over repetitions, from the step on [s]: the
+    first entry is None unless all reach the margin, the last entry is of those that are within the margin at T.
     """
 
     profile: str
     configuration: str
     first_entry: float | None
     last_entry: float | None
-    inside_at_end: int
+    inside_at_end: int  # repetitions within the margin at T
     repetitions: int
-    share_inside: float
+    share_inside: float  # part of the last second before T within the margin
 
 
 def force_rise_times(profiles: Mapping[str, Profile], readings: Readings) -> tuple[ForceRise, ...]:
@@ -174,7 +156,7 @@ def observe(reproduction: Reproduction) -> dict[Key, float]:
 
 
 def _step_metrics(profile: Profile, configuration: str, eq6: str) -> dict[str, float]:
-    """Return what the paper's step shows, nothing if the device fails."""
+    """Return the metrics of the paper's step, none if the device fails."""
     simulation = start(profile, configuration, [paper_step(profile, configuration, eq6)], eq6)
     ticks = round((START + MEASUREMENT_TIME) / simulation.control_period)
     path = record(simulation, ticks)
@@ -202,19 +184,17 @@ def _step_metrics(profile: Profile, configuration: str, eq6: str) -> dict[str, f
 
 
 def _steps_metrics(device: Profile, configuration: str, readings: Readings) -> dict[str, float]:
-    """Return what the steps to and fro show, nothing if a device fails."""
+    """Return the metrics of the steps to and fro, none if a device fails."""
     if configuration == "position-only":
         profile = apply_readings(device, readings)
-        path = follow(
-            start(profile, configuration, [there_and_back(profile, configuration)]), MOVES_FROM + len(STEPS) * HOLD
-        )
+        path = follow(start(profile, configuration, [there_and_back(profile, configuration)]), STEPS_TIME)
         force = path["force_triceps"]
         return {} if path["failure"][-1] else {"force_range": float(100.0 * np.ptp(force) / force.mean())}
     run = switching_run(device, readings, configuration)
     path = run.trajectory
     profile = apply_readings(device, replace(readings, agonist="biceps"))
     scenario = there_and_back(profile, configuration, readings.eq6)
-    fixed = follow(start(profile, configuration, [scenario], readings.eq6), MOVES_FROM + len(STEPS) * HOLD)
+    fixed = follow(start(profile, configuration, [scenario], readings.eq6), STEPS_TIME)
     if path["failure"][-1] or fixed["failure"][-1]:
         return {}
     side = np.trunc((force_feedback(path) / acting(path, "tension_setpoint") - 1.0) / PROTOCOL.tension_margin)
@@ -230,7 +210,7 @@ def _steps_metrics(device: Profile, configuration: str, readings: Readings) -> d
 
 
 SWITCH_WINDOW = 0.2
-"""Time after a switch in which its effect on the position is looked for [s]."""
+"""Time after a switch in which its effect on the position is measured [s]."""
 
 FIGURE_9 = "tension-10"
 """Its configuration: the paper says "with tension control" only. 10 N is well above the 5 N floor of the estimation."""
@@ -238,38 +218,22 @@ FIGURE_9 = "tension-10"
 
 @dataclass(frozen=True)
 class Switch:
-    """One switch of the agonist, beside the same moments without it.
+    """One switch of the agonist, compared with the same moments without it.
 
-    Attributes
-    ----------
-    time : float
-        When the control tick began in which the drives changed their roles [s].
-    force_jump : float
-        By which the tension controller's feedback jumps: the estimated force of the string that is the antagonist from
-        now on, minus that of the one that was, at the same moment [N].
-    deviation : float
-        Largest difference of the joint angle from that without the switch, within `SWITCH_WINDOW` after it [deg].
-        Within this time the agonist may switch again.
-    without : Trajectory
-        What the device does in this time if its agonist stays the one it was.
+    `force_jump` is the estimated force of the new antagonist's string minus that of the old one's, at the same moment.
+    `deviation` is the largest difference of the joint angle from that without the switch, within `SWITCH_WINDOW`; the
+    agonist may switch again within it.
     """
 
-    time: float
-    force_jump: float
-    deviation: float
-    without: Trajectory = field(repr=False)
+    time: float  # start of the control tick of the switch [s]
+    force_jump: float  # [N]
+    deviation: float  # [deg]
+    without: Trajectory = field(repr=False)  # with the agonist unchanged
 
 
 @dataclass(frozen=True)
 class SwitchingRun:
-    """The movements of Figure 9.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-    switches : tuple of Switch
-        In the order of time; empty if the agonist never changes.
-    """
+    """The movements of Figure 9, with the switches of the agonist in the order of time."""
 
     trajectory: Trajectory
     switches: tuple[Switch, ...]
@@ -294,7 +258,7 @@ def switching_run(profile: Profile, readings: Readings, configuration: str = FIG
     """
     device = apply_readings(profile, replace(readings, agonist="switching"))
     scenario = there_and_back(device, configuration, readings.eq6)
-    trajectory = follow(start(device, configuration, [scenario], readings.eq6), MOVES_FROM + len(STEPS) * HOLD)
+    trajectory = follow(start(device, configuration, [scenario], readings.eq6), STEPS_TIME)
     again = start(device, configuration, [scenario], readings.eq6)
     switches = []
     for row in switch_rows(trajectory):
@@ -331,28 +295,24 @@ FLOORS: tuple[Literal["clamp", "hold", "ignore"], ...] = ("clamp", "hold", "igno
 """Treatments of forces estimated below the floor (`Readings.floor`)."""
 
 REST = (5.0, 20.0)
-"""When an arm at rest with a tension setpoint of 5 N is looked at [s]."""
+"""Times at which an arm at rest with a tension setpoint of 5 N is measured [s]."""
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """What the variations give.
+    """Results of the variations.
 
-    Attributes
-    ----------
-    by_noise : dict of int to tuple of int
-        Key of the first repetition's noise -> numbers explained of each table.
-    by_time : dict of float to tuple of int
-        T [s] -> numbers explained of each table.
-    by_hysteresis : dict of float to dict of str to tuple of int and float
+    by_noise, by_time
+        Key of the first repetition's noise, or T [s] -> numbers explained of each table.
+    by_hysteresis
         Factor -> configuration with tension control -> switches in the movements of Figure 9, and the largest
         difference of the joint angle that one of them makes [deg].
-    by_floor : dict of str to tuple of float
+    by_floor
         Treatment -> the antagonist's true force [N] after each of `REST`, mean of all repetitions: the testbed at rest
-        on the posture of the paper's step, before it, with a setpoint of 5 N.
-    by_setpoint : dict of str to float
-        What the error is taken against -> tension ISE of the testbed without tension control [N^2 s], mean of all
-        repetitions: the true force at rest, as in Table 4, or as in the paper the force signal's mean over the two
+        in the starting posture of the paper's step, with a setpoint of 5 N.
+    by_setpoint
+        Reference of the error -> tension ISE of the testbed without tension control [N^2 s], mean of all repetitions.
+        The reference is the true force at rest, as in Table 4, or as in the paper the force signal's mean over the two
         seconds before the step.
     """
 

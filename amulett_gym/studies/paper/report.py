@@ -1,4 +1,4 @@
-"""The reproduction for the terminal, as files, as a page that needs nothing else, and as a part of a document."""
+"""Reports of a reproduction: terminal, files, HTML page, generated part of a document."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ MARKS = marks("amulett reproduce")
 """Lines around the generated part of a document."""
 
 REPRODUCTION_MARKS = ("reproduction.json",)
-"""The file by which a reproduction's folder is recognised: the first that is written."""
+"""The file by which a reproduction's folder is recognised; it is written first."""
 
 _KINDS = {**dict(zip(HOLDS.values(), ("yes", "no", "open"), strict=True)), "supported": "yes", "not supported": "no"}
 """Words in cells -> their class on the page."""
 
 
 def in_words(evidence: Evidence) -> str:
-    """Return the evidence for the terminal: the rows, the readings, the hypotheses, and what a reader has to know."""
+    """Return the evidence for the terminal: rows, readings, hypotheses, explanations."""
     reproduction = evidence.reproduction
     predicted = [row.explained for rows in evidence.predicted.values() for row in rows]
     shown = [
@@ -88,26 +88,13 @@ def draw(evidence: Evidence) -> dict[str, Figure]:
 
 
 def write_numbers(evidence: Evidence, folder: str | Path) -> dict[str, Any]:
-    """Write ``reproduction.json`` and the CSV files into a folder, before anything is drawn.
+    """Write ``reproduction.json`` and the CSV files into a folder; return the content of ``reproduction.json``.
 
-    Each file is written whole or not at all. A folder in which only some have been written, because the process was
-    killed, is recognised and can be used again.
+    ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
+    ``claims.csv`` the paper's claims. Each file is written whole or not at all. The folder of a process that was killed
+    is recognised and can be used again.
 
-    Parameters
-    ----------
-    folder : str or Path
-        ``rows.csv`` has the rows with their spread and nearest reading, ``readings.csv`` every row under every reading,
-        ``claims.csv`` the paper's claims.
-
-    Returns
-    -------
-    dict
-        The content of ``reproduction.json``.
-
-    Raises
-    ------
-    AmulettError
-        If a file cannot be written.
+    Raises AmulettError if a file cannot be written.
     """
     folder = Path(folder)
     result = content(evidence)
@@ -136,13 +123,7 @@ def write_pictures(evidence: Evidence, folder: str | Path) -> dict[str, Figure]:
 
 
 def render(evidence: Evidence, figures: Mapping[str, Figure]) -> str:
-    """Return a reproduction as one HTML page with inline figures, styles and no script.
-
-    Parameters
-    ----------
-    figures : mapping of str to Figure
-        By the names of `figures.CAPTIONS`; may be empty.
-    """
+    """Return a reproduction as one HTML page with inline styles, inline figures (may be none), and no script."""
     return fill_page(
         "studies/paper/reproduction.html.j2",
         counts=counts_in_words(evidence),
@@ -191,17 +172,9 @@ def block(evidence: Evidence) -> str:
 
 
 def write_document(evidence: Evidence, figures: Mapping[str, Figure], path: str | Path) -> None:
-    """Renew the generated part of a document, and its figures in ``images/`` beside it.
+    """Renew the generated part of a document, and its figures (from `draw`) in the folder ``images`` next to it.
 
-    Parameters
-    ----------
-    figures : mapping of str to Figure
-        From `draw`.
-
-    Raises
-    ------
-    AmulettError
-        As `reporting.document.check_document`.
+    Raises AmulettError as `reporting.document.check_document` does.
     """
     update_document(path, {MARKS: block(evidence)}, figures)
 
@@ -236,7 +209,7 @@ def _section(anchor: str, table: Table) -> tuple[str, str, Markup]:
 
 
 def _summary(reproduction: Reproduction) -> Table:
-    """Return how many numbers of each table are explained, and which are not."""
+    """Return the number of explained rows of each table, and the unexplained ones."""
     body = []
     for table, (count, size) in explained(reproduction.rows).items():
         missed = [row for row in reproduction.rows if row.cell.table == table and not row.explained]
@@ -247,7 +220,7 @@ def _summary(reproduction: Reproduction) -> Table:
 
 
 def _claims(claims: Sequence[CheckedClaim]) -> Table:
-    """Return the paper's claims as cells of HTML: its words, its own tables, and ours."""
+    """Return the paper's claims as a table with HTML cells: its words, the verdict of its own tables, and ours."""
 
     def verdict(found: Verdict | None, words: Mapping[bool | None, str]) -> Markup:
         if found is None:
@@ -287,7 +260,7 @@ def _figure(evidence: Evidence, name: str, figure: Figure) -> Markup:
 
 
 def _html(table: Table) -> Markup:
-    """Return a table as HTML, whether something holds in colour."""
+    """Return a table as HTML with coloured verdicts."""
     return replace(table, rows=[[_coloured(cell) for cell in row] for row in table.rows]).html("stack")
 
 

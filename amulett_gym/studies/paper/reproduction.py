@@ -1,7 +1,7 @@
-"""The paper's step responses on our devices, and every number of Tables 2-5 beside ours.
+"""Comparison of Tables 2-5 with the step responses of our devices.
 
 The paper leaves several sentences open (see `Readings`). One set of readings holds for all rows; each alternative is
-tried alone, so that it shows which reading explains which row better. Nothing is tuned per row.
+tried alone, which shows the rows that it explains better. Nothing is tuned per row.
 """
 
 from __future__ import annotations
@@ -38,20 +38,22 @@ Values = NDArray[np.float64]
 _TO_DEGREES = float(np.degrees(1.0))
 
 MOVES_FROM = 2.0
-"""When the first of several setpoint steps comes [s]: Figure 7 takes the mean force until then as its setpoint."""
+"""Time of the first of several setpoint steps [s]: Figure 7 takes the mean force until then as its setpoint."""
 
 STEPS = (PROTOCOL.target_deg, PROTOCOL.start_deg, PROTOCOL.target_deg)
-"""Setpoints of several steps in a row [deg]: Figures 7 and 9 show the first three."""
+"""Setpoints of several successive steps [deg]: Figures 7 and 9 show the first three."""
 
 HOLD = 5.0
-"""How long each of several setpoints is held [s]: twice what the slowest step of Table 2 takes."""
+"""Time for which each of several setpoints is held [s]: twice the slowest rise time of Table 2."""
 
+STEPS_TIME = MOVES_FROM + len(STEPS) * HOLD
+"""Duration of all these steps [s]."""
 
 MEASUREMENT_TIME = 5.0
 """T of eqs. 7 and 8 [s], which the paper does not print.
 
-By then the simulation is at rest: a longer T changes none of its numbers. On the testbed the noise never rests, tension
-ISEs and ISAVs keep growing, and an arm at 5 N, the floor of the estimation, leaves the margin again; `motion.vary`
+By then the simulation is at rest: a longer T changes none of its numbers. On the testbed the noise lets tension ISEs
+and ISAVs grow without end, and an arm at 5 N, the floor of the estimation, leaves the margin again; `motion.vary`
 returns how many numbers other times explain. The paper's slowest step settles in 2.4 s.
 """
 
@@ -60,37 +62,34 @@ returns how many numbers other times explain. The paper's slowest step settles i
 class Readings:
     """How the sentences that the paper leaves open are taken; the defaults hold for all rows.
 
-    Attributes
-    ----------
-    eq6 : {"text", "printed"}
+    eq6
         Eq. 6 with the shift by d_offset that its text describes, or as printed.
-    damping : {"shifted", "printed"}
+    damping
         Figure 3's fit with the parentheses that its text needs, or as printed.
-    preload : {"mean", "smaller"}
-        Which string force the damping depends on: "the preload force" of Figure 3 was alike in both strings.
-    wiring : {"sum", "tension_only"}
-        What the antagonist follows: position plus tension controller, as section 2.2 says, or the tension controller.
-    agonist : {"biceps", "switching"}
-        Which drive is the agonist of the steps, which all flex: the biceps throughout, since section 3.5 alone shows
-        "movements with enabled switching"; or the one whose spring is deflected more.
-    floor : {"clamp", "hold", "ignore"}
-        What replaces estimated forces below 5 N on the testbed. ``hold`` is the nearest to the words. With it
-        or ``clamp`` noise lets the tension at a setpoint of 5 N run down (`motion.vary`).
-    derivative_on : {"error", "measurement"}
-        What the controllers differentiate.
-    rise_time : {"settling", "first-entry"}
-        Whether the error margin is reached when it is entered for good, or at all, as the paper's words say: one
-        definition for all rows.
-    tension_error : {"recorded", "estimated", "true"}
-        Which force signal eq. 7 takes: what each device has, the simulation its force and the testbed the estimation;
-        or the estimation, which Figure 8 shows of both; or the true force.
-    isav_unit : {"deg", "rad"}
+    preload
+        The string force on which the damping depends: "the preload force" of Figure 3 was alike in both strings.
+    wiring
+        Input of the antagonist: position plus tension controller, as section 2.2 says, or the tension controller.
+    agonist
+        The agonist of the steps, which all flex: the biceps throughout, since section 3.5 alone shows "movements with
+        enabled switching"; or the drive whose spring is deflected more.
+    floor
+        The replacement of forces estimated below 5 N on the testbed. ``hold`` is the nearest to the words. With it or
+        ``clamp`` noise lets the tension at a setpoint of 5 N run down (`motion.vary`).
+    derivative_on
+        The signal that the controllers differentiate.
+    rise_time
+        Time of the last entry into the error margin, or of the first, as the paper's words say.
+    tension_error
+        The force signal of eq. 7: the one that a device records (simulation: force, testbed: estimation); or the
+        estimation, which Figure 8 shows of both; or the true force.
+    isav_unit
         Unit of the drives' position signals in eq. 8.
-    isav_kick : {"agonist", "both", "neither"}
-        Of which drive's position signal the setpoint's jump counts, which passes through the position controller's
-        proportional and derivative term. As section 2.2 is written, both drives receive it; but one column of Table 5
-        is 29 to 108 000 times smaller than the other.
-    isav_columns : {"swapped", "as-printed"}
+    isav_kick
+        The drives whose ISAV includes the setpoint's jump, which passes through the position controller's proportional
+        and derivative term. As section 2.2 is written, both drives receive it; but one column of Table 5 is 29 to
+        108 000 times smaller than the other.
+    isav_columns
         Whether Table 5's columns are headed by the other drive's name: the agonist of a flexion is the biceps, and
         receives the jump, but the small numbers are headed "biceps".
     """
@@ -138,7 +137,7 @@ BOUNDS = {
     ("isav", "simulation"): (1 / 3, 3.0),
     ("isav", "testbed"): (1 / 3, 3.0),
 }
-"""Metric and device -> ratios of ours to the paper's at which a number counts as explained."""
+"""Metric and device -> least and largest ratio of ours to the paper's number at which that number is explained."""
 
 SAME = 0.01
 """Distances from the paper that differ by less are the same."""
@@ -146,46 +145,21 @@ SAME = 0.01
 
 @dataclass(frozen=True)
 class Response:
-    """Metrics of a configuration's step responses, under every reading of how they are measured.
+    """Metrics of a configuration's step responses under every reading; arrays have the shape (repetitions,)."""
 
-    Attributes
-    ----------
-    rise_time, tension_ise : dict of str to ndarray, shape (repetitions,)
-        By the choices of `Readings.rise_time` [s] and `Readings.tension_error` [N2 s]; a time is NaN if not reached.
-    position_ise : ndarray, shape (repetitions,)
-        [deg2 s]
-    isav : dict of (str, str) to ndarray, shape (repetitions,)
-        By drive and whether the jump at the setpoint step counts, ``with`` or ``without`` [deg2/s].
-    failures : tuple of str
-        Why repetitions failed; empty if none did.
-    """
-
-    rise_time: dict[str, Values]
-    position_ise: Values
-    tension_ise: dict[str, Values]
-    isav: dict[tuple[str, str], Values]
-    failures: tuple[str, ...]
+    rise_time: dict[str, Values]  # by the choices of `Readings.rise_time` [s]; NaN if not reached
+    position_ise: Values  # [deg2 s]
+    tension_ise: dict[str, Values]  # by the choices of `Readings.tension_error` [N2 s]
+    isav: dict[tuple[str, str], Values]  # by drive, and ``with`` or ``without`` the jump at the step [deg2/s]
+    failures: tuple[str, ...]  # one reason for each repetition that failed
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number of the paper beside ours.
+    """One number of the paper with ours, the mean over the repetitions, and its standard deviation `spread`.
 
-    Attributes
-    ----------
-    cell : Cell
-    ours, spread : float or None
-        Mean and standard deviation over the repetitions; None where there is none.
-    ratio : float or None
-        Ours over the paper's.
-    unit : str
-        Of `ours`.
-    explained : bool
-        Whether the ratio is within `BOUNDS`.
-    trouble : str
-        Why there is no number; empty if there is.
-    failed : bool
-        Whether there is none because the device failed, not because a time was not reached.
+    A number that does not exist is None; `trouble` is the reason, and `failed` is true if a device failed. `ratio` is
+    ours over the paper's; it is explained if within `BOUNDS`.
     """
 
     cell: Cell
@@ -199,24 +173,13 @@ class Row:
 
     @property
     def distance(self) -> float:
-        """How far ours is from the paper's, as a factor's logarithm; infinite where there is no number."""
+        """Absolute logarithm of the ratio; infinite where there is no number."""
         return abs(math.log(self.ratio)) if self.ratio else math.inf
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All rows under the default readings, and under each alternative.
-
-    Attributes
-    ----------
-    profiles : dict of str to Profile
-        The two devices.
-    readings : Readings
-    rows : tuple of Row
-        One for each of `tables.TABLES_2_TO_5`, in that order.
-    alternatives : dict of (str, str) to tuple of Row
-        The same rows under each of `ALTERNATIVES`.
-    """
+    """One row for each of `tables.TABLES_2_TO_5` under the default readings, and under each of `ALTERNATIVES`."""
 
     profiles: dict[str, Profile]
     readings: Readings
@@ -328,7 +291,7 @@ def paper_step(profile: Profile, configuration: str, eq6: str = "text", noise_se
 
 
 def there_and_back(profile: Profile, configuration: str, eq6: str = "text") -> Scenario:
-    """Return three of the paper's steps in a row, to 45 deg, back, and to 45 deg again, each held for `HOLD`.
+    """Return three successive steps of the paper, to 45 deg, back, and to 45 deg again, each held for `HOLD`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""All that the study shows on our devices, as one object, as JSON and CSV content, as tables, and in sentences."""
+"""The study's results on our devices, in the forms of data, tables, sentences."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ STATUS = (
     "What the paper does not print was fitted to all rows of both devices at once (`amulett identify`), with one set "
     "of mechanical parameters and one set of readings for all rows; nothing is tuned per row."
 )
-"""How the parameters of any study came about."""
+"""Origin of the parameters of any study."""
 
 TABLES = dict(zip((2, 3, 4, 5), METRICS, strict=True))
 """Number of a table of the paper -> its metric."""
@@ -78,39 +78,18 @@ _ROW_KEYS = ("table", "profile", "configuration", "metric", "drive")
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that the study shows on our devices.
-
-    Attributes
-    ----------
-    reproduction : Reproduction
-    identification : dict
-        How the parameters came about (`study.shipped`).
-    predicted : dict of str to tuple of Row
-        What the fits to three configurations predict for the fourth (`study.cross_check`).
-    springs : dict of str to tuple of Row
-        What the best fit with each spring law gives (`study.spring_laws`).
-    claims : tuple of CheckedClaim
-    hypotheses : tuple of Answer
-    remarks : dict of str to str
-        What the figures show on these devices, by the figures' names (`figures.remarks`).
-    sensitivity : Sensitivity
-        What changes with the judgement calls that no table decides (`motion.vary`).
-    force_rises : tuple of ForceRise
-        The string force's rise times (`motion.force_rise_times`).
-    folder : str or None
-        Of the study that the devices come from; None for the shipped one.
-    """
+    """All results of the study on our devices."""
 
     reproduction: Reproduction
-    identification: dict[str, Any]
-    predicted: dict[str, tuple[Row, ...]]
-    springs: dict[str, tuple[Row, ...]]
+    identification: dict[str, Any]  # origin of the parameters (`study.shipped`)
+    predicted: dict[str, tuple[Row, ...]]  # `study.cross_check`
+    springs: dict[str, tuple[Row, ...]]  # `study.spring_laws`
     claims: tuple[CheckedClaim, ...]
     hypotheses: tuple[Answer, ...]
-    remarks: dict[str, str]
-    sensitivity: Sensitivity
-    force_rises: tuple[ForceRise, ...]
-    folder: str | None = None
+    remarks: dict[str, str]  # `figures.remarks`, by the figures' names
+    sensitivity: Sensitivity  # `motion.vary`
+    force_rises: tuple[ForceRise, ...]  # `motion.force_rise_times`
+    folder: str | None = None  # of the devices' study; None: the shipped one
 
 
 PARTS = 7
@@ -118,14 +97,14 @@ PARTS = 7
 
 
 def gather(study: OwnStudy | None = None, report: Callable[[str], None] = lambda part: None) -> Evidence:
-    """Run the paper's protocol, and try its claims and hypotheses.
+    """Run the paper's protocol, and test its claims and hypotheses.
 
     Parameters
     ----------
     study : OwnStudy, optional
-        Devices, and how they came about, instead of the shipped ones (`study.read_study`).
+        Devices instead of the shipped ones (`study.read_study`).
     report : callable
-        Called with a word when each of the `PARTS` is done.
+        Called with the name of each of the `PARTS` when it is done.
 
     Raises
     ------
@@ -207,7 +186,7 @@ def readings_content(reproduction: Reproduction) -> list[dict[str, Any]]:
 
 
 def paper_table(reproduction: Reproduction, table: int, short: bool = False) -> Table:
-    """Return one of the paper's Tables 2-5 with ours beside it, and for each row the reading that comes nearest.
+    """Return one of the paper's Tables 2-5 with our numbers and the nearest reading of each row.
 
     `short` names readings as `Readings` does.
     """
@@ -220,12 +199,8 @@ def paper_table(reproduction: Reproduction, table: int, short: bool = False) -> 
         ("", f"paper{paper}", f"ours{ours}", "±", "ratio", "explained", nearest),
         [
             [
-                place(row),
-                f"{row.cell.value:g}",
-                number(row.ours, 4),
-                "" if row.spread is None else number(row.spread, 2),
-                number(row.ratio),
-                HOLDS[row.explained],
+                *(place(row), f"{row.cell.value:g}", number(row.ours, 4)),
+                *("" if row.spread is None else number(row.spread, 2), number(row.ratio), HOLDS[row.explained]),
                 "; ".join(filter(None, [_nearest(reproduction, index, short), row.trouble])),
             ]
             for index, row in zip(places, rows, strict=True)
@@ -287,7 +262,7 @@ def force_rise_table(evidence: Evidence) -> Table:
 
 
 def readings_table(evidence: Evidence) -> Table:
-    """Return the readings: numbers explained of each table, rows that come nearer, and what fitting again gives."""
+    """Return the readings: numbers explained of each table, rows that come nearer, result of a new fit."""
     reproduction, found = evidence.reproduction, evidence.identification
     refitted = {(item["reading"], item["choice"]): item for item in found["readings_refitted"]}
 
@@ -318,7 +293,7 @@ def readings_table(evidence: Evidence) -> Table:
 
 
 def cross_check_table(evidence: Evidence) -> Table:
-    """Return what the fits to three configurations predict for the fourth."""
+    """Return the predictions of the fits to three configurations for the fourth."""
     return Table(
         "Cross-check: fit three configurations, predict the fourth",
         ("left out of the fit", "explained", *(f"ratios, {device}" for device in DEVICES)),
@@ -337,7 +312,7 @@ def cross_check_table(evidence: Evidence) -> Table:
 
 
 def predictions_table(evidence: Evidence) -> Table:
-    """Return every number that the cross-check predicts."""
+    """Return every prediction of the cross-check."""
     return Table(
         "Every predicted number",
         ("left out", "table", "", "paper", "predicted", "unit", "ratio", "explained"),
@@ -355,7 +330,7 @@ def predictions_table(evidence: Evidence) -> Table:
 
 
 def springs_table(evidence: Evidence) -> Table:
-    """Return what the best fit with each spring law gives."""
+    """Return the result of the best fit with each spring law."""
     body = []
     for spring in evidence.identification["springs"]:
         rows = evidence.springs[spring["law"]]
@@ -431,7 +406,7 @@ def sensitivity_tables(evidence: Evidence) -> list[Table]:
 
 
 def hypothesis_table(answer: Answer) -> Table:
-    """Return what our numbers say about a hypothesis."""
+    """Return the criteria of a hypothesis with our numbers."""
     return Table(
         "",
         ("on our devices", "holds", "numbers"),
@@ -442,7 +417,7 @@ def hypothesis_table(answer: Answer) -> Table:
 
 
 def status(evidence: Evidence) -> str:
-    """Return how the parameters came about, and in whose study if it is not the shipped one."""
+    """Return the origin of the parameters, with the study's folder if it is not the shipped one."""
     if evidence.folder is None:
         return STATUS
     recipe = evidence.identification["recipe"]
@@ -452,7 +427,7 @@ def status(evidence: Evidence) -> str:
 
 
 def within(metric: str, device: str) -> str:
-    """Return how far ours may be from the paper's number for that one to count as explained, in words."""
+    """Return the bounds of an explained number in words."""
     low, high = BOUNDS[metric, device]
     if math.isclose(low + high, 2.0):
         return f"within {100.0 * (high - 1.0):.3g} %"
@@ -462,7 +437,7 @@ def within(metric: str, device: str) -> str:
 
 
 def bounds_in_words() -> str:
-    """Return which numbers count as explained; a bound that holds for both devices is named once."""
+    """Return the bounds of all explained numbers in words; a bound of both devices is named once."""
     parts = []
     for metric, name in METRICS.items():
         bounds = {device: within(metric, device) for device in DEVICES}
@@ -473,7 +448,7 @@ def bounds_in_words() -> str:
 
 
 def counts_in_words(evidence: Evidence) -> str:
-    """Return how many numbers are explained and how many claims hold."""
+    """Return the counts of explained numbers and of claims that hold, in words."""
     rows, claims = evidence.reproduction.rows, evidence.claims
     tried = [item for item in claims if item.paper is not None]
     borne_out = [item for item in tried if not item.contradicted]
@@ -499,15 +474,12 @@ def _entry(row: Row) -> dict[str, Any]:
     return {
         **{key: getattr(row.cell, key) for key in _ROW_KEYS},
         "paper": row.cell.value,
-        "ours": row.ours,
-        "ratio": row.ratio,
-        "unit": row.unit,
-        "explained": row.explained,
+        **{key: getattr(row, key) for key in ("ours", "ratio", "unit", "explained")},
     }
 
 
 def _note(reproduction: Reproduction, index: int) -> str:
-    """Return what a reader of one row has to know: spread, why it is unexplained, which reading comes nearer."""
+    """Return a row's note: its spread, the reason why it is unexplained, the nearest reading."""
     row = reproduction.rows[index]
     cell = row.cell
     parts = []
@@ -526,7 +498,7 @@ def _note(reproduction: Reproduction, index: int) -> str:
 
 
 def _nearest(reproduction: Reproduction, index: int, short: bool) -> str:
-    """Return the reading under which a row comes nearest to the paper, its ratio then, and whether that explains it."""
+    """Return in words the reading under which a row is nearest to the paper, its ratio, and whether it is explained."""
     key, nearest = best_reading(reproduction, index)
     if key is None:
         return "" if nearest.explained else "as taken"

@@ -1,9 +1,9 @@
-"""How the shipped parameters came about: searches for those that reproduce Tables 2-5 on both devices.
+"""Identification of the parameters that reproduce Tables 2-5 on both devices; its result is shipped.
 
-One set of mechanics holds for both devices. The rows that a parameter set gives become residuals in units of what each
-row may be off by, and these a cost that rows out of reach cannot dominate. Each search is a *stage*. A finished stage
-is kept in the folder and not done again, so an interrupted study goes on where it was. Stages do not share random
-numbers: the number of processes changes nothing.
+One set of mechanics holds for both devices. The rows of a parameter set become residuals in units of each row's bound,
+and these a cost that rows out of reach cannot dominate. Each search is a *stage*. A finished stage is kept in the
+folder, so that an interrupted study can be resumed. Stages do not share random numbers: the number of processes changes
+nothing.
 """
 
 from __future__ import annotations
@@ -67,16 +67,16 @@ WEIGHTS = {"rise_time": 1.0, "position_ise": 2.0, "tension_ise": 1.0, "isav": 0.
 """Weight of a row in the cost. Position ISE depends on no margin, estimate or unit; the unit of ISAV is not printed."""
 
 SELECTION_KEY, SELECTION_REPETITIONS = 1001, 40
-"""First key and number of the noise that the chosen set is chosen by: none that is reported."""
+"""First key and number of the noise by which a set is chosen; no reported number uses it."""
 
 OUT_OF_REACH = 60.0
 """Residual of a row that does not exist, because the device failed."""
 
 ROBUST = 0.1
-"""Weight of the part of the cost that keeps growing for a row far off, so that the search has a direction there."""
+"""Weight of the part of the cost that grows without bound, so that it has a slope for rows far off."""
 
 EQUAL = 2.5
-"""Sets whose cost is above the best one's by at most this are as good: independent starts end as far apart."""
+"""Sets whose cost exceeds the least one by at most this count as equally good: independent starts differ as much."""
 
 SPRING_LAWS = {
     0.0: "linear",
@@ -85,7 +85,7 @@ SPRING_LAWS = {
     0.97: "little pretension",
     1.0: "mounted unstretched",
 }
-"""Free length of a linear spring over half width -> how the assembly's linear springs are then mounted.
+"""Free length of a linear spring over half width -> mounting of the assembly's linear springs.
 
 Without a free length the assembly is linear; mounted unstretched its force grows with the cube of a small deflection.
 """
@@ -94,10 +94,10 @@ SHIFT = 0.15
 """Standard deviation of the shifted candidates, as a part of the search range."""
 
 STIFFENING = 1.5
-"""The chosen set's strings are at least so many times stiffer at 10 N than at 4 N: a device for variable stiffness."""
+"""Least ratio of the strings' stiffness at 10 N to that at 4 N of the chosen set: a device for variable stiffness."""
 
 CHOICES = 400
-"""Members of the ensemble, about, among which the chosen set is looked for."""
+"""Approximate number of members of the ensemble from which the set is chosen."""
 
 STUDY_MARKS = ("recipe.json",)
 """The file by which a study's folder is recognised."""
@@ -112,7 +112,7 @@ def reproduced(
     duration: Mapping[str, float] | None = None,
     first_key: int = 1,
 ) -> tuple[Row, ...]:
-    """Return the rows of Tables 2-5 that a set of parameters gives (see `reproduction.measure`).
+    """Return the rows of Tables 2-5 for a set of parameters (see `reproduction.measure`).
 
     Raises AmulettError if a device cannot hold a posture at which a configuration starts.
     """
@@ -120,7 +120,7 @@ def reproduced(
 
 
 def residual(row: Row) -> float:
-    """Return log(ours / paper) in units of what the row may be off by: up to 1 it is explained."""
+    """Return log(ours / paper) in units of the row's bound: up to 1 it is explained."""
     bound = math.log(BOUNDS[row.cell.metric, row.cell.profile][1])
     if row.failed:
         return OUT_OF_REACH
@@ -131,9 +131,8 @@ def residual(row: Row) -> float:
 def cost(residuals: Sequence[float], weights: Sequence[float] | None = None) -> float:
     """Return a smooth, weighted count of the rows that are out of their bounds."""
     squares = np.square(residuals)
-    return float(
-        np.dot(np.log1p(squares**2) + ROBUST * np.log1p(squares), np.ones_like(squares) if weights is None else weights)
-    )
+    costs = np.log1p(squares**2) + ROBUST * np.log1p(squares)
+    return float(np.dot(costs, np.ones_like(squares) if weights is None else weights))
 
 
 def objective(readings: Readings, without: str | None = None) -> Cost:
@@ -154,15 +153,10 @@ def objective(readings: Readings, without: str | None = None) -> Cost:
 
 
 def most_explained(readings: Readings, members: Sequence[Mapping[str, float]]) -> tuple[int, float, dict[str, float]]:
-    """Return the set that explains most rows; among several the one of least cost.
+    """Return the number of rows explained, the cost, and the parameters of the set that explains most rows.
 
-    The rows are means of other and more repetitions than those that are reported, so that the choice does not flatter
-    what is reported.
-
-    Returns
-    -------
-    tuple of int, float and dict
-        Rows explained, cost, parameters.
+    Among several it is the one of least cost. The rows are means over more repetitions than the reported ones, and over
+    other ones, so that the choice does not bias the report.
     """
     value = objective(readings)
     ranked = []
@@ -175,25 +169,13 @@ def most_explained(readings: Readings, members: Sequence[Mapping[str, float]]) -
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is searched, and for how long; the defaults gave the shipped parameters.
+    """Size of the searches; the defaults gave the shipped parameters."""
 
-    Attributes
-    ----------
-    seeds : tuple of int
-        Of the independent starts.
-    population, generations : int
-        Of each start, and of each search that leaves out a configuration.
-    refinement : int
-        Generations of the search that goes on from all starts, and of those for each spring law and reading.
-    steps : int
-        Moves of each walker of the ensemble, of which there is one for each seed.
-    """
-
-    seeds: tuple[int, ...] = (1, 2, 3)
-    population: int = 150
-    generations: int = 160
-    refinement: int = 45
-    steps: int = 150
+    seeds: tuple[int, ...] = (1, 2, 3)  # of the independent starts
+    population: int = 150  # of each start, and of each search that leaves out a configuration
+    generations: int = 160  # of the same
+    refinement: int = 45  # generations of the search from all starts, and of those for each spring law and reading
+    steps: int = 150  # moves of each walker of the ensemble; one ensemble for each seed
 
 
 Report = Callable[[str, Mapping[str, Any]], None]
@@ -208,25 +190,18 @@ def study(
     overwrite: bool = False,
     command: Sequence[str] | None = None,
 ) -> dict[str, Any]:
-    """Identify the parameters and write what was found.
+    """Identify the parameters, write the result, and return it as the content of ``identification.json``.
 
     Parameters
     ----------
     folder : str or Path
         For ``recipe.json``, ``command.json``, ``stages/*.json``, ``identification.json`` and a profile for each device.
-    processes : int
-        Searches that run at once.
     report : callable
         Called with the name and the result of each of the `stage_count` stages, when it is there.
     overwrite : bool
         Whether a study of another recipe in the folder may be replaced.
     command : sequence of str, optional
         The words of the command, for ``command.json``.
-
-    Returns
-    -------
-    dict
-        The content of ``identification.json``.
 
     Raises
     ------
@@ -343,7 +318,7 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
 def _run_stages(
     folder: Path, calls: Mapping[str, Mapping[str, Any]], readings: Readings, processes: int
 ) -> Iterable[tuple[str, Any]]:
-    """Yield each stage's name and result: at once those that are in the folder, then the others as they get done."""
+    """Yield each stage's name and result: first those kept in the folder, then the others as they finish."""
     inputs = {name: _inputs(call, readings) for name, call in calls.items()}
     missing = []
     for name in calls:
@@ -356,7 +331,7 @@ def _run_stages(
         return
     workers = min(processes, len(missing))
     with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_with, initargs=(os.getpid(),)) as pool:
-        with _ctrl_c_later():  # the workers inherit that: the parent ends them
+        with _ctrl_c_later():  # inherited by the workers, which the parent ends
             futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
         try:
             for future in as_completed(futures):
@@ -365,15 +340,15 @@ def _run_stages(
                 yield name, future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for worker in active_children():  # or they would finish their searches first
+            for worker in active_children():  # otherwise they finish their searches first
                 worker.terminate()
             raise
 
 
 @contextmanager
 def _ctrl_c_later() -> Iterator[None]:
-    """Let a Ctrl-C wait until the end of the block; processes that start in it never see one."""
-    if not hasattr(signal, "pthread_sigmask"):  # not everywhere
+    """Delay a Ctrl-C until the end of the block; processes that start in it never receive one."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -384,7 +359,7 @@ def _ctrl_c_later() -> Iterator[None]:
 
 
 def _end_with(parent: int) -> None:
-    """Let a worker end when its parent does: a parent that was killed cannot end it."""
+    """End a worker when its parent ends: a parent that was killed cannot do that."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -446,9 +421,9 @@ def _fits(recipe: Recipe) -> list[str]:
 
 
 def _mixed(populations: list[list[list[float]]], count: int, seed: int) -> list[list[float]]:
-    """Return candidates to begin with: half of them from the starts' last generations, half of them shifted ones.
+    """Return initial candidates: half from the starts' last generations, half shifted by chance.
 
-    The generations have contracted to where each start ended; what follows has to be able to leave that.
+    Those generations have contracted around each start's optimum; the shifts let the next search leave it.
     """
     rng = np.random.default_rng(seed)
     pool = np.concatenate([np.array(population) for population in populations])
@@ -464,6 +439,10 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
     members = [member for seed in recipe.seeds for member in stages[f"ensemble-{seed}"]]
     members += [stages[name]["parameters"] for name in _fits(recipe) if stages[name]["cost"] <= least + EQUAL]
     found = spread(members)
+
+    def numbers(stage: str) -> dict[str, Any]:
+        return {key: stages[stage][key] for key in ("cost", "explained", "parameters")}
+
     return {
         "recipe": asdict(recipe),
         "readings": asdict(readings),
@@ -485,29 +464,22 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
             for free in PARAMETERS
         ],
         "ensemble": {"members": len(members), "least_cost": least, "equal_cost": EQUAL},
-        "starts": [
-            {"seed": seed, **{key: stages[f"start-{seed}"][key] for key in ("cost", "explained", "parameters")}}
-            for seed in recipe.seeds
-        ],
+        "starts": [{"seed": seed, **numbers(f"start-{seed}")} for seed in recipe.seeds],
         "springs": [
             {
                 "law": law,
                 "length_ratio": ratio,
-                "cost": stages[f"spring-{ratio}"]["cost"],
-                "met": stages[f"spring-{ratio}"]["explained"],
+                "cost": fit["cost"],
+                "met": fit["explained"],
                 "of": _ROWS,
-                "stiffening": stiffening(devices(stages[f"spring-{ratio}"]["parameters"])["testbed"]),
-                "parameters": stages[f"spring-{ratio}"]["parameters"],
+                "stiffening": stiffening(devices(fit["parameters"])["testbed"]),
+                "parameters": fit["parameters"],
             }
             for ratio, law in SPRING_LAWS.items()
+            for fit in [stages[f"spring-{ratio}"]]
         ],
         "readings_refitted": [
-            {
-                "reading": name,
-                "choice": choice,
-                **{key: stages[f"reading-{name}-{choice}"][key] for key in ("cost", "explained", "parameters")},
-            }
-            for name, choice in ALTERNATIVES
+            {"reading": name, "choice": choice, **numbers(f"reading-{name}-{choice}")} for name, choice in ALTERNATIVES
         ],
         "without": {name: stages[f"without-{name}"]["parameters"] for name in CONFIGURATIONS},
     }
@@ -520,7 +492,7 @@ def progressive(members: Sequence[Mapping[str, float]]) -> list[Mapping[str, flo
 
 
 def stiffening(profile: Profile) -> float:
-    """Return how many times stiffer a string is at 10 N than at 4 N: what a change of tension can do."""
+    """Return the ratio of a string's stiffness at 10 N to that at 4 N: the effect of a change of tension."""
     tables = build_tables(profile.spring)
     return tables.stiffness_at(tables.deflection_at(10.0)) / tables.stiffness_at(tables.deflection_at(4.0))
 
@@ -533,13 +505,8 @@ def spread_table(content: Mapping[str, Any]) -> Table:
         ("parameter", "value", "unit", "as good", "searched", "determined", "source of the search range"),
         [
             [
-                f"`{item['name']}`",
-                f"{item['value']:.4g}",
-                item["unit"],
-                f"{item['low']:g} to {item['high']:g}",
-                "{:g} to {:g}".format(*item["bounds"]),
-                "yes" if item["determined"] else "no",
-                item["source"],
+                *(f"`{item['name']}`", f"{item['value']:.4g}", item["unit"], f"{item['low']:g} to {item['high']:g}"),
+                *("{:g} to {:g}".format(*item["bounds"]), "yes" if item["determined"] else "no", item["source"]),
             ]
             for item in content["spread"]
         ],
@@ -568,14 +535,8 @@ def in_words(content: Mapping[str, Any]) -> str:
         "Spring laws, all other parameters searched again:",
         ("", "free length / half width", "cost", "rows", "stiffness at 10 N / at 4 N"),
         [
-            [
-                spring["law"],
-                f"{spring['length_ratio']:g}",
-                f"{spring['cost']:.3f}",
-                str(spring["met"]),
-                f"{spring['stiffening']:.2f}",
-            ]
-            for spring in content["springs"]
+            [s["law"], f"{s['length_ratio']:g}", f"{s['cost']:.3f}", str(s["met"]), f"{s['stiffening']:.2f}"]
+            for s in content["springs"]
         ],
     )
     readings = Table(
@@ -591,12 +552,12 @@ def in_words(content: Mapping[str, Any]) -> str:
 
 
 def spring_laws(content: Mapping[str, Any], readings: Readings) -> dict[str, tuple[Row, ...]]:
-    """Return the rows of Tables 2-5 that the best fit with each spring law gives, by the law's name."""
+    """Return the rows of Tables 2-5 for the best fit with each spring law, by the law's name."""
     return {spring["law"]: reproduced(spring["parameters"], readings) for spring in content["springs"]}
 
 
 def cross_check(content: Mapping[str, Any], readings: Readings) -> dict[str, tuple[Row, ...]]:
-    """Return what the fits to three configurations predict for the fourth, by the configuration that was left out."""
+    """Return the rows of each configuration as predicted by the fit to the other three."""
     return {
         left_out: tuple(row for row in reproduced(fitted, readings) if row.cell.configuration == left_out)
         for left_out, fitted in content["without"].items()
@@ -614,17 +575,7 @@ _KINDS: dict[Any, str] = {
 
 @dataclass(frozen=True)
 class OwnStudy:
-    """A study and its devices.
-
-    Attributes
-    ----------
-    folder : str
-        As it was given.
-    identification : dict
-        As `study` returned it.
-    profiles : dict of str to Profile
-        By `tables.DEVICES`.
-    """
+    """A study's folder, its content as `study` returned it, and its devices by `tables.DEVICES`."""
 
     folder: str
     identification: dict[str, Any]
@@ -640,7 +591,9 @@ def read_study(folder: str | Path) -> OwnStudy:
     path = Path(folder) / "identification.json"
     if not path.is_file():
         if any((Path(folder) / mark).is_file() for mark in STUDY_MARKS):
-            raise AmulettError(f"the study in '{folder}' is not finished; `amulett identify --out {folder}` goes on")
+            raise AmulettError(
+                f"the study in '{folder}' is not finished; `amulett identify --out {folder}` continues it"
+            )
         raise AmulettError(f"'{folder}' holds no study: '{path}' is missing; `amulett identify` writes one")
     content = read_json(path, "study")
     _check(content, f"study '{path}'")
@@ -650,7 +603,7 @@ def read_study(folder: str | Path) -> OwnStudy:
         if not same_device(profile, expected[name]):
             raise AmulettError(
                 f"'{Path(folder) / f'{name}.yaml'}' does not describe the device of '{path}'; "
-                f"`amulett identify --out {folder}` writes both anew"
+                f"`amulett identify --out {folder}` writes both again"
             )
     return OwnStudy(str(folder), content, profiles)
 
@@ -663,7 +616,7 @@ def copy_study(folder: str | Path, place: Path) -> None:
 
 
 def _check(found: Any, what: str) -> None:
-    """Refuse content that is no study, or one of other readings, parameters or configurations than this version's."""
+    """Refuse content that is no study, or one with other readings, parameters or configurations than this version's."""
     _check_kind(found, shipped(), what, "")
     other = [
         f"{name} {found['readings'].get(name)} (not {choice})"
@@ -689,7 +642,7 @@ def _check(found: Any, what: str) -> None:
 
 
 def _check_kind(given: Any, wanted: Any, what: str, where: str) -> None:
-    """Refuse content that lacks a key of the shipped study, or has a value of another kind there."""
+    """Refuse content that lacks a key of the shipped study, or has a value of another type there."""
     place = f"{what}: '{where}'" if where else what
     if isinstance(wanted, dict) and isinstance(given, dict):
         if missing := [key for key in wanted if key not in given]:

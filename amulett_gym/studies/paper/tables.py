@@ -20,21 +20,11 @@ DRIVES = ("biceps", "triceps")
 
 @dataclass(frozen=True)
 class Cell:
-    """One number of Tables 2-5.
+    """One number of Tables 2-5; rows count from 1 below the header.
 
-    Attributes
-    ----------
-    table, row : int
-        Where it is printed; rows count from 1 below the header.
-    profile, configuration : str
-        One of `DEVICES` and one of `CONFIGURATIONS`.
-    metric : str
-        ``rise_time``, ``position_ise``, ``tension_ise`` or ``isav``.
-    drive : str or None
-        Whose ISAV it is, one of `DRIVES`.
-    value : float
-    unit : str
-        Empty where the paper prints none.
+    `profile` is one of `DEVICES`, `configuration` one of `CONFIGURATIONS`, `metric` is ``rise_time``,
+    ``position_ise``, ``tension_ise`` or ``isav``, `drive` one of `DRIVES` for an ISAV, else None. `unit` is empty where
+    the paper prints none.
     """
 
     table: int
@@ -51,17 +41,8 @@ class Cell:
 class Parameter:
     """A number that the paper prints about its controllers, its damping or eq. 6.
 
-    Attributes
-    ----------
-    source : str
-        Table and row, or figure.
-    profile : str or None
-        Which of `DEVICES`; None: both.
-    key : str
-        Where it stands in a profile, e.g. ``loop.position.kp``.
-    value : float
-    unit : str
-        Empty if dimensionless.
+    `source` is a table and row, or a figure; `profile` one of `DEVICES`, or None for both; `key` the place in a
+    profile, such as ``loop.position.kp``; `unit` is empty if dimensionless.
     """
 
     source: str
@@ -73,43 +54,25 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Protocol:
-    """What was done and how it was measured (section 2.2). T of eqs. 7 and 8 is not printed.
+    """The experiments (section 2.2). T of eqs. 7 and 8 is not printed."""
 
-    Attributes
-    ----------
-    start_deg, target_deg : float
-        The step of the position setpoint [deg].
-    repetitions_simulation, repetitions_testbed : int
-        Step responses that a number of the tables is the mean of.
-    position_margin_deg : float
-        Error margin of the rise time [deg].
-    tension_margin : float
-        Error margin of the string force, a fraction of its setpoint.
-    position_only_offset_deg : float
-        By which both drives are turned apart without the tension controller [deg].
-    force_floor : float
-        Only forces estimated above this were used on the testbed (Figure 5b) [N].
-    damping_mass, damping_arm : float
-        The weight of the decay experiment behind Figure 3 [kg] and its distance from the joint [m] (section 2.1).
-    """
-
-    start_deg: float = 0.0
+    start_deg: float = 0.0  # of the position setpoint's step
     target_deg: float = 45.0
-    repetitions_simulation: int = 1
+    repetitions_simulation: int = 1  # step responses of which the tables print the mean
     repetitions_testbed: int = 10
-    position_margin_deg: float = 2.0
-    tension_margin: float = 0.05
-    position_only_offset_deg: float = 20.0
-    force_floor: float = 5.0
-    damping_mass: float = 0.2
-    damping_arm: float = 0.143
+    position_margin_deg: float = 2.0  # of the rise time
+    tension_margin: float = 0.05  # of the string force, a fraction of its setpoint
+    position_only_offset_deg: float = 20.0  # opposite turn of both drives without tension controller
+    force_floor: float = 5.0  # only forces estimated above it were used on the testbed (Figure 5b) [N]
+    damping_mass: float = 0.2  # weight of the decay experiment behind Figure 3 [kg] (section 2.1)
+    damping_arm: float = 0.143  # its distance from the joint [m]
 
 
 PROTOCOL = Protocol()
 
 
 def repetitions(profile: str) -> int:
-    """Return how many step responses a number of the tables is the mean of, on one of `DEVICES`."""
+    """Return the number of step responses whose mean the tables print, on one of `DEVICES`."""
     return PROTOCOL.repetitions_testbed if profile == "testbed" else PROTOCOL.repetitions_simulation
 
 
@@ -132,17 +95,10 @@ _TABLES: tuple[tuple[int, str, str | None, str, str, tuple[float, float, float, 
 
 TABLES_2_TO_5 = tuple(
     Cell(
-        table=table,
-        row=1 + column + len(CONFIGURATIONS) * DEVICES.index(profile),
-        profile=profile,
-        configuration=CONFIGURATIONS[column],
-        metric=metric,
-        drive=drive,
-        value=value,
-        unit=unit,
+        table, 1 + k + len(CONFIGURATIONS) * DEVICES.index(profile), profile, configuration, metric, drive, value, unit
     )
     for table, metric, drive, unit, profile, values in _TABLES
-    for column, value in enumerate(values)
+    for k, (configuration, value) in enumerate(zip(CONFIGURATIONS, values, strict=True))
 )
 """All 40 numbers: 8 rows each of Tables 2, 3 and 4, and 8 rows of two drives of Table 5."""
 
@@ -189,17 +145,9 @@ FIGURE_6 = tuple(
 
 
 def published(metric: str, profile: str, configuration: str, drive: str | None = None) -> Cell:
-    """Return one number of Tables 2-5.
+    """Return one number of Tables 2-5, by the names of `Cell`; `drive` is needed for ``isav`` alone.
 
-    Parameters
-    ----------
-    drive : {"biceps", "triceps"}, optional
-        Needed for ``isav``, and for nothing else.
-
-    Raises
-    ------
-    AmulettError
-        If a name is unknown, or `drive` is missing or too much.
+    Raises AmulettError if a name is unknown, or `drive` is missing or superfluous.
     """
     for kind, name, choices in (
         ("metric", metric, {cell.metric for cell in TABLES_2_TO_5}),
