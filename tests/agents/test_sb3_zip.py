@@ -57,6 +57,14 @@ def test_a_trusted_zip_competes(tmp_path, monkeypatch, capsys):
     assert result["command"].endswith("--trust-pickle")
 
 
+def test_a_trusted_zip_is_played(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(saved(tmp_path).parent)
+    words = ["play", "PPO.zip", "--steps", "2", "--video", "arm.gif"]
+    assert main(words) == 2 and "--trust-pickle" in capsys.readouterr().err
+    assert main([*words, "--trust-pickle"]) == 0
+    assert (tmp_path / "arm.gif").is_file()
+
+
 class Trap:
     def __init__(self, trap: Path) -> None:
         self.trap = trap
