@@ -1,6 +1,6 @@
-"""What learns: PPO and SAC, the SB3 adapter and the writing of policy bundles.
+"""Reinforcement learning: PPO and SAC, the SB3 adapter and policy bundles.
 
-Torch and Stable-Baselines3 are imported when a name that needs them is: a recipe can be checked without them.
+Torch and Stable-Baselines3 are imported with the first name that needs them: a recipe is checked without them.
 """
 
 from importlib import import_module
@@ -26,20 +26,18 @@ __all__ = [
     "train",
 ]
 
-_MODULES = {
-    "SB3VecEnv": "adapter",
-    "TrainConfig": "config",
-    "TrainResult": "run_folder",
-    "load_sb3_zip": "sb3_zip",
-    "load_train_config": "config",
-    "make_sb3_env": "adapter",
-    "resume": "training",
-    "save_policy": "bundles",
-    "train": "training",
+_NAMES = {
+    "adapter": ("SB3VecEnv", "make_sb3_env"),
+    "bundles": ("save_policy",),
+    "config": ("TrainConfig", "load_train_config"),
+    "run_folder": ("TrainResult",),
+    "sb3_zip": ("load_sb3_zip",),
+    "training": ("resume", "train"),
 }
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
-        raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    for module, names in _NAMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{module}"), name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")

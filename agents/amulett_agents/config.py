@@ -23,44 +23,26 @@ class RecipeError(AmulettError):
 
 
 class EnvSettings(Group):
-    """The environment that is trained in."""
+    """The training environment."""
 
-    id: str = Field(default=ENV_IDS[0], description="environment; see `amulett list`")
-    profile: str | dict[str, Any] = Field(
-        default="testbed", description="shipped profile, or a YAML file or mapping, whose content is kept"
-    )
-    suite: Suite = Field(default="mixed", description="scenarios; see `amulett list`")
-    tension_range: TensionList = Field(default=[*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
-    agent_period: float = Field(default=0.02, gt=0, le=10, description="time from action to action [s]")
+    id: str = Field(ENV_IDS[0], description="environment; see `amulett list`")
+    profile: str | dict[str, Any] = Field("testbed", description="shipped profile, YAML file or mapping (kept whole)")
+    suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
+    tension_range: TensionList = Field([*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
+    agent_period: float = Field(0.02, gt=0, le=10, description="time from action to action [s]")
     follow_time: float = Field(
-        default=0.05,
+        0.05,
         ge=0,
         le=10,
-        description="the tension setpoint goes agent_period / follow_time of the way to what the policy wants in each "
-        "step [s]; all of it if that is 1 or more",
+        description="each step moves the setpoint by agent_period / follow_time (at most 1) of its distance to the "
+        "policy's output [s]",
     )
-    max_episode_steps: int = Field(default=500, ge=1, le=10**6, description="length of an episode [agent steps]")
-    reward_weights: Weights = Field(
-        default={}, description="reward term -> weight, of those that differ from the defaults [1]"
-    )
-    observation_noise: float = Field(
-        default=0.0, ge=0, le=100, description="standard deviation in all entries of the observations [1]"
-    )
-    history: int = Field(
-        default=1,
-        ge=1,
-        le=100,
-        description="number of observations that the policy sees, the newest last [agent steps]",
-    )
-    privileged: bool = Field(
-        default=False, description="also observe what no device can know: for the causal reference"
-    )
-    threads: int = Field(
-        default=2,
-        ge=1,
-        le=256,
-        description="threads that simulate the devices [1]; the results are the same with any number",
-    )
+    max_episode_steps: int = Field(500, ge=1, le=10**6, description="length of an episode [agent steps]")
+    reward_weights: Weights = Field({}, description="reward term -> weight, where it differs from the default [1]")
+    observation_noise: float = Field(0.0, ge=0, le=100, description="standard deviation of noise on observations [1]")
+    history: int = Field(1, ge=1, le=100, description="observations in the policy's input, newest last [agent steps]")
+    privileged: bool = Field(False, description="also observe what no device measures: for the causal reference")
+    threads: int = Field(2, ge=1, le=256, description="simulation threads [1]; they do not change the results")
 
     @field_validator("id")
     @classmethod
@@ -73,159 +55,111 @@ class EnvSettings(Group):
     @field_validator("profile")
     @classmethod
     def _keep_profile(cls, profile: str | dict[str, Any]) -> str | dict[str, Any]:
-        """Return a shipped profile's name, or all that an own one says: its files may change, or be elsewhere."""
+        """Return a shipped profile's name, or an own one's content: its files may change or move."""
         return profile if profile in profile_names() else load_profile(profile).model_dump(mode="json")
 
     @property
     def share(self) -> float:
-        """Share of the way from the present setpoint to the wanted one that is gone in an agent step."""
+        """Share of the distance to the policy's output by which the setpoint moves in an agent step."""
         return self.agent_period / max(self.follow_time, self.agent_period)
 
     def keywords(self) -> dict[str, Any]:
         """Return the keywords for `gym.make`, without those that differ between training and validation."""
-        return {
-            "profile": self.profile,
-            "suite": self.suite,
-            "tension_range": self.tension_range,
-            "agent_period": self.agent_period,
-            "reward_weights": self.reward_weights,
-            "observation_noise": self.observation_noise,
-            "failure_horizon": self.max_episode_steps,
-            "threads": self.threads,
-            "privileged": self.privileged,
-        }
+        names = ("profile", "suite", "tension_range", "agent_period", "reward_weights", "observation_noise")
+        own = {name: getattr(self, name) for name in names}
+        more = {"failure_horizon": self.max_episode_steps, "threads": self.threads, "privileged": self.privileged}
+        return own | more
 
 
 class PpoSettings(Group):
     """Settings of Stable-Baselines3's PPO; see its documentation."""
 
-    n_steps: int = Field(
-        default=32, ge=1, le=10**6, description="steps of each device between two updates [agent steps]"
-    )
-    batch_size: int = Field(default=16384, ge=2, le=10**8, description="samples in a gradient step [agent steps]")
-    n_epochs: int = Field(default=8, ge=1, le=1000, description="passes over the rollout in each update [1]")
-    learning_rate: float = Field(default=2e-3, gt=0, le=1, description="Adam's learning rate [1]")
-    anneal: bool = Field(default=True, description="let the learning rate fall to 0 over total_steps")
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount factor per agent step [1]")
-    gae_lambda: float = Field(
-        default=0.95, ge=0, le=1, description="GAE lambda: 0 looks one step ahead, 1 to the end [1]"
-    )
-    clip_range: float = Field(
-        default=0.3, gt=0, le=10, description="clip range of PPO's probability ratio, about 1 [1]"
-    )
+    n_steps: int = Field(32, ge=1, le=10**6, description="steps of each device between two updates [agent steps]")
+    batch_size: int = Field(16384, ge=2, le=10**8, description="samples in a gradient step [agent steps]")
+    n_epochs: int = Field(8, ge=1, le=1000, description="passes over the rollout in each update [1]")
+    learning_rate: float = Field(2e-3, gt=0, le=1, description="Adam's learning rate [1]")
+    anneal: bool = Field(True, description="let the learning rate fall to 0 over total_steps")
+    gamma: float = Field(0.99, ge=0, le=1, description="discount factor per agent step [1]")
+    gae_lambda: float = Field(0.95, ge=0, le=1, description="GAE lambda [1]: 0 looks one step ahead, 1 to the end")
+    clip_range: float = Field(0.3, gt=0, le=10, description="clip range of PPO's probability ratio around 1 [1]")
     target_kl: float | None = Field(
-        default=0.03,
-        gt=0,
-        le=100,
-        description="an update stops at 1.5 times this KL divergence from the old policy [1]; null: never",
+        0.03, gt=0, le=100, description="an update stops at 1.5 times this KL [1]; null: never"
     )
-    ent_coef: float = Field(default=0.0, ge=0, le=100, description="weight of the entropy bonus [1]")
-    vf_coef: float = Field(default=0.5, ge=0, le=100, description="weight of the value loss [1]")
-    max_grad_norm: float = Field(default=0.5, gt=0, le=1e6, description="norm that gradients are clipped to [1]")
+    ent_coef: float = Field(0.0, ge=0, le=100, description="weight of the entropy bonus [1]")
+    vf_coef: float = Field(0.5, ge=0, le=100, description="weight of the value loss [1]")
+    max_grad_norm: float = Field(0.5, gt=0, le=1e6, description="norm that gradients are clipped to [1]")
     reward_scale: float = Field(
-        default=10.0,
+        10.0,
         gt=0,
         le=1e6,
-        description="fixed factor on what PPO sees [1]: a step of eq. 6 costs 0.002, a whole episode 1",
+        description="fixed factor on the reward in PPO [1]; eq. 6 costs 0.002 in a step, 1 in an episode",
     )
-    initial_std: float = Field(
-        default=0.3,
-        gt=0,
-        le=10,
-        description="standard deviation of the exploration at the beginning, in the action's unit [1]",
-    )
+    initial_std: float = Field(0.3, gt=0, le=10, description="initial standard deviation of exploration noise [1]")
     final_std: float | None = Field(
-        default=0.05,
+        0.05,
         gt=0,
         le=10,
-        description="standard deviation of the exploration at total_steps [1]; null: it is learned",
+        description="standard deviation of the exploration noise at total_steps [1]; null: it is learned",
     )
     critic_steps: int | None = Field(
-        default=None,
+        None,
         ge=1,
         le=10**12,
-        description="steps at the beginning in which only the critic learns: for a policy that starts from a bundle "
-        "[agent steps]",
+        description="initial steps in which only the critic learns, for a start from a bundle [agent steps]",
     )
     privileged_critic: bool = Field(
-        default=True, description="let the critic, which is needed for training only, see what no device can know"
+        True, description="the critic, which only training needs, also observes quantities that no device measures"
     )
-    use_sde: bool = Field(default=False, description="state-dependent, smooth exploration")
+    use_sde: bool = Field(False, description="state-dependent exploration (gSDE), which is smooth")
     sde_sample_freq: int = Field(
-        default=8,
-        ge=-1,
-        le=10**6,
-        description="steps between two draws of the smooth exploration [agent steps]; -1: once a rollout",
+        8, ge=-1, le=10**6, description="steps between two draws of gSDE's noise [agent steps]; -1: once a rollout"
     )
 
 
 class SacSettings(Group):
     """Settings of Stable-Baselines3's SAC; see its documentation."""
 
-    learning_rate: float = Field(default=1e-3, gt=0, le=1, description="Adam's learning rate [1]")
-    anneal: bool = Field(default=False, description="let the learning rate fall to 0 over total_steps")
-    buffer_size: int = Field(
-        default=500_000, ge=1, le=10**8, description="size of the replay buffer, all devices together [agent steps]"
-    )
-    learning_starts: int = Field(
-        default=10_000, ge=0, le=10**9, description="steps with uniformly random actions at the beginning [agent steps]"
-    )
-    batch_size: int = Field(default=512, ge=2, le=10**6, description="samples in a gradient step [agent steps]")
-    tau: float = Field(
-        default=0.02, gt=0, le=1, description="share by which the target critic moves to the critic at each update [1]"
-    )
-    gamma: float = Field(default=0.99, ge=0, le=1, description="discount factor per agent step [1]")
-    train_freq: int = Field(
-        default=1, ge=1, le=10**6, description="steps of each device between two updates [agent steps]"
-    )
-    gradient_steps: int = Field(default=8, ge=1, le=10**6, description="gradient steps in an update [batches]")
-    ent_coef: float | None = Field(
-        default=None, ge=0, le=100, description="weight of the entropy [1]; null: it is learned"
-    )
-    initial_ent_coef: float = Field(
-        default=0.01, gt=0, le=100, description="weight of the entropy at the beginning, if it is learned [1]"
-    )
+    learning_rate: float = Field(1e-3, gt=0, le=1, description="Adam's learning rate [1]")
+    anneal: bool = Field(False, description="let the learning rate fall to 0 over total_steps")
+    buffer_size: int = Field(500_000, ge=1, le=10**8, description="replay buffer's size, all devices [agent steps]")
+    learning_starts: int = Field(10_000, ge=0, le=10**9, description="initial steps with random actions [agent steps]")
+    batch_size: int = Field(512, ge=2, le=10**6, description="samples in a gradient step [agent steps]")
+    tau: float = Field(0.02, gt=0, le=1, description="share by which an update moves the target to the critic [1]")
+    gamma: float = Field(0.99, ge=0, le=1, description="discount factor per agent step [1]")
+    train_freq: int = Field(1, ge=1, le=10**6, description="steps of each device between two updates [agent steps]")
+    gradient_steps: int = Field(8, ge=1, le=10**6, description="gradient steps in an update [batches]")
+    ent_coef: float | None = Field(None, ge=0, le=100, description="weight of the entropy [1]; null: it is learned")
+    initial_ent_coef: float = Field(0.01, gt=0, le=100, description="initial weight of the entropy, if learned [1]")
     target_entropy: float = Field(
-        default=-2.0,
+        -2.0,
         ge=-100,
         le=100,
-        description="entropy that its weight is learned for [nat]; -1: an exploration of about 0.1",
+        description="target entropy of the learned weight [nat]; -1: exploration noise of about 0.1",
     )
-    reward_scale: float = Field(default=10.0, gt=0, le=1e6, description="fixed factor on what SAC sees [1]")
+    reward_scale: float = Field(10.0, gt=0, le=1e6, description="fixed factor on the reward in SAC [1]")
     initial_std: float = Field(
-        default=0.2,
-        gt=0,
-        le=10,
-        description="standard deviation of the exploration at the beginning, before the tanh [1]",
+        0.2, gt=0, le=10, description="initial standard deviation of the exploration noise, before the tanh [1]"
     )
 
 
 class NetworkSettings(Group):
     """The networks of policy and critic."""
 
-    hidden: list[int] = Field(
-        default=[64, 64], min_length=1, max_length=8, description="sizes of the policy's layers, up to 1024"
-    )
+    hidden: list[int] = Field([64, 64], min_length=1, max_length=8, description="sizes of the policy's layers, to 1024")
     critic_hidden: list[int] | None = Field(
-        default=[128, 128],
-        min_length=1,
-        max_length=8,
-        description="sizes of the critic's layers; null: like the policy's",
+        [128, 128], min_length=1, max_length=8, description="sizes of the critic's layers; null: as the policy's"
     )
-    standard_inputs: bool = Field(
-        default=True, description="standardise each observation by its mean and deviation, measured before training"
-    )
-    features: bool = Field(default=True, description="also see nonlinear features of the observation (laws.features)")
-    activation: Literal["tanh", "relu"] = Field(default="relu", description="activation of the hidden layers")
+    standard_inputs: bool = Field(True, description="standardise observations, by statistics from before the training")
+    features: bool = Field(True, description="also see nonlinear features of the observation (laws.features)")
+    activation: Literal["tanh", "relu"] = Field("relu", description="activation of the hidden layers")
     initial_tension: float | None = Field(
-        default=7.0, gt=0, le=1e6, description="the first policy is this constant [N]; null: the middle of the range"
+        7.0, gt=0, le=1e6, description="initial policy's tension [N]; null: mid-range"
     )
-
     start: str | None = Field(
-        default=None,
+        None,
         min_length=1,
-        description="PPO's first policy is that of this bundle (a folder, or pretrained) instead of a constant; inputs "
-        "that the bundle does not have begin with weight 0",
+        description="bundle (a folder, or pretrained) that PPO starts from instead of a constant; inputs that it lacks "
+        "start with weight 0",
     )
 
     @field_validator("hidden", "critic_hidden")
@@ -239,102 +173,78 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
-    every_steps: int = Field(
-        default=500_000, ge=1, le=10**12, description="steps between two validations [agent steps]"
-    )
-    episodes: int = Field(default=200, ge=1, le=10**5, description="number of scenarios, one device each [1]")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of the first scenario [1]")
+    every_steps: int = Field(500_000, ge=1, le=10**12, description="steps between two validations [agent steps]")
+    episodes: int = Field(200, ge=1, le=10**5, description="number of scenarios, one device each [1]")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of the first scenario [1]")
 
 
 class TrainConfig(Group):
     """A training run."""
 
-    algorithm: Literal["ppo", "sac"] = Field(default="ppo", description="algorithm; the other one's group is not read")
-    env: EnvSettings = Field(default=EnvSettings(), description="what is trained in")
-    ppo: PpoSettings = Field(default=PpoSettings(), description="read if PPO learns")
-    sac: SacSettings = Field(default=SacSettings(), description="read if SAC learns")
-    network: NetworkSettings = Field(default=NetworkSettings(), description="of policy and critic")
-    validation: ValidationSettings = Field(default=ValidationSettings(), description="how the best policy is chosen")
-    num_envs: int = Field(default=2048, ge=1, le=10**6, description="devices simulated side by side [1]")
-    staggered: bool = Field(
-        default=True,
-        description="start the devices at different times of their episodes, so that a rollout shows all times",
-    )
-    total_steps: int = Field(
-        default=5_000_000, ge=1, le=10**12, description="length of the training, all devices together [agent steps]"
-    )
-    max_seconds: float | None = Field(
-        default=None, gt=0, le=1e9, description="limit on the training's duration [s]; null: none"
-    )
-    seed: int = Field(default=0, ge=0, lt=2**31, description="seed of everything random [1]")
-    threads: int = Field(default=1, ge=1, le=256, description="torch's threads [1]")
-    checkpoint_seconds: float = Field(
-        default=10.0, ge=0, le=1e9, description="wall time between two checkpoints to resume from [s]; 0: every rollout"
-    )
-    checkpoint: bool = Field(default=False, description="also keep last_sb3.zip for Stable-Baselines3 (a pickle)")
+    algorithm: Literal["ppo", "sac"] = Field("ppo", description="algorithm; the group of the other one is ignored")
+    env: EnvSettings = Field(EnvSettings(), description="training environment")
+    ppo: PpoSettings = Field(PpoSettings(), description="settings of PPO, if it is the algorithm")
+    sac: SacSettings = Field(SacSettings(), description="settings of SAC, if it is the algorithm")
+    network: NetworkSettings = Field(NetworkSettings(), description="networks of policy and critic")
+    validation: ValidationSettings = Field(ValidationSettings(), description="choice of the best policy")
+    num_envs: int = Field(2048, ge=1, le=10**6, description="devices simulated in parallel [1]")
+    staggered: bool = Field(True, description="start devices at different episode times; a rollout covers all times")
+    total_steps: int = Field(5_000_000, ge=1, le=10**12, description="length of training, all devices [agent steps]")
+    max_seconds: float | None = Field(None, gt=0, le=1e9, description="longest training time [s]; null: no limit")
+    seed: int = Field(0, ge=0, lt=2**31, description="seed of all random numbers [1]")
+    threads: int = Field(1, ge=1, le=256, description="torch's threads [1]")
+    checkpoint_seconds: float = Field(10.0, ge=0, le=1e9, description="time between checkpoints [s]; 0: every rollout")
+    checkpoint: bool = Field(False, description="also keep last_sb3.zip for Stable-Baselines3 (a pickle)")
 
     @property
     def first_scenario(self) -> int:
-        """Seed of the first device; device i has this plus i, so that no two training seeds share a scenario."""
+        """Seed of device 0; device i has this plus i, so that no two training seeds share a scenario."""
         return self.seed * self.num_envs
 
     @model_validator(mode="after")
-    def _check_batch(self) -> TrainConfig:
-        rollout = self.num_envs * self.ppo.n_steps
+    def _check_together(self) -> TrainConfig:
+        """Refuse values that are valid one by one, but not together."""
+        ppo, start, (low, high) = self.ppo, self.network.initial_tension, self.env.tension_range
+        rollout = self.num_envs * ppo.n_steps
+        last = (math.ceil(self.total_steps / rollout) - 1) * rollout
         if self.algorithm == "ppo" and rollout < 2:
             raise ValueError("num_envs times ppo.n_steps is 1; PPO needs a rollout of at least 2 steps")
-        if self.algorithm == "ppo" and rollout % self.ppo.batch_size:
+        if self.algorithm == "ppo" and rollout % ppo.batch_size:
             raise ValueError(
-                f"ppo.batch_size is {self.ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
+                f"ppo.batch_size is {ppo.batch_size}; it has to divide num_envs times ppo.n_steps, {rollout}"
             )
-        last = (math.ceil(self.total_steps / rollout) - 1) * rollout
-        if self.ppo.critic_steps is not None and self.ppo.critic_steps > last:
+        if ppo.critic_steps is not None and ppo.critic_steps > last:
             raise ValueError(
-                f"ppo.critic_steps is {self.ppo.critic_steps}; it can be at most {last}, where the last rollout of "
+                f"ppo.critic_steps is {ppo.critic_steps}; it can be at most {last}, where the last rollout of "
                 f"total_steps, {self.total_steps}, begins, or the policy learns nothing"
             )
-        if self.ppo.critic_steps is not None and self.ppo.final_std is None:
-            raise ValueError(
-                "ppo.final_std is null; with ppo.critic_steps it has to be given: what is learned is frozen"
-            )
+        if ppo.critic_steps is not None and ppo.final_std is None:
+            raise ValueError("ppo.final_std is null; ppo.critic_steps needs a number: a learned one would be frozen")
         if self.algorithm == "sac" and self.network.start is not None:
             raise ValueError(f"network.start is '{self.network.start}'; only PPO can start from a bundle, not SAC")
         if self.algorithm == "sac" and self.sac.buffer_size < self.num_envs:
             raise ValueError(
-                f"sac.buffer_size is {self.sac.buffer_size}; it has to hold a step of all {self.num_envs} devices"
+                f"sac.buffer_size is {self.sac.buffer_size}; it has to be at least num_envs, {self.num_envs}"
             )
-        low, high = self.env.tension_range
-        start = self.network.initial_tension
         if start is not None and not low <= start <= high:
-            raise ValueError(
-                f"network.initial_tension is {start} N; it has to be in env.tension_range, {low} to {high} N"
-            )
+            raise ValueError(f"network.initial_tension is {start} N; env.tension_range is {low} to {high} N")
         return self
 
 
 SPRINT = (
-    "env.suite=steps",
-    "env.tension_range=[4.0, 8.0]",
-    # Rarer actions: what a tension costs shows through the drives' lag and the sensors' noise in fewer steps.
-    "env.agent_period=0.1",
-    "env.max_episode_steps=100",
-    # A small network, for its speed.
-    "network.hidden=[32, 32]",
-    "network.critic_hidden=[32, 32]",
-    "network.initial_tension=null",
-    "ppo.target_kl=null",
-    "validation.episodes=100",
-    # 5 s: below the floor of the force estimation strings go slack slowly; a shorter sight runs past good tensions.
-    "ppo.gamma=0.98",
-    "ppo.gae_lambda=0.9",
-    # The first tension is far from good ones, and a ramp smooths what is tried: too little noise, and nothing is found
-    # in this time. Noise on the tension is dear, and least so at the ends of the range, where it is clipped: it falls.
-    "ppo.initial_std=0.5",
-    "ppo.final_std=0.03",
-    "ppo.n_epochs=10",
-    "total_steps=3_000_000",
+    # Rare actions: the cost of a tension shows through drive lag and sensor noise in fewer steps.
+    *("env.suite=steps", "env.tension_range=[4.0, 8.0]", "env.agent_period=0.1", "env.max_episode_steps=100"),
+    # Small networks are fast.
+    *("network.hidden=[32, 32]", "network.critic_hidden=[32, 32]", "network.initial_tension=null"),
+    # A horizon of 5 s: below the floor of the force estimation strings go slack slowly; with a longer one PPO passes
+    # good tensions.
+    *("ppo.gamma=0.98", "ppo.gae_lambda=0.9", "ppo.target_kl=null", "ppo.n_epochs=10"),
+    # The initial tension is far from good ones, and a ramp smooths what is tried: it takes much noise to find them in
+    # this time. But noise on the tension is costly, least at the ends of the range, where it is clipped: it falls.
+    *("ppo.initial_std=0.5", "ppo.final_std=0.03"),
+    *("validation.episodes=100", "total_steps=3_000_000"),
 )
-"""Changes of the default recipe for `amulett bench --time-to-beat`: much learned within seconds."""
+"""Changes of the default recipe for `amulett bench --time-to-beat`: it learns within seconds."""
 
 
 def load_train_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> TrainConfig:

@@ -1,4 +1,4 @@
-"""Signals that end a training run in good order."""
+"""Signals that end a training run after its present rollout."""
 
 from __future__ import annotations
 
@@ -11,12 +11,9 @@ from typing import Any
 
 @contextmanager
 def stop_on_signals(stop: Callable[[], bool]) -> Iterator[None]:
-    """Call `stop` at SIGTERM and at Ctrl-C, instead of ending the process; only the main thread receives signals.
+    """Call `stop` at SIGTERM and Ctrl-C instead of ending the process; only the main thread receives signals.
 
-    Parameters
-    ----------
-    stop : callable
-        Returns whether it was called before: then Ctrl-C raises KeyboardInterrupt at once.
+    `stop` returns whether it was called before: then Ctrl-C raises KeyboardInterrupt at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,11 +1,11 @@
-"""A callback that accompanies a training run: validations, kept policies, checkpoints, logs, progress, time limit."""
+"""The callback of a training run: validations, saved policies, checkpoints, logs, progress, time limit."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,25 +29,14 @@ _LOG_EVERY = 16_384
 
 
 class Stopped(Exception):
-    """Raised at the start of a rollout, to end a run that was asked to stop or has diverged."""
+    """Raised at the start of a rollout, to end a run that has to stop or has diverged."""
 
 
 class Run(BaseCallback):
-    """Accompanies a run.
+    """Callback of a run in the folder `out`, whose `command` is stored with its policies.
 
-    Parameters
-    ----------
-    config : TrainConfig
-    out : Path
-        Folder of the run.
-    validation : VectorEnv
-        See `validation.make_validation_env`.
-    command : sequence of str or None
-        The words that started the run.
-    progress : bool
-        Whether to show progress on stderr.
-    resumed : Checkpoint, optional
-        Where the run goes on.
+    `validation` is from `validation.make_validation_env`; `progress` is shown on stderr; the run continues from the
+    checkpoint `resumed`, if there is one.
     """
 
     def __init__(
@@ -60,28 +49,22 @@ class Run(BaseCallback):
         resumed: Checkpoint | None = None,
     ) -> None:
         super().__init__()
-        self.config, self.out, self.validation = config, out, validation
+        self.config, self.out, self.validation, self.resumed = config, out, validation, resumed
         self.command = None if command is None else list(command)
-        self.resumed = resumed
-        self.stopping = False
-        self.interrupted = False
+        self.stopping = self.interrupted = False
         self.diverged: int | None = None
         self._first = True
-        self._checkpointed = -math.inf
-        self._checkpointed_steps = -1
-        self._started = time.monotonic()
-        self._rollout_started = self._started
+        self._checkpointed, self._checkpointed_steps = -math.inf, -1
+        self._started = self._rollout_started = time.monotonic()
         self._collected, self._collecting = 0, 0.0
         self._rows: list[dict[str, float]] = []
-        self._best = 0
-        self._validated_steps = -1
-        self._next_validation = 0
+        self._best, self._validated_steps, self._next_validation = 0, -1, 0
         self._episodes: deque[dict[str, float]] = deque(maxlen=config.num_envs)
         self._progress: Progress | None = None
         self._show = progress
 
     def stop(self) -> bool:
-        """Ask the run to stop at its next rollout; return whether it was asked before."""
+        """Stop the run at its next rollout; return whether that was requested before."""
         before, self.stopping = self.stopping, True
         return before
 
@@ -89,7 +72,7 @@ class Run(BaseCallback):
         if self._first:
             self._first = False
             if self.resumed is None:
-                self._checkpoint()  # before anything is written that a run from its very beginning would not find
+                self._checkpoint()  # before anything is written that a run from the start would not find
             else:
                 self._restore(self.resumed)
         elif has_diverged(self.model):
@@ -121,24 +104,25 @@ class Run(BaseCallback):
             return
         self.logger.record("time/rollout_steps_per_second", self._collected / self._collecting)
         self._collected, self._collecting = 0, 0.0
-        if self._episodes:
-            for term in TERMS:
-                self.logger.record(f"reward/{term}", float(np.mean([terms[term] for terms in self._episodes])))
+        for term in TERMS:
+            self._record_mean(f"reward/{term}", term, self._episodes)
         if is_sac:
-            infos = self.model.ep_info_buffer or ()
             for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
-                if infos:
-                    self.logger.record(f"rollout/{name}", float(np.mean([info[key] for info in infos])))
+                self._record_mean(f"rollout/{name}", key, self.model.ep_info_buffer or ())
             self.logger.dump(self.num_timesteps)
         else:
             self._note("learning")
 
+    def _record_mean(self, name: str, key: str, infos: Collection[Mapping[str, float]]) -> None:
+        if infos:
+            self.logger.record(name, float(np.mean([info[key] for info in infos])))
+
     def _note(self, phase: str) -> None:
-        """Show what the run does; its steps count at a rollout's start, when they have been learned from."""
+        """Show the progress; steps count at the next rollout's start, after the update with them."""
         config, done = self.config, min(self.num_timesteps, self.config.total_steps)
         random = config.algorithm == "sac" and done < config.sac.learning_starts
         what = f"{'random actions' if random else 'training'}, seed {config.seed}"
-        if self._progress is None or self._progress.what != what:  # one that takes no time says nothing of the other
+        if self._progress is None or self._progress.what != what:  # one rate for each kind: random actions take no time
             self.close_progress()
             total = min(config.sac.learning_starts, config.total_steps) if random else config.total_steps
             self._progress = Progress(total, what, "steps", self._show, done)
@@ -151,7 +135,7 @@ class Run(BaseCallback):
             self._progress.close()
 
     def finish(self, model: Any) -> None:
-        """Judge and keep the last policy, unless it has diverged."""
+        """Validate and save the last policy, unless it has diverged."""
         if self.diverged is None and model.num_timesteps > self._validated_steps:
             self._validate(model)
             model.logger.dump(model.num_timesteps)
@@ -164,21 +148,11 @@ class Run(BaseCallback):
         self.close_progress()
 
     def result(self) -> TrainResult:
-        """Return what the run left behind."""
+        """Return the run's result."""
         best, last = self._rows[self._best], self._rows[-1]
-        return TrainResult(
-            out=self.out,
-            best=self.out / "best",
-            last=self.out / "last",
-            best_cost=best["cost"],
-            last_cost=last["cost"],
-            best_steps=int(best["steps"]),
-            steps=int(last["steps"]),
-            seconds=time.monotonic() - self._started,
-            interrupted=self.interrupted,
-            seed=self.config.seed,
-            diverged=self.diverged,
-        )
+        folders, costs = (self.out, self.out / "best", self.out / "last"), (best["cost"], last["cost"])
+        steps, seconds = (int(best["steps"]), int(last["steps"])), time.monotonic() - self._started
+        return TrainResult(*folders, *costs, *steps, seconds, self.interrupted, self.config.seed, self.diverged)
 
     def _checkpoint(self) -> None:
         state = RunState(
@@ -194,12 +168,12 @@ class Run(BaseCallback):
         self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
 
     def check_folder(self) -> None:
-        """Refuse to write to a folder that was removed meanwhile: a new one would lack what was in it."""
+        """Refuse to write if the folder was removed meanwhile: a new one would lack its files."""
         if not (self.out / CONFIG).is_file():
             raise AmulettError(f"the run's folder '{self.out}' has vanished, or its {CONFIG}; training stops")
 
     def _restore(self, checkpoint: Checkpoint) -> None:
-        """Go back to the checkpoint, and bring what the run has written back to it."""
+        """Restore the state of the checkpoint, and the files of the run at that time."""
         restore(self.model, checkpoint)  # type: ignore[arg-type]
         state = checkpoint.content.run
         self.num_timesteps = self._checkpointed_steps = self.model.num_timesteps

@@ -1,4 +1,4 @@
-"""The folder of a training run: what it holds, how it is begun and what a finished run says of itself."""
+"""The folder of a training run, and the files in it."""
 
 from __future__ import annotations
 
@@ -27,37 +27,26 @@ COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
 CONFIG, EVALUATIONS = "config.yaml", "evaluations.csv"
 
 RUN_MARKS = (CONFIG, COMMAND)
-"""Files by which a training run's folder is recognised."""
+"""A folder with these files is a training run's."""
 
 START = "start"
-"""Folder of a run for the bundle that it started from."""
+"""Subfolder with a copy of the bundle that a run starts from."""
 
 FINISHED = "finished.json"
-"""File that a run leaves when it has come to its end: its `TrainResult`."""
+"""File with the `TrainResult` of a finished run."""
 
 _OUTPUTS = (FOLDER, FINISHED, EVALUATIONS, "last_sb3.zip", *BUNDLES, START, "tensorboard")
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """What a training run left behind.
+    """The result of a training run.
 
-    Attributes
-    ----------
-    out, best, last : Path
-        Folders of the run and of its bundles.
-    best_cost, last_cost : float
-        Mean capped cost (minus the return) on the validation scenarios; eq. 6's is about 1.
-    best_steps, steps : int
-        Agent steps behind the best and the last policy.
-    seconds : float
-        Duration, validation included, compilation not; of a resumed run, without what was lost.
-    interrupted : bool
-        Whether Ctrl-C or SIGTERM ended the run.
-    seed : int
-    diverged : int or None
-        Agent steps after which a weight was not finite, or too large to be kept, which ended the run; else None. The
-        bundles are those of the validations before.
+    `out`, `best` and `last` are the folders of the run and its two bundles; `best_steps` and `steps` their training
+    [agent steps]. `best_cost` and `last_cost` are mean capped costs (minus the return) on the validation scenarios, on
+    which eq. 6 costs about 1. `seconds` includes validation, but neither compilation nor work that a resumed run had
+    lost. `interrupted`: Ctrl-C or SIGTERM ended the run. `diverged`: the agent steps after which a weight was not
+    finite, or too large to store, which ended the run (else None); the bundles are those of the validations before.
     """
 
     out: Path
@@ -77,14 +66,10 @@ def prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> No
     """Remove an earlier run, and write this one's recipe, note and the bundle that it starts from."""
     remove_leftovers(out)
     start, kept = config.network.start, out / f".{START}-new"
-    if start is not None:  # before anything is cleared away: it may be the earlier run's
+    if start is not None:  # first: it may be the earlier run's
         shutil.copytree(bundle_folder(start), kept)
     for name in _OUTPUTS:
-        path = out / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
+        _remove(out / name)
     if start is not None:
         kept.rename(out / START)
     write_text(out / CONFIG, to_yaml(config.model_dump()))
@@ -98,7 +83,7 @@ def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) ->
 
 
 def with_start(config: TrainConfig, out: Path) -> TrainConfig:
-    """Return a run's recipe, with the copy in its folder instead of the bundle that it starts from."""
+    """Return a run's recipe that starts from the copy in its folder instead of the original bundle."""
     if not (out / START).is_dir():
         return config
     network = config.network.model_copy(update={"start": str((out / START).resolve())})
@@ -109,14 +94,18 @@ def remove_leftovers(out: Path) -> None:
     """Remove half-written files of a killed process; the folder has to be locked."""
     for name in ("config", "command", "finished", "evaluations", "last_sb3", *BUNDLES, START):
         for path in out.glob(f".{name}-*"):
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
+            _remove(path)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def put_back(bundle: Path, place: Path) -> None:
-    """Replace a bundle, which may be damaged or missing, by a copy; remove it if there is none to copy."""
+    """Replace a bundle, which may be damaged or missing, by a copy; remove it if there is no copy."""
     if place.is_dir():
         shutil.rmtree(place)
     if bundle.is_dir():
@@ -133,17 +122,17 @@ def write_validations(out: Path, rows: Sequence[Mapping[str, float]]) -> None:
 
 
 def is_finished(out: str | Path) -> bool:
-    """Return whether a run has come to its end."""
+    """Return whether a run is finished."""
     return (user_path(out) / FINISHED).is_file()
 
 
 def write_result(result: TrainResult) -> None:
-    """Write ``finished.json``; folders are not in it, for a run may be moved."""
+    """Write ``finished.json``, without the folders: a run may be moved."""
     write_json(result.out / FINISHED, {**asdict(result), "out": None, "best": None, "last": None})
 
 
 def read_result(out: Path) -> TrainResult:
-    """Read what a finished run left."""
+    """Return a finished run's result."""
     path = out / FINISHED
     try:
         result = TrainResult(**read_json(path, "a run's result"))
@@ -153,14 +142,11 @@ def read_result(out: Path) -> TrainResult:
 
 
 def check_versions(out: Path) -> list[str] | None:
-    """Return the words of the command that began a run; warn if the software is another one."""
+    """Return the words of the command that began a run; warn if the software differs."""
     if not (out / RUN_MARKS[1]).is_file():  # killed before it was written
         return None
     note = read_provenance(out)
-    changed = software_changes(note)
-    if changed:
-        warnings.warn(
-            f"'{out}' is resumed with other software, so that its numbers may differ: {'; '.join(changed)}",
-            stacklevel=3,
-        )
+    if changed := software_changes(note):
+        message = f"'{out}' is resumed with other software, so that its numbers may differ: {'; '.join(changed)}"
+        warnings.warn(message, stacklevel=3)
     return note.command

@@ -1,4 +1,4 @@
-"""Training runs: begin one, resume one."""
+"""Training runs, new or resumed."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ def train(
 
     `out` gets ``config.yaml`` (the resolved recipe), ``command.json``, ``evaluations.csv``, ``tensorboard/``, the
     bundles ``best/`` (lowest cost on the validation scenarios) and ``last/``, and, until the run is finished,
-    ``checkpoints/``, from which :func:`resume` goes on. Ctrl-C and SIGTERM end the run in good order after the present
-    rollout, a second Ctrl-C at once. A run whose weights stop being finite numbers has diverged: it ends, and keeps the
-    policies of its validations. The same recipe gives the same weights on the same machine, interrupted or not, unless
-    `max_seconds` ends it.
+    ``checkpoints/`` for :func:`resume`. Ctrl-C and SIGTERM end the run after the present rollout, with its policies
+    saved; a second Ctrl-C ends it at once. A run whose weights are no longer finite has diverged: it ends, and keeps
+    the policies of its validations. The same recipe gives the same weights on the same machine, interrupted or not,
+    unless `max_seconds` ends it.
 
     Parameters
     ----------
@@ -61,20 +61,16 @@ def train(
     progress : bool
         Show progress on stderr.
     command : sequence of str, optional
-        The words of the command that started the run, to be kept with it.
+        Words of the command that started the run, which are stored with it.
     overwrite : bool
         Replace a run that is already in `out`.
-
-    Returns
-    -------
-    TrainResult
 
     Raises
     ------
     RecipeError
         If the environment or the networks refuse the recipe.
     AmulettError
-        If `out` holds something already, or another process works in it.
+        If `out` is not empty, or another process works in it.
     """
     out = user_path(out)
     with output_folder(out, "training run", [RUN_MARKS]) as earlier, locked_folder(out):
@@ -94,11 +90,11 @@ def train(
 
 
 def resume(out: str | Path, progress: bool = True) -> TrainResult:
-    """Go on with a run that was interrupted or killed, by its own recipe.
+    """Continue a run that was interrupted or killed, with its own recipe.
 
-    The weights, the bundles and the validations (their times aside) come out as if nothing had happened, bit for bit,
-    with the same versions on the same machine, unless `max_seconds` ends the run. Time since the last checkpoint does
-    not count for that.
+    The weights, the bundles and the validations (except their times) are the same, bit for bit, as without the
+    interruption, with the same versions on the same machine, unless `max_seconds` ends the run. Time since the last
+    checkpoint does not count towards that limit.
 
     Parameters
     ----------
@@ -110,19 +106,19 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
     Returns
     -------
     TrainResult
-        Of a finished run, what it said then; nothing is done.
+        The stored result if the run is finished.
 
     Raises
     ------
     AmulettError
-        If `out` holds no run or no checkpoint that can be used, the recipe or the profile is another one than that of
-        the checkpoint, another version wrote it, or another process works in the folder.
+        If `out` holds no run or no usable checkpoint, the recipe or the profile differs from the checkpoint's, another
+        version wrote it, or another process works in the folder.
     """
     out = user_path(out)
     if not (out / CONFIG).is_file():
         raise AmulettError(f"'{out}' holds no training run: there is no {CONFIG}")
     if is_finished(out):
-        with suppress(AmulettError), locked_folder(out):  # it may have been killed just then
+        with suppress(AmulettError), locked_folder(out):  # it may have been killed before it removed them
             remove_checkpoints(out)
         return read_result(out)
     with locked_folder(out):
@@ -138,7 +134,7 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
             if checkpoint is not None:
                 _check_recipe(checkpoint, config, model)
             remove_leftovers(out)
-            if not (out / RUN_MARKS[1]).is_file():  # killed before it was written; the command's words are lost
+            if not (out / RUN_MARKS[1]).is_file():  # killed before it was written; the command is lost
                 write_note(out, config, None)
             return _learn(model, Run(config, out, validation, command, progress, checkpoint))
 
@@ -148,11 +144,11 @@ def _learn(model: Model, run: Run) -> TrainResult:
     model.set_logger(_make_logger(run.out / "tensorboard", run.resumed))
     try:
         with stop_on_signals(run.stop):
-            interval = 1 if run.config.algorithm == "ppo" else None  # SB3's SAC logs by single episodes; so we do it
+            interval = 1 if run.config.algorithm == "ppo" else None  # SB3's SAC logs by single episodes; Run logs it
             model.learn(run.config.total_steps, callback=[*callbacks(run.config), run], log_interval=interval)  # type: ignore[arg-type]
     except (KeyboardInterrupt, Stopped):
         run.interrupted = True
-    except OSError as error:  # of TensorBoard's writer; all else that writes says what it could not write
+    except OSError as error:  # of TensorBoard's writer; our own writers raise an AmulettError
         run.check_folder()
         raise AmulettError(f"cannot write to '{run.out}': {error.strerror or error}") from error
     except ValueError:  # torch refuses a distribution of NaN
@@ -169,7 +165,7 @@ def _learn(model: Model, run: Run) -> TrainResult:
 
 
 def _make_logger(folder: Path, resumed: Checkpoint | None) -> Logger:
-    """Log to TensorBoard; hide what a run has logged beyond the checkpoint that it is resumed from."""
+    """Return a logger to TensorBoard; entries after the checkpoint that the run is resumed from are hidden."""
     output = TensorBoardOutputFormat(str(folder))
     if resumed is not None:
         output.writer.close()
@@ -179,16 +175,13 @@ def _make_logger(folder: Path, resumed: Checkpoint | None) -> Logger:
 
 def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: Model) -> None:
     """Refuse a recipe or a profile that is not the checkpoint's."""
-    changed = differences(checkpoint.content.config, config.model_dump())
-    if changed:
-        raise AmulettError(
-            f"the recipe was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}; "
-            "a run is resumed by its own recipe: put it back, or train anew in another folder"
-        )
     env = model.get_env()
     assert env is not None
-    changed = differences(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json"))
-    if changed:
+    since = f"was changed since checkpoint '{checkpoint.folder}'"
+    if changed := differences(checkpoint.content.config, config.model_dump()):
         raise AmulettError(
-            f"profile '{config.env.profile}' was changed since checkpoint '{checkpoint.folder}': {'; '.join(changed)}"
+            f"the recipe {since}: {'; '.join(changed)}; a run is resumed with its own recipe: restore it, or train in "
+            "another folder"
         )
+    if changed := differences(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json")):
+        raise AmulettError(f"profile '{config.env.profile}' {since}: {'; '.join(changed)}")

@@ -1,17 +1,16 @@
-"""Tuning a recipe: trials that Optuna proposes, each a training run of its own.
+"""Tuning of a recipe with Optuna.
 
 A study is a folder:
 
-====================  =================================================================================
-``study.json``        the recipe, the space, the seeds: what makes the trials what they are
-``trials/<n>/<s>/``   the run of trial n with seed s; what a run left in it is all that there is to know
-``trials.json``       what came of each trial: parameters, costs
-``best.yaml``         the best trial's recipe
-====================  =================================================================================
+====================  ==============================================================
+``study.json``        recipe, space and seeds, which determine the trials
+``trials/<n>/<s>/``   the training run of trial n with seed s
+``trials.json``       parameters and costs of each trial
+``best.yaml``         the recipe of the best trial
+====================  ==============================================================
 
-The runs are the study's memory: one that is finished is never done again, one that was killed is resumed. What trial n
-tries depends on the study's seed, on n and on the costs of the trials before it alone, so that a study that was killed
-comes to the same trials as one that was not.
+The state of a study is in its runs: a finished one is not repeated, a killed one is resumed. Trial n depends only on
+the study's seed, on n and on the costs of the trials before it, so that a killed study continues with the same trials.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from pydantic import Field, ValidationError, model_validator
 
 from amulett_agents.config import RecipeError, TrainConfig
-from amulett_agents.run_folder import CONFIG, TrainResult
+from amulett_agents.run_folder import CONFIG
 from amulett_agents.training import resume, train
 from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe, find_config
@@ -41,15 +40,15 @@ from amulett_gym.storage.writing import output_folder, write_json, write_text
 STUDY, TRIALS, BEST = "study.json", "trials.json", "best.yaml"
 RUNS = "trials"
 _RANDOM_TRIALS = 8
-"""Trials at random before the sampler has something to learn from."""
+"""Random trials before the sampler uses their costs."""
 
 
 class Range(Group):
-    """Numbers from `low` to `high`; whole ones if both are written without a point."""
+    """Numbers from `low` to `high`; integers if both are integers."""
 
     low: int | float
     high: int | float
-    log: bool = Field(default=False, description="try orders of magnitude alike")
+    log: bool = Field(False, description="draw on a logarithmic scale")
 
     @model_validator(mode="after")
     def _check_order(self) -> Range:
@@ -60,27 +59,27 @@ class Range(Group):
         return self
 
     def distribution(self) -> BaseDistribution:
-        """Return it as Optuna knows it."""
+        """Return Optuna's distribution."""
         if isinstance(self.low, int) and isinstance(self.high, int):
             return IntDistribution(self.low, self.high, log=self.log)
         return FloatDistribution(self.low, self.high, log=self.log)
 
     def ends(self) -> list[Any]:
-        """Return what has to be a valid value."""
+        """Return the values that the recipe has to accept."""
         return [self.low, self.high]
 
 
 class Choice(Group):
-    """One of some values, lists and null among them."""
+    """One of some values, which may be lists and null."""
 
     choices: list[Any] = Field(min_length=2, max_length=100)
 
     def distribution(self) -> BaseDistribution:
-        """Return it as Optuna knows it: by number, for it takes no lists."""
+        """Return Optuna's distribution of the index: it takes no lists."""
         return CategoricalDistribution(list(range(len(self.choices))))
 
     def ends(self) -> list[Any]:
-        """Return what has to be a valid value."""
+        """Return the values that the recipe has to accept."""
         return self.choices
 
 
@@ -89,17 +88,10 @@ Space = dict[str, Range | Choice]
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of a trial.
+    """The result of a trial.
 
-    Attributes
-    ----------
-    number : int
-    changes : dict
-        Dotted key of the recipe -> value.
-    costs : list of float
-        Lowest validation cost of the run with each seed; none if it failed.
-    error : str
-        Why it failed: the recipe was refused, or a run diverged; else an empty string.
+    `changes` maps dotted keys of the recipe to values. `costs` are the lowest validation costs of the runs, one a seed.
+    If the recipe was refused or a run diverged, `costs` is empty and `error` is the reason.
     """
 
     number: int
@@ -109,17 +101,17 @@ class Trial:
 
     @property
     def cost(self) -> float | None:
-        """Mean over the seeds; None if it failed."""
+        """Mean cost over the seeds; None if the trial failed."""
         return float(np.mean(self.costs)) if self.costs else None
 
 
 def load_space(path: str | Path, config: TrainConfig) -> Space:
-    """Read what may be changed in a recipe: dotted keys with ``{low, high, log}`` or ``{choices}``.
+    """Read a search space: dotted keys of the recipe with ``{low, high, log}`` or ``{choices}``.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read, a key is none of the recipe's, or an end of a range or a choice is not allowed.
+        If the file cannot be read, a key is not in the recipe, or a range's end or a choice is not allowed.
     """
     content = read_yaml(find_config(path, "space"), "space")
     if not content:
@@ -133,17 +125,17 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
             raise describe(error, kind, f"space '{path}', key '{key}'") from error
         found = space[str(key)]
         ends = [_valid(config, str(key), value, path) for value in found.ends()]
-        if isinstance(found, Range) and all(isinstance(end, int) for end in ends):  # 1e3 of a key that takes integers
+        if isinstance(found, Range) and all(isinstance(end, int) for end in ends):  # 1e3 of an integer key
             space[str(key)] = Range(low=ends[0], high=ends[1], log=found.log)
     return space
 
 
 def _valid(config: TrainConfig, key: str, value: Any, path: str | Path) -> Any:
-    """Return a value of a space as the recipe reads it; refuse one that is not allowed."""
+    """Return a value of a space as the recipe reads it; refuse an invalid one."""
     try:
         content: Any = _changed(config, {key: value}).model_dump()
     except ValidationError as error:
-        if any(one["loc"] for one in error.errors()):  # others may be right in company
+        if any(one["loc"] for one in error.errors()):  # the value may be valid together with others
             raise describe(error, TrainConfig, f"space '{path}'") from error
         return value
     for part in key.split("."):
@@ -160,49 +152,47 @@ def tune(
     seeds: int = 1,
     command: Sequence[str] | None = None,
     progress: bool = False,
-    tell: Callable[[Trial, Trial | None], None] | None = None,
+    report: Callable[[Trial, Trial | None], None] | None = None,
 ) -> list[Trial] | None:
-    """Try changes of a recipe, or go on with it.
+    """Run the trials of a study, or continue it.
 
     Parameters
     ----------
     config : TrainConfig
-        What is not changed.
+        Recipe; the space's keys are changed in it.
     space : dict
         From `load_space`.
     trials : int
-        How many there shall be, those of an earlier call included.
+        Number of trials, including those of earlier calls.
     out : str or Path
-        Folder of the study; made if it does not exist, gone on with if it does.
+        Folder of the study; made if it does not exist.
     seed : int
-        Of what is tried.
+        Seed of the proposals.
     seeds : int
-        Runs of each trial, with the recipe's seed and the following ones; their mean counts.
+        Runs of each trial, with the recipe's seed and the following ones; the mean of their costs counts.
     command : sequence of str, optional
-        The words of the command, to be kept with it.
+        Words of the command, which are stored with the study.
     progress : bool
-        Draw the runs' progress bars.
-    tell : callable, optional
-        Called with each trial that comes to its end, and the best one so far.
+        Show the runs' progress.
+    report : callable, optional
+        Called after each trial with it and the best one so far.
 
     Returns
     -------
     list of Trial or None
-        All trials; None if Ctrl-C or SIGTERM ended it before.
+        All trials; None if Ctrl-C or SIGTERM ended the study.
 
     Raises
     ------
     AmulettError
-        If `out` holds something else or another study, another process works in it, or `max_seconds` would let the
-        machine's speed decide.
+        If `out` holds something else or another study, another process works in it, or the recipe has `max_seconds`,
+        with which costs depend on the machine's speed.
     """
     if config.max_seconds is not None:
-        raise AmulettError("max_seconds lets the machine's speed decide what a trial costs; use total_steps for tuning")
-    for name, value in (("trials", trials), ("seeds", seeds)):
-        if value < 1:
-            raise AmulettError(f"{name} is {value}; it has to be at least 1")
-    if seed < 0:
-        raise AmulettError(f"seed is {seed}; it has to be at least 0")
+        raise AmulettError("max_seconds makes a trial's cost depend on the machine's speed; use total_steps for tuning")
+    for name, value, least in (("trials", trials, 1), ("seeds", seeds, 1), ("seed", seed, 0)):
+        if value < least:
+            raise AmulettError(f"{name} is {value}; it has to be at least {least}")
     out = user_path(out)
     with output_folder(out, "study", [[STUDY]]), locked_folder(out):
         _begin(out, config, space, seed, seeds, command)
@@ -216,21 +206,19 @@ def tune(
             write_json(out / TRIALS, [asdict(one) | {"cost": one.cost} for one in done])
             best = best_of(done)
             if best is not None:
-                recipe = _changed(config, best.changes).model_dump()
-                write_text(out / BEST, to_yaml(recipe))
-            if tell is not None:
-                tell(trial, best)
+                write_text(out / BEST, to_yaml(_changed(config, best.changes).model_dump()))
+            if report is not None:
+                report(trial, best)
     return done
 
 
 def best_of(trials: Sequence[Trial]) -> Trial | None:
-    """Return the trial of the lowest cost, the first of equal ones; None if all failed."""
-    judged = [trial for trial in trials if trial.costs]
-    return min(judged, key=lambda trial: (trial.cost, trial.number)) if judged else None
+    """Return the trial with the lowest cost, the first of equal ones; None if all failed."""
+    return min((trial for trial in trials if trial.costs), key=lambda trial: (trial.cost, trial.number), default=None)
 
 
 def _begin(out: Path, config: TrainConfig, space: Space, seed: int, seeds: int, command: Sequence[str] | None) -> None:
-    """Write down what the study is, or compare it with what was written down."""
+    """Write ``study.json``, or compare the study with the one that is there."""
     study = {
         "config": config.model_dump(),
         "space": {key: entry.model_dump() for key, entry in space.items()},
@@ -238,10 +226,10 @@ def _begin(out: Path, config: TrainConfig, space: Space, seed: int, seeds: int, 
         "seeds": seeds,
     }
     if (out / STUDY).is_file():
-        changed = differences(read_json(out / STUDY, "study", limit=1_000_000), json.loads(json.dumps(study)))
-        if changed:
+        earlier = read_json(out / STUDY, "study", limit=1_000_000)
+        if changed := differences(earlier, json.loads(json.dumps(study))):
             raise AmulettError(
-                f"'{out}' holds another study: {'; '.join(changed)}; go on with that one, or choose another folder"
+                f"'{out}' holds another study: {'; '.join(changed)}; continue that one, or choose another folder"
             )
     else:
         write_json(out / STUDY, study)
@@ -249,7 +237,7 @@ def _begin(out: Path, config: TrainConfig, space: Space, seed: int, seeds: int, 
 
 
 def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dict[str, Any]:
-    """Return what a trial changes, from the seed, its number and the trials before it."""
+    """Return the changes of a trial, from the seed, its number and the trials before it."""
     distributions = {key: entry.distribution() for key, entry in space.items()}
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     entropy = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
@@ -269,22 +257,18 @@ def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dic
 def _run(
     config: TrainConfig, changes: Mapping[str, Any], folder: Path, number: int, seeds: int, progress: bool
 ) -> Trial | None:
-    """Train with each seed, or go on with it, or read what was done; None if that was interrupted."""
-    costs = []
+    """Return a trial, whose runs are trained, resumed or read; None if one was interrupted."""
+    costs: list[float] = []
     for k in range(seeds):
         try:
             recipe = _changed(config, {**changes, "seed": config.seed + k})
+            run = folder / str(recipe.seed)
+            begun = (run / CONFIG).is_file()  # a process may have been killed in the folder before it wrote that
+            result = resume(run, progress) if begun else train(recipe, run, progress)
         except ValidationError as error:
             return Trial(number, dict(changes), [], str(describe(error, TrainConfig, "recipe")))
-        run = folder / str(recipe.seed)
-        result: TrainResult
-        if (run / CONFIG).is_file():
-            result = resume(run, progress=progress)
-        else:  # nothing, or a folder that a process was killed in before it had said what it is
-            try:
-                result = train(recipe, run, progress=progress)
-            except RecipeError as error:
-                return Trial(number, dict(changes), [], str(error))
+        except RecipeError as error:
+            return Trial(number, dict(changes), [], str(error))
         if result.interrupted:
             return None
         if result.diverged is not None:

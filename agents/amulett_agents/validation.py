@@ -19,11 +19,11 @@ from amulett_gym.envs.reward import TERMS
 from amulett_gym.laws.actor import Actor
 
 _WATCHED = 50
-"""Steps between two calls of a validation's `watch`."""
+"""Steps between two calls of `watch` in a validation."""
 
 
 def make_validation_env(config: TrainConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Make the environment in which a run's policies are compared: the split `validation` of its suite."""
+    """Return the environment in which a run's policies are compared: the split `validation` of its suite."""
     return gym.make_vec(
         config.env.id,
         num_envs=config.validation.episodes,
@@ -38,29 +38,16 @@ def evaluate(
 ) -> dict[str, float]:
     """Return the mean cost per episode of a model's deterministic policy, by the arithmetic of its bundle.
 
-    Parameters
-    ----------
-    model : PPO or SAC
-    env : VectorEnv
-        Each of its devices plays one episode.
-    seed : int
-        Device i is seeded with ``seed + i``.
-    watch : callable
-        Called now and then, to show progress.
-
-    Returns
-    -------
-    dict
-        ``cost``, minus the mean return; each reward term's share of it; the number of ``failures``; the present
-        ``exploration_std``, of SAC at the first observations.
+    Each device of `env` plays one episode; device i is seeded with ``seed + i``. `watch` is called every 50 steps, to
+    show progress. The result has ``cost``, minus the mean return; each reward term's share of it; the number of
+    ``failures``; the present ``exploration_std`` (of SAC at the first observations).
     """
     act = Actor(*describe_policy(model), env)
     observations, info = env.reset(seed=seed)
     std = exploration_std(model, act.inputs(observations))
     playing = np.ones(env.num_envs, dtype=bool)
-    step = 0
+    step = failures = 0
     costs = dict.fromkeys(TERMS, 0.0)
-    failures = 0
     while playing.any():
         if step % _WATCHED == 0:
             watch()
@@ -74,7 +61,7 @@ def evaluate(
 
 
 def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:
-    """Return the mean standard deviation of a model's exploration, before SAC's tanh, at some observations."""
+    """Return the mean standard deviation of a model's exploration noise, before SAC's tanh, at some observations."""
     with torch.no_grad():
         if isinstance(model, PPO):
             return float(model.policy.log_std.exp().mean())
@@ -83,9 +70,8 @@ def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> fl
 
 
 def warm_up(config: TrainConfig) -> None:
-    """Compile what a recipe's environment needs, so that no measured time includes it."""
-    keywords = {"num_envs": 2, "max_episode_steps": 1, **config.env.keywords()}
-    env = gym.make_vec(config.env.id, split="validation", **keywords)
+    """Compile the kernel of a recipe's environment, so that no measured time includes it."""
+    env = gym.make_vec(config.env.id, num_envs=2, split="validation", max_episode_steps=1, **config.env.keywords())
     env.reset(seed=0)
     for _ in range(2):  # the second step starts the next episode
         env.step(np.zeros((2, 1), dtype=np.float32))

@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     show = printer(arguments)
 
-    def tell(trial: Any, best: Any) -> None:
+    def report(trial: Any, best: Any) -> None:
         cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
         show(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}")
 
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         seeds=arguments.seeds,
         command=["amulett", *sys.argv[1:]],
         progress=True,
-        tell=tell,
+        report=report,
     )
     if trials is None:
         words = shlex.join(["amulett", *sys.argv[1:]])
