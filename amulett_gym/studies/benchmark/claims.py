@@ -1,4 +1,4 @@
-"""What the learned policy is to show, each checked against what was measured."""
+"""Claims about the learned policy, each judged by the measured numbers."""
 
 from __future__ import annotations
 
@@ -82,17 +82,17 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
         if entry["kind"] not in ("ablation", "reference") and name != best
     )
     share = {"mean": failures["count"] / failures["total"], "low": failures["low"], "high": failures["high"]}
-    note = f"{failures['count']} of {failures['total']} episodes; the fewest of any contender: {fewest:.2%}"
-    text = f"combined cost at most {COST_SHARE} of eq. 6's (text)"
+    note = f"{failures['count']} of {failures['total']} episodes; lowest rate of any contender: {fewest:.2%}"
+    text = f"cost at most {COST_SHARE} of eq. 6's (as its text describes it)"
     beside = _beside_references(found, best)
     claims = [
         _claim(about, text, mine["ratio"][YARDSTICK], _at_most(COST_SHARE), beside),
         *(
-            _claim(about, f"costs less than {name}", mine["ratio"].get(other), _below_one, "ratio of costs")
+            _claim(about, f"lower cost than {name}", mine["ratio"].get(other), _below_one, "ratio of costs")
             for other, name in (
                 (overall, f"the best constant overall ({overall})"),
-                (TUNED_EQ6, "tuned eq. 6"),
-                (TUNED_LAW, "the tuned richer law"),
+                (TUNED_EQ6, TUNED_EQ6),
+                (TUNED_LAW, TUNED_LAW),
             )
         ),
         _claim(about, "no more failures than any contender", share, _at_most(fewest), note),
@@ -101,8 +101,8 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
         ratio, text = mine["metrics"][key]["ratio_to_eq6"], f"{METRICS[key].name} below eq. 6's"
         claims.append(_claim(about, text, ratio, lambda mean, low, high: mean < 1.0, "ratio"))
     if POSITION_ONLY in mine["ratio"]:
-        note = "ratio of costs; reported, no claim: it has other gains and no tension loop"
-        claims.append(_claim(about, "beside position control alone", mine["ratio"][POSITION_ONLY], None, note))
+        note = "ratio of costs; reported only: position-only has other gains and no tension loop"
+        claims.append(_claim(about, "cost compared with position-only", mine["ratio"][POSITION_ONLY], None, note))
     return claims
 
 
@@ -113,7 +113,7 @@ def _beside_references(found: Content, best: str) -> str:
     for kind in SEARCHED:
         goal = references[kind].get(headline)
         if goal is not None:
-            beside = f"; {best} there {goal['entries_to_eq6'][best]['mean']:.3f}"
+            beside = f"; {best} in these: {goal['entries_to_eq6'][best]['mean']:.3f}"
             parts.append(f"{kind} {goal['ratio_to_eq6']['mean']:.3f} (in {goal['scenarios']} scenarios{beside})")
     parts += [f"{name} {goal['ratio_to_eq6']['mean']:.3f}" for name, goal in references["causal"].items()]
     return f"ratio of costs; references: {', '.join(parts)}" if parts else "ratio of costs"
@@ -125,15 +125,15 @@ def _on_shares(found: Content, best: str) -> list[Claim]:
     goals |= {f"the causal reference ({name})": causal for name, causal in references["causal"].items()}
     if not references["causal"]:
         goals["the causal reference"] = None
-    about, way = f"{headline}, held-out", f"the way from the best hand-tuned law ({references['from']}) to"
+    about, gap = f"{headline}, held-out", f"the gap between {references['from']}, the best tuned law, and"
     claims = [
-        _claim(about, f"half of {way} {name}; an aim", _share(goal, best), _at_least_half, _way(goal, best))
+        _claim(about, f"closes at least half of {gap} {name}", _share(goal, best), _at_least_half, _gap(goal, best))
         for name, goal in goals.items()
     ]
     foreseen = references["foresight"].get(headline)
     if foreseen is not None:
-        text = f"how much of {way} the foresight reference; reported, no claim"
-        claims.append(_claim(about, text, _share(foreseen, best), None, _way(foreseen, best)))
+        text = f"share closed of {gap} the foresight reference"
+        claims.append(_claim(about, text, _share(foreseen, best), None, f"{_gap(foreseen, best)}; reported only"))
     return claims
 
 
@@ -141,13 +141,13 @@ def _share(goal: Content | None, best: str) -> Number | None:
     return None if goal is None else goal["share_from_hand"][best]
 
 
-def _way(goal: Content | None, best: str) -> str:
-    """Return on how many scenarios a share of the way stands, or why there is none."""
+def _gap(goal: Content | None, best: str) -> str:
+    """Return on how many scenarios a share of the gap is computed, or why there is none."""
     if goal is None:
         return "no such reference here"
     if goal["share_from_hand"][best]["mean"] is None:
         return "this reference costs no less than the law"
-    return f"share of the way, {goal['scenarios']} scenarios" if "scenarios" in goal else "share of the way"
+    return f"share of the gap, {goal['scenarios']} scenarios" if "scenarios" in goal else "share of the gap"
 
 
 def _on_shifted(found: Content, best: str) -> list[Claim]:
@@ -155,7 +155,7 @@ def _on_shifted(found: Content, best: str) -> list[Claim]:
     results = found["results"].get(f"{headline}/shifted")
     mine = {} if results is None else results[best]["ratio"]
     return [
-        _claim(f"{headline}, shifted", f"costs less than {name}", mine.get(other), _below_one, "ratio of costs")
+        _claim(f"{headline}, shifted", f"lower cost than {name}", mine.get(other), _below_one, "ratio of costs")
         for other, name in ((YARDSTICK, "eq. 6"), (overall, f"the best constant overall ({overall})"))
     ]
 
@@ -166,7 +166,7 @@ def _on_paper_step(found: Content, best: str) -> list[Claim]:
     for key in PAPER_METRICS:
         name = METRICS[key].paper_name or METRICS[key].name
         ratio = None if results is None else results[best]["metrics"][key]["ratio_to_eq6"]
-        text = f"{name} no worse than eq. 6's by more than 2 % or its interval"
+        text = f"{name} at most {TRADE} times eq. 6's, or the interval reaches down to 1"
         claims.append(_claim(PAPER_STEP, text, ratio, _about_one, "ratio"))
     return claims
 
@@ -175,7 +175,7 @@ def _on_seeds(found: Content, best: str) -> list[Claim]:
     mine = found["results"][f"{found['description']['headline']}/held-out"][best]
     ratios = mine["seed_ratios"].get(TUNED_LAW)
     longest = max(run["seconds"] for run in found["training"][best]["runs"].values())
-    wanted = f"{SEED_SHARE * 10:.0f} of 10 training seeds beat the tuned richer law"
+    wanted = f"{SEED_SHARE * 10:.0f} of 10 training seeds have a lower cost than {TUNED_LAW}"
     if ratios is None:
         seeds = Claim("training", wanted, None, None, None, None, "not compared")
     else:

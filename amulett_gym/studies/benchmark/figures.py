@@ -92,7 +92,7 @@ def score_figure(found: Content) -> Figure:
 
 @style.styled
 def ratio_figure(found: Content) -> Figure:
-    """Draw each entry's cost as a share of eq. 6's, on every suite and split."""
+    """Draw each entry's cost divided by eq. 6's, on every suite and split."""
     rows = {
         place.replace("/", ", "): {name: numbers["ratio"][YARDSTICK] for name, numbers in results.items()}
         for place, results in found["results"].items()
@@ -102,14 +102,14 @@ def ratio_figure(found: Content) -> Figure:
 
 @style.styled
 def families_figure(found: Content) -> Figure:
-    """Draw each entry's share of eq. 6's cost in each family of the headline suite, held-out."""
+    """Draw each entry's cost divided by eq. 6's in each family of the headline suite, held-out."""
     rows = {f"{name} ({entry['scenarios']})": entry["ratio_to_eq6"] for name, entry in found["families"].items()}
     return _ratios(found, rows, (0.0, 1.8))
 
 
 def _ratios(found: Content, rows: dict[str, dict[str, Any]], limits: tuple[float, float]) -> Figure:
     others = {title: {name: row[name] for name in row if name != YARDSTICK} for title, row in rows.items()}
-    return _dots(found, others, "cost as a share of eq. 6's", limits, {1.0: style.BLACK})
+    return _dots(found, others, "cost divided by eq. 6's", limits, {1.0: style.BLACK})
 
 
 def _dots(
@@ -203,7 +203,7 @@ def constants_figure(found: Content) -> Figure:
         panel.plot(tensions[best], 1.0, color=colour, marker="o", markersize=6, markeredgecolor="white", zorder=5)
     panel.set_ylim(0.97, min(max(panel.get_ylim()[1], 1.1), 2.0))
     panel.set_xlabel("constant tension setpoint [N]")
-    panel.set_ylabel("cost, over the least\nof any constant on that suite")
+    panel.set_ylabel("cost, divided by that of\nthe suite's best constant")
     style.legend_beside(panel, title="suite: its best constant")
     return figure
 
@@ -311,11 +311,11 @@ def responses_figure(evidence: Evidence, found: Content) -> Figure:
 
 
 def worst_figure(evidence: Evidence, found: Content) -> Figure:
-    """Draw the scenario in which the learned policy loses most, with eq. 6, the best hand-tuned law, and the policy."""
+    """Draw the learned policy's worst scenario, with eq. 6, the best tuned law, and the policy."""
     item = found["worst"][0]
     names = list(dict.fromkeys([YARDSTICK, found["best_by_hand"], found["best_learned"]]))
     protocol = replace(evidence.protocol, seed=item["seed"])
-    costs = f"cost {item['learned']:.2f} of the learned policy, {item['by_hand']:.2f} of the best hand-tuned law"
+    costs = f"cost {item['learned']:.2f} of the learned policy, {item['by_hand']:.2f} of the best tuned law"
     title = f"{item['family']}, seed {item['seed']}: {costs}"
     return plots.step_response_figure(_trajectories(evidence, names, protocol), title, _colours(found))
 
@@ -338,7 +338,7 @@ def _colours(found: Content) -> dict[str, str]:
 
 @style.styled
 def resting_figure(found: Content) -> Figure:
-    """Draw how stiff every contender rests and how far pushes deflect it: a slack arm must not win."""
+    """Draw every contender's resting stiffness and its deflection under pushes: shows slack arms."""
     headline = f"{found['description']['headline']}/held-out"
     pushed = "hold-push/held-out" if "hold-push/held-out" in found["results"] else headline
     shown = (("resting_stiffness", headline), ("push_deflection", pushed))
@@ -358,7 +358,7 @@ def resting_figure(found: Content) -> Figure:
 
 @style.styled
 def profiles_figure(found: Content) -> Figure:
-    """Draw which share of episodes costs at most so much: the more to the upper left, the better."""
+    """Draw the share of episodes over the highest cost that they have: upper left is better."""
     looks, profiles = styles(found), found["profiles"]
     figure, panel = style.one_panel(4.0)
     costs = profiles["costs"]
@@ -374,14 +374,14 @@ def profiles_figure(found: Content) -> Figure:
     panel.set_xlim(0.0, max(*reached, 1.0))
     panel.set_ylim(0.0, 1.0)
     panel.set_xlabel("cost of an episode")
-    panel.set_ylabel("share of episodes\nthat cost at most that")
+    panel.set_ylabel("share of episodes\nwith at most that cost")
     style.legend_beside(panel)
     return figure
 
 
 @style.styled
 def search_figure(found: Content) -> Figure:
-    """Draw how the clairvoyant search's mean cost fell with the episodes that it tried for each scenario."""
+    """Draw the clairvoyant search's mean cost over the episodes tried for each scenario."""
     clairvoyant = found["references"]["clairvoyant"]
     figure, panel = style.one_panel(3.2)
     for k, (suite, goal) in enumerate(clairvoyant.items()):
@@ -389,7 +389,7 @@ def search_figure(found: Content) -> Figure:
         text = f"{suite} ({goal['scenarios']})"
         panel.plot(curve[:, 0], curve[:, 1] / curve[-1, 1], color=_SUITES[k % len(_SUITES)], label=text)
     panel.set_xlabel("episodes tried for each scenario")
-    panel.set_ylabel("mean cost, over the last")
+    panel.set_ylabel("mean cost / final mean cost")
     panel.set_xlim(left=0.0)
     style.legend_beside(panel)
     return figure

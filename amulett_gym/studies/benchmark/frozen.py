@@ -39,7 +39,7 @@ def check_frozen(suites: Sequence[str]) -> None:
         )
     if price_hash(profile) != PRICES_SHA256:
         raise AmulettError(
-            "the divisors or weights of the cost are not those that were frozen (evaluation/benchmark/frozen.py); "
+            "the divisors or weights of the cost are not those that were frozen (studies/benchmark/frozen.py); "
             "a change of them goes with a new version"
         )
 
@@ -55,7 +55,7 @@ def price_hash(profile: Profile) -> str:
 
 
 def hashes(profile: Profile, suites: Iterable[str]) -> dict[str, Any]:
-    """Return what a benchmark's numbers hang on: the hashes of its suites' splits and prices on its own profile."""
+    """Return the hashes of the suites' splits and prices on a benchmark's own profile: its numbers depend on them."""
     return {
         "suites": {suite: {split: suite_hash(suite, split, profile) for split in SPLITS} for suite in suites},
         "prices": price_hash(profile),

@@ -69,7 +69,7 @@ PROFILE_COSTS = tuple(round(0.05 * k, 2) for k in range(61))
 """Costs at which performance profiles are taken."""
 
 WORST = 10
-"""Number of scenarios that are reported: those in which the learned policy loses most."""
+"""Number of scenarios that are reported: the learned policy's worst."""
 
 WORST_FOLDER = "worst"
 
@@ -123,7 +123,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
 
 
 def best_by_hand(evidence: Evidence) -> str:
-    """Return the law or constant of the lowest cost on the headline suite, held-out: the best opponent, in hindsight.
+    """Return the law or constant of the lowest cost on the headline suite, held-out: the best tuned law, in hindsight.
 
     Position control alone is none: it has other gains and no tension to schedule, so no schedule's reference bounds it.
     """
@@ -148,7 +148,7 @@ def shown(evidence: Evidence, suite: str | None = None) -> list[str]:
 
 
 def write_worst(evidence: Evidence, found: Content, folder: Path) -> None:
-    """Write the scenarios in which the learned policy loses most as JSON that can be replayed."""
+    """Write the learned policy's worst scenarios as JSON that can be replayed."""
     if not found["worst"]:
         return
     rows = Trials(evidence.protocol).rows
@@ -234,7 +234,7 @@ def _profiles(evidence: Evidence) -> Content:
 
 
 def _references(evidence: Evidence, hand: str) -> Content:
-    """Return scores (0: best constant overall, 1: clairvoyant), and shares of the way from the best hand-tuned law."""
+    """Return scores (0: best constant overall, 1: clairvoyant), and shares of the gap from the best tuned law."""
     searched = evidence.searched
     foreseen = {suite: found.foresight for suite, found in searched.items() if found.foresight is not None}
     causal: Content = {}
@@ -285,9 +285,9 @@ def _ratio(costs: Values, others: Values, evidence: Evidence) -> Estimate:
 
 
 def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Estimate:
-    """Return how much of the way from one entry's cost to a lower one's others have gone; seeds are resampled, too.
+    """Return the share of the gap from one entry's cost to a lower one's that others close; seeds are resampled, too.
 
-    Undefined if it is not lower: then there is no way.
+    Undefined if it is not lower: then there is no gap.
     """
     if not goal.mean() < start.mean():
         return UNDEFINED
@@ -295,7 +295,7 @@ def _share(start: Values, costs: Values, goal: Values, evidence: Evidence) -> Es
 
 
 def _training(evidence: Evidence) -> Content:
-    """Return what learning and tuning took, by entry."""
+    """Return the cost of learning and tuning, by entry."""
     found: Content = {}
     for run in evidence.runs:
         entry = found.setdefault(run.entry, {"runs": {}, "recipe": run.config.model_dump(mode="json")})
@@ -310,7 +310,7 @@ def _training(evidence: Evidence) -> Content:
 
 
 def _worst(evidence: Evidence, hand: str) -> list[Content]:
-    """Return the scenarios of the headline suite, held-out, in which the learned entry loses most to the best law."""
+    """Return the learned entry's worst scenarios of the headline suite, held-out, compared with the best tuned law."""
     results, best = evidence.headline(), evidence.description.best_learned
     learned, law = results[best].values["cost"].mean(axis=0), results[hand].values["cost"][0]
     order = np.argsort(law - learned, kind="stable")[:WORST]

@@ -19,7 +19,7 @@ from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED
 FOLDER = "tables"
 
 HOLDS = {True: "yes", False: "NO", None: "-"}
-"""Whether a claim holds, in words."""
+"""Whether a claim is met, in words."""
 
 Estimate = Mapping[str, float | None]
 
@@ -47,9 +47,9 @@ def claims_table(claims: Sequence[Claim]) -> Table:
     """Return what is claimed, what was measured, and whether it holds."""
     rows = [[c.about, c.claim, number(c.measured), interval(c.low, c.high), HOLDS[c.holds], c.note] for c in claims]
     held, judged = sum(claim.holds is True for claim in claims), sum(claim.holds is not None for claim in claims)
-    note = f"{held} of {judged} claims hold. A dash: not measured here, or reported without a claim."
-    head = ("on", "claim", "measured", "95 %", "holds", "of what")
-    return Table("What the learned policy is to show", head, rows, note, left=(0, 1, 5))
+    note = f"{held} of {judged} claims are met. A dash: not measured here, or reported only."
+    head = ("scenarios", "claim", "measured", "95 % interval", "met", "what is measured")
+    return Table("Claims", head, rows, note, left=(0, 1, 5))
 
 
 def ranking(found: Content) -> Table:
@@ -70,13 +70,13 @@ def ranking(found: Content) -> Table:
             ]
         )
     head = (
-        *("", "cost", "to eq. 6", "to the best constant", "to the tuned richer law", "IQM", "worst decile"),
-        *("P(better than it)", "failed", METRICS["resting_stiffness"].heading),
+        *("", "cost", "ratio to eq6", "ratio to the best constant", f"ratio to {TUNED_LAW}", "IQM", "CVaR"),
+        *(f"P(cost below {TUNED_LAW}'s)", "failed", METRICS["resting_stiffness"].heading),
     )
     note = (
-        "Ratios of costs in the same scenarios, with 95 % intervals over training seeds and scenarios. IQM: mean of "
-        "the middle half; worst decile: CVaR; P: probability of a lower cost than the tuned richer law in a scenario. "
-        + _position_only(found)
+        "Ratios of costs in the same scenarios, with 95 % intervals over training seeds and scenarios. IQM: "
+        "interquartile mean, the mean of the middle half; CVaR: mean of the worst tenth; P: share of scenarios in "
+        f"which the cost is below that of {TUNED_LAW}, a tie counts half. {_position_only(found)}"
     )
     return Table(f"{_words(place)}: all contenders", head, rows, note)
 
@@ -89,9 +89,12 @@ def by_suite(found: Content) -> Table:
         ratios, best = _to_eq6(results), found["constants"]["best"][place.split("/")[0]]
         constant = f"{_tension(best)}: {number(ratios[best]['mean'])}"
         rows.append([_words(place), constant, *(with_interval(ratios.get(name)) for name in names)])
-    head = ("", "best constant there", *(label(found, name) for name in names))
-    note = "Cost over that of eq. 6 (text) in the same scenarios. A suite's best constant is chosen on its split train."
-    return Table("Cost as a share of eq. 6's, by suite and split", head, rows, note)
+    head = ("", "best constant on this suite", *(label(found, name) for name in names))
+    note = (
+        "Cost divided by that of eq. 6 (as its text describes it) in the same scenarios. A suite's best constant is "
+        "chosen on its split train."
+    )
+    return Table("Cost divided by eq. 6's, by suite and split", head, rows, note)
 
 
 def scores(found: Content) -> Table:
@@ -102,8 +105,8 @@ def scores(found: Content) -> Table:
         for suite, goal in found["references"]["clairvoyant"].items()
     ]
     note = (
-        "On the suite's first held-out scenarios, whose number is in brackets. 0: the best constant overall; 1: each "
-        "scenario's best schedule with the future known. " + _position_only(found)
+        "On the suite's first held-out scenarios (their number in parentheses). 0: the best constant overall; 1: the "
+        "clairvoyant reference. " + _position_only(found)
     )
     return Table("Score", ("", *(label(found, name) for name in names)), rows, note)
 
@@ -115,7 +118,7 @@ def physical(found: Content) -> Table:
         "resting_stiffness",
     )
     note = (
-        "Means over all episodes; in brackets the ratio to eq. 6's. Effort is the ISAV of both drives without the "
+        "Means over all episodes; in parentheses the ratio to eq. 6's. Effort is the ISAV of both drives without the "
         "setpoint's jump. Stiffness is not better or worse by itself."
     )
     place = _headline(found)
@@ -126,24 +129,25 @@ def physical(found: Content) -> Table:
 def paper_step(found: Content) -> Table:
     """Return the metrics of the paper's Tables 2-5 on its step."""
     keys = ("rise_time", "settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps", "overshoot")
-    note = "In brackets the ratio to eq. 6's. Episodes differ by sensor noise."
+    note = "In parentheses the ratio to eq. 6's. Tension ISE: of the true force. Episodes differ by sensor noise only."
     head = ("", *(METRICS[key].paper_heading for key in keys))
     return Table("The paper's step", head, _metric_rows(found, f"{PAPER_STEP}/held-out", keys), note)
 
 
 def constants(found: Content) -> Table:
-    """Return what constants cost on each suite's split train."""
+    """Return the costs of constants on each suite's split train."""
     tried, best = found["constants"]["tried"], found["constants"]["best"]
     names = list(next(iter(tried.values())))
     rows = [[suite, *(number(costs[name]) for name in names), _tension(best[suite])] for suite, costs in tried.items()]
     overall = _tension(found["constants"]["overall"])
-    note = f"Mean cost on the split train, by which constants are chosen: overall, that is on the mix, {overall}."
+    headline = found["description"]["headline"]
+    note = f"Mean cost on the split train, on which constants are chosen. Chosen overall, on {headline}: {overall}."
     head = ("", *map(_tension, names), "best")
     return Table("How the best constant differs between suites", head, rows, note)
 
 
 def by_seed(found: Content) -> Table:
-    """Return what each training seed came to on the headline suite, held-out."""
+    """Return the costs of each training seed on the headline suite, held-out."""
     rows = []
     for name, numbers in found["results"][_headline(found)].items():
         ratios, missing = numbers.get("seed_ratios", {}), [None] * len(found["entries"][name]["seeds"])
@@ -156,8 +160,8 @@ def by_seed(found: Content) -> Table:
             steps = (f"{run[key]:,}" for key in ("best_steps", "steps"))
             rows.append([f"{name}, seed {seed}", *costs, *steps, f"{run['seconds']:.0f}"])
     head = (
-        *("", "cost", "to eq. 6", "to the tuned richer law", "capped cost, validation", "steps of the best policy"),
-        *("steps", "seconds"),
+        *("", "cost", "ratio to eq6", f"ratio to {TUNED_LAW}", "capped cost on validation"),
+        *("steps of the chosen policy", "steps", "training time [s]"),
     )
     return Table("Training seeds, one by one", head, rows)
 
@@ -172,13 +176,15 @@ def ablations(found: Content) -> Table:
         for name in (found["best_learned"], *names)
         if names
     ]
-    head = ("", "cost to eq. 6", *(METRICS[key].heading for key in keys))
-    note = "Trained again with one weight at zero, one seed each; judged by the same cost as all."
+    head = ("", "cost, ratio to eq6", *(METRICS[key].heading for key in keys))
+    note = (
+        "Trained again with one weight of the reward set to zero, one seed each; evaluated with the same cost as all."
+    )
     return Table("Without a reward term", head, rows, note)
 
 
 def references(found: Content) -> Table:
-    """Return how far each reference lies below the best hand-tuned law, and what supports the search."""
+    """Return the references' costs, the shares of the gap to them that are closed, and checks of the search."""
     best, rows = found["best_learned"], []
     for kind in SEARCHED:
         for suite, goal in found["references"][kind].items():
@@ -200,24 +206,26 @@ def references(found: Content) -> Table:
         shares = with_interval(goal["ratio_to_eq6"]), with_interval(goal["share_from_hand"].get(best))
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     head = (
-        *("", "cost", "to eq. 6", "share of the way" + ("" if best is None else f", {best}"), "with other noise"),
-        *("found in the last quarter", "searches alone", "second search finds", "beaten by an entry"),
+        *("", "cost", "ratio to eq6", "share of the gap" + ("" if best is None else f", {best}"), "cost, other noise"),
+        *("gain in the last quarter", "each start alone", "gain of a second search", "beaten by an entry"),
     )
     note = (
-        f"The way is that from the best hand-tuned law, {found['references']['from']}, to the reference. Searches are "
-        "independent of what was learned. Clairvoyant: the best schedule of each scenario with all known; foresight: "
-        "with all known but chance, judged during the search by other draws of the noise than the scenario's own. With "
-        "other noise: the cost of the schedules when chance is drawn anew. Found in the last quarter: by how much the "
-        "search's mean cost fell then. Searches alone: the cost of each start without the other, in the noise that it "
-        "was searched in. The second search has another seed and twice as many rounds; the better of both counts. "
-        "Beaten: scenarios in which some entry has a lower cost. An entry that acts in the loop has other rules; any "
-        "other entry shows that the search fell short, or that answering the noise is worth more than foreseeing."
+        f"Share of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Clairvoyant: the "
+        "best schedule of each scenario, found with everything known, the sensor noise included; foresight: with "
+        "everything known except the noise, evaluated during the search with other draws of it. Other noise: cost of "
+        "the schedules with new draws of the noise. Gain in the last quarter: by how much the mean cost fell in the "
+        "last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
+        "starting points, evaluated with the noise used during the search. Gain of a second search: change of the "
+        "cost if the better of both counts; the second one has another seed and twice as many rounds (number of "
+        "scenarios in parentheses). Beaten by an entry: number of scenarios in which at least one contender costs "
+        "less than the reference. If that contender acts inside the loop (eq6), the reference does not bound it. "
+        "Otherwise the search did not converge, or feedback on the actual noise is worth more than foresight."
     )
     return Table("References", head, rows, note)
 
 
 def budgets(found: Content) -> Table:
-    """Return how many episodes were simulated for what was tuned and what was learned."""
+    """Return how many episodes learning and tuning simulated."""
     rows = []
     for name, entry in found["training"].items():
         if "runs" in entry:
@@ -225,13 +233,14 @@ def budgets(found: Content) -> Table:
             times, episodes = sorted(run["seconds"] for run in runs), max(run["episodes"] for run in runs)
             rows.append([name, f"{episodes:,}", f"{len(times)}", f"{times[0]:.0f} to {times[-1]:.0f}"])
         else:
-            rows.append([name, f"{entry['tuned_episodes']:,}", f"{len(entry['recipe']['seeds'])} starts together", "-"])
-    head, note = ("", "simulated episodes", "runs", "seconds"), "Episodes of one run, of all starts."
-    return Table("What learning and tuning took", head, rows, note)
+            rows.append([name, f"{entry['tuned_episodes']:,}", f"1 ({len(entry['recipe']['seeds'])} starts)", "-"])
+    head = ("", "simulated episodes", "runs", "training time [s]")
+    note = "Episodes of one run; of a tuned law those of all starts together."
+    return Table("Cost of learning and tuning", head, rows, note)
 
 
 def worst(found: Content) -> Table:
-    """Return the scenarios in which the learned policy loses most."""
+    """Return the scenarios in which the learned policy is worst, compared with the best tuned law."""
     rows = [
         [
             f"{item['family']}, seed {item['seed']}",
@@ -241,9 +250,12 @@ def worst(found: Content) -> Table:
         ]
         for item in found["worst"]
     ]
-    head = ("", "learned", f"hand-tuned ({found['best_by_hand']})", "eq. 6", "loses", "scenario")
-    note = "Costs; of the learned entry the mean over its seeds. Replay: `amulett simulate --scenario FILE --law ...`."
-    return Table("Where the learned policy loses most", head, rows, note)
+    head = ("", found["best_learned"], found["best_by_hand"], YARDSTICK, "higher cost", "scenario")
+    note = (
+        "Costs; for the learned policy the mean over its training seeds. Higher cost: of the learned policy than of "
+        f"{found['best_by_hand']}. Replay: `amulett simulate --scenario FILE --law ...`."
+    )
+    return Table("Worst scenarios of the learned policy", head, rows, note)
 
 
 def write_csv(found: Content, claims: Sequence[Claim], folder: Path) -> list[Path]:
@@ -364,4 +376,4 @@ def label(found: Content, name: str) -> str:
 def _position_only(found: Content) -> str:
     if POSITION_ONLY not in found["entries"]:
         return ""
-    return "Position control alone has other gains and no tension loop: no schedule, and no reference bounds it."
+    return f"{POSITION_ONLY} has other gains and no tension loop: it follows no schedule, so no reference bounds it."
