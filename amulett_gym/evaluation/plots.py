@@ -1,7 +1,4 @@
-"""Figures of trajectories, schedules and comparisons.
-
-In the style of `reporting.style`. Import this module only where something is drawn.
-"""
+"""Figures of episodes, in the style of `reporting.style`; import this module only where something is drawn."""
 
 from __future__ import annotations
 
@@ -26,12 +23,12 @@ from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.simulation.trajectory import Trajectory
 
 _STRINGS = {"biceps": (style.BICEPS, (0, (4, 1))), "triceps": (style.TRICEPS, "-")}
-"""String -> colour, and the line style that distinguishes it in grey."""
+"""String -> colour and line style, which distinguishes it in grey."""
 
 _FIXED_COLOURS = {"eq6": style.BLACK, "eq6-printed": style.GREY}
 _LAW_COLOURS = (style.BLUE, style.GREEN, style.PURPLE, style.SKY, style.INDIGO, style.OLIVE, style.BROWN, style.ORANGE)
 _LEARNED_COLOURS = ("#D62718", "#8C1020", "#F0708A")
-"""Of learned policies; no law ever has one of these."""
+"""Colours of learned policies only."""
 _MARKERS = "osD^vPXh<>p"
 _TERM_COLOURS = dict(zip(COSTS, (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.RED), strict=True))
 _PHASES = {
@@ -40,7 +37,10 @@ _PHASES = {
     -1: ("joint moves away from the setpoint", "#C29A00"),
 }
 _POINTS = 3000
-"""Points drawn of a schedule; its curves use all of them."""
+"""Points drawn of a schedule; its medians use all points."""
+_PANELS = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
+_FAINT = "#b5b5b5"
+"""Colour of eq. 6 behind the others."""
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
@@ -68,8 +68,6 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
     dashed = {"color": style.SETPOINT, "linestyle": "--", "linewidth": 1.0}
     angle.plot(time, np.degrees(trajectory["setpoint"]), label="setpoint", **dashed)
     angle.plot(time, np.degrees(trajectory["angle"]), color=style.JOINT, label="joint angle")
-    angle.set_ylabel("joint angle [deg]")
-
     for string, (colour, _) in _STRINGS.items():
         estimate = trajectory[f"estimate_{string}"]
         tension.plot(time, estimate, color=colour, alpha=0.35, linewidth=0.9, label=f"{string}, estimated")
@@ -78,12 +76,11 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
         command.plot(time, commanded, color=colour, drawstyle="steps-pre", label=string)
     wanted = trajectory["tension_setpoint"]
     tension.plot(time, wanted, drawstyle="steps-pre", label="antagonist's setpoint", **dashed)
-    tension.set_ylabel("string tension [N]")
-    tension.set_ylim(bottom=0.0)
     stiffness.plot(time, trajectory["joint_stiffness"], color=style.JOINT, label="of both strings")
-    stiffness.set_ylabel("joint stiffness\n[N m/rad]")
-    stiffness.set_ylim(bottom=0.0)
-    command.set_ylabel("drive command [deg]")
+    angle.set(ylabel="joint angle [deg]")
+    tension.set(ylabel="string tension [N]", ylim=(0.0, None))
+    stiffness.set(ylabel="joint stiffness\n[N m/rad]", ylim=(0.0, None))
+    command.set(ylabel="drive command [deg]")
     shaded = _shade_triceps(axes, time, trajectory["agonist"])
     for (name, torque), dashes in zip(torques.items(), ("-", "--"), strict=False):
         axes[4].plot(time, torque, color=style.GREY, linestyle=dashes, drawstyle="steps-pre", label=f"{name} torque")
@@ -98,7 +95,7 @@ def trajectory_figure(trajectory: Trajectory, title: str = "") -> Figure:
 
 @style.styled
 def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> Figure:
-    """Draw what several contenders, by name, do in the same scenario: each as one curve in every panel."""
+    """Draw the same scenario with several contenders, by name: one curve of each in every panel."""
     label, colour = labels(list(trajectories)), colours(list(trajectories))
     figure = style.new_figure(6.4, 7.2)
     axes = figure.subplots(3, 1, sharex=True, height_ratios=[3.0, 2.4, 1.9])
@@ -110,11 +107,10 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
     longest = max(trajectories.values(), key=len)
     time, setpoint = longest["time"], np.degrees(longest["setpoint"])
     axes[0].plot(time, setpoint, color=style.GREY, linestyle="--", linewidth=1.0, label="setpoint")
-    texts = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
-    for panel, text in zip(axes, texts, strict=True):
-        panel.set_ylabel(text)
-    for panel in axes[1:]:
-        panel.set_ylim(bottom=0.0)
+    for panel, text in zip(axes, _PANELS, strict=True):
+        panel.set(ylabel=text)
+        if panel is not axes[0]:
+            panel.set(ylim=(0.0, None))
     style.legend_beside(axes[0])
     return _over_time(figure, axes, time, title)
 
@@ -123,15 +119,9 @@ def overlay_figure(trajectories: Mapping[str, Trajectory], title: str = "") -> F
 def step_response_figure(
     trajectories: Mapping[str, Trajectory], title: str = "", colour: Mapping[str, str] | None = None
 ) -> Figure:
-    """Draw what several contenders do in the same scenario, side by side, eq. 6 behind each.
+    """Draw the same scenario with several contenders, by name, side by side, eq. 6 behind each.
 
-    Parameters
-    ----------
-    trajectories : mapping of str to Trajectory
-        By contender.
-    title : str
-    colour : mapping of str to str, optional
-        Of each contender; `colours` if None.
+    `colour` has one colour for each contender; if it is None, those of `colours` are used.
     """
     names = list(trajectories)
     label, colour = labels(names), colours(names) if colour is None else colour
@@ -140,47 +130,43 @@ def step_response_figure(
     figure = style.new_figure(0.8 + 3.8 * rows)
     grid = figure.subplots(3 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2, 1.6] * rows)
     reference = trajectories.get(YARDSTICK)
-    angles = np.degrees(
-        np.concatenate([path[signal] for path in trajectories.values() for signal in ("angle", "setpoint")])
-    )
+    paths = trajectories.values()
+    angles = np.degrees(np.concatenate([path[signal] for path in paths for signal in ("angle", "setpoint")]))
     room = 0.05 * max(float(np.ptp(angles)), 1.0)
-    tensions = [
-        s.max() for path in trajectories.values() for s in (_antagonist_tension(path), path["tension_setpoint"])
-    ]
-    stiffest = max(path["joint_stiffness"].max() for path in trajectories.values())
+    highest = max(s.max() for path in paths for s in (_antagonist_tension(path), path["tension_setpoint"]))
+    stiffest = max(path["joint_stiffness"].max() for path in paths)
+    longest = max(float(path["time"][-1]) for path in paths)
+    dashed: dict[str, Any] = {"color": style.SETPOINT, "linestyle": "--", "linewidth": 0.9}
     for k, name in enumerate(names):
         row, column = divmod(k, columns)
         angle, tension, stiffness = panels = grid[3 * row : 3 * row + 3, column]
         trajectory = trajectories[name]
         time = trajectory["time"]
         angle.set_title(label[name], color=colour[name], fontweight="bold")
-        angle.plot(time, np.degrees(trajectory["setpoint"]), color=style.SETPOINT, linestyle="--", linewidth=0.9)
+        angle.plot(time, np.degrees(trajectory["setpoint"]), **dashed)
         if reference is not None and name != YARDSTICK:
-            angle.plot(reference["time"], np.degrees(reference["angle"]), color="#b5b5b5", linewidth=1.1)
+            angle.plot(reference["time"], np.degrees(reference["angle"]), color=_FAINT, linewidth=1.1)
         angle.plot(time, np.degrees(trajectory["angle"]), color=colour[name])
         tension.plot(time, _antagonist_tension(trajectory), color=colour[name], linewidth=1.0)
-        tension.plot(time, trajectory["tension_setpoint"], color=style.SETPOINT, linestyle="--", linewidth=0.9)
+        tension.plot(time, trajectory["tension_setpoint"], **dashed)
         stiffness.plot(time, trajectory["joint_stiffness"], color=colour[name], linewidth=1.0)
-        angle.set_ylim(angles.min() - room, angles.max() + room)
-        angle.set_xlim(time[0], max(float(trajectories[n]["time"][-1]) for n in names))
-        tension.set_ylim(0.0, 1.05 * max(tensions))
-        stiffness.set_ylim(0.0, 1.05 * stiffest)
-        texts = "joint angle [deg]", "antagonist's\ntension [N]", "joint stiffness\n[N m/rad]"
-        for panel, first, text in zip(panels, grid[:3, 0], texts, strict=True):
+        angle.set(xlim=(time[0], longest), ylim=(angles.min() - room, angles.max() + room))
+        tension.set(ylim=(0.0, 1.05 * highest))
+        stiffness.set(ylim=(0.0, 1.05 * stiffest), xlabel="time [s]")
+        for panel, first, text in zip(panels, grid[:3, 0], _PANELS, strict=True):
             panel.sharey(first)
             if column == 0:
                 panel.set_ylabel(text)
             else:
                 panel.tick_params(labelleft=False)
-        stiffness.set_xlabel("time [s]")
         stiffness.tick_params(labelbottom=True)
     for k in range(len(names), rows * columns):
         for panel in grid[3 * (k // columns) : 3 * (k // columns) + 3, k % columns]:
             panel.set_axis_off()
     handles = [
         Line2D([], [], color=style.BLACK, label="contender"),
-        Line2D([], [], color="#b5b5b5", label=f"{YARDSTICK}, for comparison"),
-        Line2D([], [], color=style.SETPOINT, linestyle="--", linewidth=0.9, label="setpoint"),
+        Line2D([], [], color=_FAINT, label=f"{YARDSTICK}, for comparison"),
+        Line2D([], [], label="setpoint", **dashed),
     ]
     style.legend_below(figure, handles, ncols=3)
     if title:
@@ -190,17 +176,10 @@ def step_response_figure(
 
 @style.styled
 def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -> Figure:
-    """Draw the tension that policies choose against the position error, over both readings of eq. 6.
+    """Draw the tension that policies choose against the position error, over both readings of eq. 6, `law`.
 
-    Points are coloured by what the joint was doing; the thick lines are each phase's median. Faint lines show how far
-    the actions of a learned policy reach.
-
-    Parameters
-    ----------
-    schedules : mapping of str to Schedule
-        By contender. Those whose tension never changes are left out, unless there are no others.
-    law : VariableStiffness
-        Eq. 6's parameters.
+    The colours are those of the joint's phases of motion, thick lines the phases' medians. Faint lines show the action
+    range of a learned policy. Constant tensions are omitted, unless there are no others.
     """
     names = [name for name, schedule in schedules.items() if np.ptp(schedule.tension) > 0.01] or list(schedules)
     label = labels(names)
@@ -216,10 +195,9 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
             _draw_schedule(panel, schedules[name])
         _draw_eq6(panel, law, widest)
     style.label_outer(panels, "|position error| [deg]", "tension setpoint [N]")
-    panels[0].set_xlim(0.0, widest)
     tops = [schedules[name].tension_range[1] for name in names if is_bundle(name)]
     highest = max([law.nominal_tension, *tops, *[float(schedules[name].tension.max()) for name in names]])
-    panels[0].set_ylim(0.0, 1.06 * highest)
+    panels[0].set(xlim=(0.0, widest), ylim=(0.0, 1.06 * highest))
     handles = [
         Line2D([], [], color=style.BLACK, label="eq. 6, text"),
         Line2D([], [], color=style.BLACK, linestyle=":", label="eq. 6, as printed"),
@@ -235,12 +213,12 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
 
 @style.styled
 def cost_figure(summary: Mapping[str, Any]) -> Figure:
-    """Draw each contender's mean cost as a bar of its terms, with the sum's interval; see `comparison.summarise`."""
+    """Draw each contender's mean cost as a bar of its terms, with its interval; see `comparison.summarise`."""
     policies = summary["policies"]
     names = list(policies)
     label = labels(names)
     figure, panel = style.one_panel(1.5 + 0.36 * len(names))
-    # A failure costs as much as hundreds of episodes; it must not squeeze the others into a line.
+    # A failure costs as much as hundreds of episodes: the axis must not extend to it.
     sound = [policies[name]["cost"] for name in names if not policies[name]["failed"]["mean"]]
     shown = sound or [policies[name]["cost"] for name in names]
     end = 1.08 * max(max(cost["high"] or 0.0, cost["mean"]) for cost in shown)
@@ -262,9 +240,8 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
     for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
         panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=style.GREY)
     panel.axvline(policies[YARDSTICK]["cost"]["mean"], color=style.BLACK, linestyle=":", linewidth=1.0)
-    panel.set_xlim(0.0, end)
+    panel.set(xlim=(0.0, end), xlabel="mean cost of an episode [1]; dotted: eq. 6")
     style.name_rows(panel, [label[name] for name in names])
-    panel.set_xlabel("mean cost of an episode [1]; dotted: eq. 6")
     figure.legend(loc="outside upper center", ncols=len(COSTS))
     return figure
 
@@ -273,7 +250,7 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
 def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw position ISE against both drives' effort, as ratios to eq. 6 with their intervals: lower left is better.
 
-    `summary` is from `comparison.summarise`; a contender without ratios is left out.
+    `summary` is from `comparison.summarise`; a contender without ratios is omitted.
     """
     policies = summary["policies"]
     label, colour = labels(list(policies)), colours(list(policies))
@@ -308,17 +285,9 @@ def curves_figure(
     y_label: str,
     marks: Mapping[float, str] | None = None,
 ) -> Figure:
-    """Draw curves over a common abscissa: the first one thick, the others thin and in styles of their own.
+    """Draw curves, shape (n,), by their labels, over a common abscissa `x`, shape (n,); the first one is thick.
 
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-    curves : mapping of str to ndarray, shape (n,)
-        By the legend's text.
-    x_label, y_label : str
-        With units.
-    marks : mapping of float to str, optional
-        Abscissae at which the first curve gets a point, and what is written beside it.
+    `marks` are texts by abscissa, for points on the first curve.
     """
     figure, panel = style.one_panel(3.0, style.PRINT_WIDTH)
     styles = zip(curves.items(), ((style.BLUE, "-", 2.0), (style.RED, "--", 1.3), (style.GREY, ":", 1.3)), strict=False)
@@ -326,16 +295,14 @@ def curves_figure(
         panel.plot(x, values, color=colour, linestyle=dashes, linewidth=width, label=name)
     first = next(iter(curves.values()))
     panel.margins(y=0.08)
-    panel.set_xlim(x[0], x[-1])
+    panel.set(xlim=(x[0], x[-1]), xlabel=x_label, ylabel=y_label)
     middle = 0.5 * sum(panel.get_ylim())
     for mark, text in (marks or {}).items():
         height = float(np.interp(mark, x, first))
         panel.plot(mark, height, color=style.BLUE, marker="o", markersize=6, markeredgecolor="white", zorder=5)
-        # Away from the nearer end of the axis, so that the text stays inside.
+        # Away from the nearer end of the axis: the text has to fit inside.
         side, edge = (1.0, "bottom") if height < middle else (-1.0, "top")
         panel.annotate(text, (mark, height), (11.0, 5.0 * side), textcoords="offset points", va=edge, fontsize=8.5)
-    panel.set_xlabel(x_label)
-    panel.set_ylabel(y_label)
     style.legend_below(figure, panel.lines, ncols=len(curves))
     return figure
 
@@ -344,22 +311,22 @@ def curves_figure(
 def force_estimation_figure(
     deflection: NDArray[Any], force: NDArray[Any], estimate: NDArray[Any], rms: NDArray[Any], floor: float, below: str
 ) -> Figure:
-    """Draw what single sensor readings make of a string's force, and how far they are off (Figure 5b).
+    """Draw estimates of a string's force from single sensor readings, with their errors (Figure 5b).
 
     Parameters
     ----------
     deflection : ndarray, shape (n,)
-        Of the string [mm].
+        String deflection [mm].
     force : ndarray, shape (n,)
-        The true string force [N].
+        True string force [N].
     estimate : ndarray, shape (n, readings)
-        [N]
+        Estimated force [N].
     rms : ndarray, shape (n,)
         Root mean square of the error over the readings [N].
     floor : float
-        Estimates below this are not trusted [N]; shaded.
+        Estimates below this are not used [N]; shaded.
     below : str
-        What becomes of those, for the legend.
+        Label of the shaded range.
     """
     figure = style.new_figure(4.0, style.PRINT_WIDTH)
     grid = figure.add_gridspec(2, 2)
@@ -377,17 +344,11 @@ def force_estimation_figure(
     relative.set_ylim(top=200.0)
     relative.yaxis.set_major_formatter(style.PLAIN)
     curve.axhspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
-    for panel in (error, relative):
+    curve.set(xlim=(0.0, deflection[-1]), ylim=(0.0, 1.05 * max(force[-1], estimate.max())))
+    curve.set(xlabel="string deflection [mm]", ylabel="string force [N]")
+    for panel, y_label in ((error, "error [N]"), (relative, "error / true force [%]")):
         panel.axvspan(0.0, floor, color="#ececec", linewidth=0, zorder=0)
-        panel.set_xlim(0.0, force[-1])
-    curve.set_xlim(0.0, deflection[-1])
-    curve.set_ylim(0.0, 1.05 * max(force[-1], estimate.max()))
-    curve.set_xlabel("string deflection [mm]")
-    curve.set_ylabel("string force [N]")
-    error.set_ylabel("error [N]")
-    error.set_xlabel("true string force [N]")
-    relative.set_ylabel("error / true force [%]")
-    relative.set_xlabel("true string force [N]")
+        panel.set(xlim=(0.0, force[-1]), xlabel="true string force [N]", ylabel=y_label)
     figure.align_ylabels([error, relative])
     floors = [Patch(color="#ececec", label=below)] if floor > 0.0 else []
     style.legend_below(figure, [*reversed(curve.lines), error.lines[-1], *floors], ncols=2)
@@ -396,20 +357,20 @@ def force_estimation_figure(
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a column of `tracking_figure` shows.
+    """A column of `tracking_figure`.
 
     Attributes
     ----------
     trajectory : Trajectory
     span : tuple of float, optional
-        From when to when [s]; all of it if None.
+        Range of time [s]; all of it if None.
     title : str
     shows_switches : bool
-        Whether lines mark the switches of the agonist, and the string that is not fed back is drawn too.
+        Whether to mark the switches of the agonist, and to draw the string that is not fed back.
     true_force : ndarray, optional
-        True force of the antagonist's string, to be drawn beside the estimate that is fed back [N].
+        True force of the antagonist's string [N], drawn with the estimate that is fed back.
     without : sequence of Trajectory
-        What the device would have done without a switch, for the angle's panel.
+        Trajectories without a switch, for the angle's panel.
     """
 
     trajectory: Trajectory
@@ -424,16 +385,8 @@ class Tracked:
 def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_margin: float) -> Figure:
     """Draw joint angle and fed-back force with their setpoints and error margins, as in Figures 7-9.
 
-    Setpoints are solid and black, margins dashed. The force is the antagonist's, in the colour of its string.
-
-    Parameters
-    ----------
-    columns : sequence of Tracked
-        One column of panels each.
-    position_margin : float
-        Of the angle's setpoint [deg].
-    tension_margin : float
-        Of the force's setpoint, a fraction of it.
+    Setpoints are solid and black, margins dashed: `position_margin` [deg], and `tension_margin`, a fraction of the
+    setpoint. The force is the antagonist's, in the colour of its string.
     """
     figure = style.new_figure(4.6, style.PRINT_WIDTH)
     grid = figure.subplots(2, len(columns), sharex="col", sharey="row", squeeze=False)
@@ -473,17 +426,16 @@ _ARROW = {"arrowstyle": "->", "color": style.GREY}
 
 
 def _over_time(figure: Figure, axes: Sequence[Any], time: NDArray[Any], title: str) -> Figure:
-    """Return a figure with labels on the common time axis of its panels, and a title if there is one."""
+    """Return a figure with a labelled common time axis, and a title if there is one."""
     figure.align_ylabels(axes)
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(time[0], max(time[-1], time[0] + 1e-9))
+    axes[-1].set(xlabel="time [s]", xlim=(time[0], max(time[-1], time[0] + 1e-9)))
     if title:
         figure.suptitle(title, fontsize=10.5)
     return figure
 
 
 def _shade_triceps(axes: Sequence[Any], time: NDArray[Any], agonist: NDArray[Any]) -> Patch | None:
-    """Shade the spans in which the triceps is the agonist; return the legend's handle if there is one."""
+    """Shade the spans in which the triceps is the agonist; return the legend's handle if there are any."""
     triceps = agonist < 0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], triceps, [False]]).astype(int)))
     for start, end in edges.reshape(-1, 2):
@@ -499,15 +451,14 @@ def _antagonist_tension(trajectory: Trajectory) -> NDArray[np.float64]:
 
 
 def _draw_setpoint(panel: Any, time: NDArray[Any], setpoint: NDArray[Any], *margins: NDArray[Any]) -> None:
-    panel.plot(time, setpoint, color=style.BLACK, linewidth=1.0, drawstyle="steps-post", label="setpoint")
+    look = {"color": style.BLACK, "drawstyle": "steps-post"}
+    panel.plot(time, setpoint, linewidth=1.0, label="setpoint", **look)
     for margin in margins:
-        panel.plot(
-            time, margin, color=style.BLACK, linestyle="--", linewidth=0.7, drawstyle="steps-post", label="error margin"
-        )
+        panel.plot(time, margin, linestyle="--", linewidth=0.7, label="error margin", **look)
 
 
 def _draw_feedback(panel: Any, trajectory: Trajectory, both: bool) -> None:
-    """Draw the force that is fed back, in the colour of its string, and thin those that are not if `both` is true."""
+    """Draw the force that is fed back, in the colour of its string; if `both`, also the other one, thin."""
     time, acting_agonist, feedback = trajectory["time"], acting(trajectory, "agonist"), force_feedback(trajectory)
     for agonist, string in ANTAGONIST.items():
         colour, dashes = _STRINGS[string]
@@ -531,19 +482,11 @@ def _draw_eq6(panel: Any, law: VariableStiffness, end: float) -> None:
 
 def _draw_schedule(panel: Any, schedule: Schedule) -> None:
     error, tension, phase = schedule.error, schedule.tension, schedule.phase
-    if error.size > _POINTS:
-        chosen = np.random.default_rng(0).choice(error.size, _POINTS, replace=False)
-        panel.scatter(
-            error[chosen],
-            tension[chosen],
-            s=3.0,
-            linewidths=0,
-            alpha=0.35,
-            color=[_PHASES[int(p)][1] for p in phase[chosen]],
-            rasterized=True,
-        )
-    else:
-        panel.scatter(error, tension, s=3.0, linewidths=0, alpha=0.5, color=[_PHASES[int(p)][1] for p in phase])
+    many, drawn = error.size > _POINTS, np.arange(error.size)
+    if many:
+        drawn = np.random.default_rng(0).choice(error.size, _POINTS, replace=False)
+    look = {"s": 3.0, "linewidths": 0, "alpha": 0.35 if many else 0.5, "rasterized": many}
+    panel.scatter(error[drawn], tension[drawn], color=[_PHASES[int(p)][1] for p in phase[drawn]], **look)
     for code, (_, colour) in _PHASES.items():
         centres, medians = _medians(error[phase == code], tension[phase == code])
         panel.plot(centres, medians, color="white", linewidth=4.0, zorder=5)
@@ -551,9 +494,9 @@ def _draw_schedule(panel: Any, schedule: Schedule) -> None:
 
 
 def _medians(error: NDArray[Any], tension: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return median error [deg] and median tension [N] of every bin of the error; NaN where it has too few points.
+    """Return the median error [deg] and tension [N] of every bin of the error; NaN if it has too few points.
 
-    Enough is a hundredth of all points, and 30: the median of fewer shows single episodes.
+    A bin needs a hundredth of all points and at least 30: the median of fewer shows single episodes.
     """
     edges = np.concatenate([[0.0, 0.5, 1.0, 2.0, 3.5, 5.0], np.arange(7.5, 90.1, 2.5)])
     bins = np.digitize(error, edges)
