@@ -1,7 +1,7 @@
-"""Whether a device of one's own can be controlled: a few short movements, and what is wrong with how they go.
+"""Diagnosis of a device: short simulated movements that show whether the loop can control it.
 
-Holds over the workspace and a step each way, at the nominal tension and at the end of the tension range, all at once:
-14 arms for 6 s, less than a tenth of a second of computing. What counts is how the arm rests in the last 2 s.
+The movements are holds over the workspace and a step each way, at the nominal tension and at the upper end of the
+tension range: 14 arms for 6 s, which take less than a tenth of a second. The last 2 s, at rest, are judged.
 """
 
 from __future__ import annotations
@@ -23,29 +23,28 @@ SECONDS, RESTS = 6.0, 2.0
 """Length of the movements, and of the rest at their end that is judged [s]."""
 
 MOST_SWITCHES = 1.0
-"""Agonist switches a second of a resting arm; a resting arm needs none, and the shipped devices make none."""
+"""Agonist switches of a resting arm [1/s]; shipped devices: none."""
 
 MOST_SWING = 2.0
-"""Peak to peak of a resting joint but for a steady drift [deg], half the paper's error margin of +-2 deg; shipped
-devices: up to 0.7."""
+"""Peak to peak of a resting joint without steady drift [deg]: half the paper's error margin; shipped devices: to 0.7."""
 
 MOST_ERROR = 2.0
 """Mean error of a resting joint [deg], the paper's error margin; shipped devices: up to 0.13."""
 
 MOST_SATURATED = 0.05
-"""Share of the rest in which a spring is at the end of its table or a drive at its limit; shipped devices: none."""
+"""Share of the rest with a spring at the end of its table or a drive at its limit; shipped devices: 0."""
 
 MOST_TENSION_ERROR = 0.1
 """Mean error of the antagonist's true tension at rest, as a share of its setpoint; shipped devices: up to 0.02."""
 
 MOST_BELOW_FLOOR = 0.25
-"""Share of the tension range that the sensors cannot see; on the testbed it is 0.09, from 4 to 5 N."""
+"""Share of the tension range below the force estimation's floor; testbed: 0.09, from 4 to 5 N."""
 
 Values = NDArray[np.float64]
 
 
 class Finding(NamedTuple):
-    """Something wrong with a device: its kind, the number that says so, and a sentence with that number."""
+    """A fault of a device: its kind, the number that shows it, and a sentence with that number."""
 
     kind: str
     number: float
@@ -53,13 +52,13 @@ class Finding(NamedTuple):
 
 
 def diagnose(profile: Profile, tension_range: tuple[float, float] = TENSION_RANGE) -> list[Finding]:
-    """Play a few short movements on a device and return what is wrong with it.
+    """Return the faults of a device, by simulated short movements.
 
     Parameters
     ----------
     profile : Profile
     tension_range : tuple of float
-        Tension setpoint at action -1 and +1 [N]; its upper end is played, and the nominal tension.
+        Tension setpoint at action -1 and +1 [N]; its upper end and the nominal tension are played.
 
     Returns
     -------
@@ -72,7 +71,7 @@ def diagnose(profile: Profile, tension_range: tuple[float, float] = TENSION_RANG
     findings = []
     floor = profile.sensors.force_floor
     if (floor - low) / (high - low) > MOST_BELOW_FLOOR:
-        text = f"tensions below sensors.force_floor, {floor:g} N, are not trusted; the range to choose from begins at"
+        text = f"tensions below sensors.force_floor, {floor:g} N, are not estimated; the tension range begins at"
         findings.append(Finding("force floor", floor, f"{text} {low:g} N"))
     movements: list[tuple[str, float]] = []
     rows: list[NDArray[np.void]] = []
@@ -97,19 +96,18 @@ def _movements(seed: int) -> list[tuple[str, Scenario]]:
     """Return the movements in words and as scenarios, with noise seeds from `seed` on."""
     low, high = WORKSPACE_DEG
     ends = low + (high - low) / 6, high - (high - low) / 6
-    found: list[tuple[str, Scenario]] = []
-    for angle in np.linspace(low, high, 5):
-        scenario = Scenario(initial_angle_deg=float(angle), noise_seed=seed + len(found))
-        found.append((f"a hold at {angle:g} deg", scenario))
+    found: list[tuple[str, float, list[Move]]]
+    found = [(f"a hold at {angle:g} deg", float(angle), []) for angle in np.linspace(low, high, 5)]
     for begin, end in (ends, ends[::-1]):
-        move = Move(time=0.5, angle_deg=end)
-        scenario = Scenario(initial_angle_deg=begin, moves=[move], noise_seed=seed + len(found))
-        found.append((f"a step from {begin:g} to {end:g} deg", scenario))
-    return found
+        found.append((f"a step from {begin:g} to {end:g} deg", begin, [Move(time=0.5, angle_deg=end)]))
+    return [
+        (name, Scenario(initial_angle_deg=angle, moves=moves, noise_seed=seed + k))
+        for k, (name, angle, moves) in enumerate(found)
+    ]
 
 
 def _play(profile: Profile, rows: NDArray[np.void], movements: list[tuple[str, float]]) -> dict[str, Values]:
-    """Play the movements and return what their judges look at, one value each."""
+    """Simulate the movements and return the quantities that are judged, one value for each movement."""
     simulation = Simulation(profile, len(rows))
     simulation.reset(rows)
     tensions = np.array([tension for _, tension in movements])
@@ -143,7 +141,7 @@ def _play(profile: Profile, rows: NDArray[np.void], movements: list[tuple[str, f
 
 
 def _judge(played: dict[str, Values], movements: list[tuple[str, float]]) -> list[Finding]:
-    """Return the findings that the movements show, each with the movement that shows it most."""
+    """Return the findings, each from the movement that shows it most."""
     found = []
     failed = np.flatnonzero(played["failure"])
     if failed.size:
@@ -157,7 +155,7 @@ def _judge(played: dict[str, Values], movements: list[tuple[str, float]]) -> lis
         ("cannot hold", "error", MOST_ERROR, "the joint rests {:.1f} deg from its setpoint"),
         ("spring end", "spring", MOST_SATURATED, "a spring is at the end of its table for {:.0%} of the rest"),
         ("drive limit", "drive", MOST_SATURATED, "a drive is at command_limit_deg for {:.0%} of the rest"),
-        ("tension", "tension_error", MOST_TENSION_ERROR, "the antagonist's tension comes to {:.1f} N"),
+        ("tension", "tension_error", MOST_TENSION_ERROR, "the antagonist's tension is {:.1f} N"),
     ):
         values = np.where(played["failure"] == 0, played[name], 0.0)
         worst = int(np.argmax(values))

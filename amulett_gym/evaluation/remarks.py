@@ -1,4 +1,4 @@
-"""What a reader has to know about results on a device of one's own: printed once, and kept with the results."""
+"""Remarks on results of the user's own device; they are printed once and stored with the results."""
 
 from __future__ import annotations
 
@@ -15,27 +15,17 @@ from amulett_gym.profile import Profile, is_shipped
 def device_remarks(
     profile: Profile, contenders: Iterable[str] = (), tension_range: tuple[float, float] = TENSION_RANGE
 ) -> list[str]:
-    """Return remarks on a device of one's own: borrowed divisors and parameters, and what `diagnose` finds.
+    """Return remarks on the user's own device, as sentences without a full stop; none for a shipped device.
 
-    Parameters
-    ----------
-    profile : Profile
-    contenders : iterable of str
-        Names of what acts on it.
-    tension_range : tuple of float
-        Tension setpoint at action -1 and +1 [N].
-
-    Returns
-    -------
-    list of str
-        Sentences without a full stop; none for a shipped device.
+    They are about divisors and parameters of a shipped device (for `contenders`, by name), and the findings of
+    `diagnose` for this tension range [N].
     """
     if is_shipped(profile):
         return []
     owner = divisors_owner(profile)
     remarks = [
-        f"costs on the {profile.name} are divided by what eq6 costs on the {owner}, so eq6's own need not be about 1, "
-        "and a term whose cost is small here, often the effort, hardly counts"
+        f"costs on the {profile.name} are divided by those of eq6 on the {owner}: eq6's cost need not be about 1, and "
+        "a term that is small here, often the effort, has little weight"
     ]
     tuned = [name for name in contenders if name in tuned_names()]
     if tuned:

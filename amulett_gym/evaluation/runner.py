@@ -1,4 +1,4 @@
-"""Paired runs: every contender meets the same scenarios, seeds and sensor noise."""
+"""Paired runs: every contender plays the same scenarios with the same seeds and sensor noise."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ YARDSTICK = "eq6"
 """The contender that all others are compared with; it always runs."""
 
 PUSH_SUITE = "hold-push"
-"""Where the response to pushes is measured if the compared suite has none: a slack arm must not win unnoticed."""
+"""Suite for the response to pushes if the compared suite has none; it shows whether an arm is slack."""
 
 MOST_EPISODES = 20_000
-"""The bootstrap's draws for more would take more than 640 MB; intervals are narrow long before."""
+"""With more, the bootstrap's draws would take more than 640 MB, and intervals are narrow enough."""
 
 SCHEDULE_EPISODES = 100
-"""Episodes whose schedule is kept for the figures."""
+"""Number of episodes whose schedule is kept for the figures."""
 
 _MOVING = np.radians(5.0)
-"""Joint rate from which the arm counts as moving [rad/s]; the measured rate's noise stays well below."""
+"""Least joint rate of a moving arm [rad/s]; the noise of the measured rate is well below."""
 
 Values = NDArray[np.float64]
 Policy = Callable[[NDArray[np.float32]], NDArray[np.float32]]
@@ -60,7 +60,7 @@ Policy = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Protocol:
-    """What is the same for all contenders.
+    """The conditions that all contenders share.
 
     Attributes
     ----------
@@ -69,13 +69,13 @@ class Protocol:
     episodes : int
         Number of scenarios.
     seed : int
-        Scenario i is the first episode of the environment that was reset with ``seed + i``.
+        Scenario i is the first episode of the environment after a reset with ``seed + i``.
     duration : float
         Length of an episode [s].
     agent_period : float
-        Time between two actions of a contender that has no period of its own [s].
+        Time between two actions of a contender without its own period [s].
     scenarios : tuple of Scenario
-        Own scenarios to play instead of the suite's, in turn; the suite then charges those without a family.
+        Own scenarios to play in turn instead of the suite's; those without a family have the suite's cost.
     """
 
     profile: Profile
@@ -115,19 +115,19 @@ class Protocol:
 
     @property
     def task(self) -> str:
-        """Return what is played, in a word or two: the suite's name or ``"own scenarios"``."""
+        """The suite's name or ``"own scenarios"``."""
         return "own scenarios" if self.scenarios else self.suite
 
     @property
     def families(self) -> list[str]:
-        """Return the suites by whose weights and divisors the scenarios are charged."""
+        """The suites whose weights and divisors the scenarios' costs have."""
         if not self.scenarios:
             return families_of(self.suite)
         rows = (pack(scenario, self.profile) for scenario in self.scenarios)
         return list(dict.fromkeys(FAMILIES[int(row["family"][0])] or self.suite for row in rows))
 
     def options(self, episodes: int) -> dict[str, Any] | None:
-        """Return the vector environment's reset options for own scenarios; None for those of the suite."""
+        """Return the vector environment's reset options for own scenarios; None for the suite's."""
         if not self.scenarios:
             return None
         return {"scenario": [self.scenarios[k % len(self.scenarios)] for k in range(episodes)]}
@@ -138,16 +138,14 @@ class Protocol:
         Raises
         ------
         AmulettError
-            If the episode is no whole number of the contender's agent steps.
+            If the episode is not a whole number of the contender's agent steps.
         """
-        keywords = {
-            "agent_period": self.agent_period,
-            **self._range(contender),
-            **contender.env_keywords,
-            "profile": self.profile,
-            "suite": self.suite,
-            "split": self.split,
-        }
+        name = contender.policy_name
+        keywords: dict[str, Any] = {"agent_period": self.agent_period}
+        if name is not None and is_bundle(name):  # its range may be wider than the default
+            keywords["tension_range"] = read_bundle(name).policy.tension_range
+        keywords |= contender.env_keywords
+        keywords |= {"profile": self.profile, "suite": self.suite, "split": self.split}
         period = keywords["agent_period"]
         steps = max(round(self.duration / period), 1)
         if abs(steps * period - self.duration) > 1e-9 * self.duration:
@@ -156,17 +154,10 @@ class Protocol:
             )
         return {**keywords, "max_episode_steps": steps, "failure_horizon": steps}
 
-    def _range(self, contender: Contender) -> dict[str, Any]:
-        """Return the tension range that a bundle's policy was trained with, which may be wider than the default."""
-        name = contender.policy_name
-        if name is None or not is_bundle(name):
-            return {}
-        return {"tension_range": read_bundle(name).policy.tension_range}
-
 
 @dataclass(frozen=True)
 class Schedule:
-    """Which tension a policy chose at which position error, one entry an agent step.
+    """The tensions that a policy chose, one entry for each agent step.
 
     Attributes
     ----------
@@ -177,7 +168,7 @@ class Schedule:
     phase : ndarray of int
         1: the joint moved towards its setpoint, -1: away from it, 0: it stood.
     tension_range : tuple of float
-        Tension setpoints that the policy can choose from [N].
+        Range of the policy's tension setpoints [N].
     approach : ndarray
         Measured joint rate, positive towards the setpoint [deg/s].
     """
@@ -191,7 +182,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Results:
-    """What the contenders did, scenario by scenario.
+    """The results of all contenders, scenario by scenario.
 
     Attributes
     ----------
@@ -203,15 +194,15 @@ class Results:
     schedules : dict of str to Schedule
         Of the contenders that act from outside the loop.
     listed : bool
-        Whether the yardstick was asked for by name.
+        Whether the yardstick was named by the user.
     push_suite : str
         Suite in which `push_deflection` was measured; the protocol's `task` if that has pushes.
     push_failures : dict of str to int
-        Contender -> in how many scenarios its device failed there, if `push_suite` is another suite.
+        Contender -> number of its failures in `push_suite`, if that is another suite.
     remarks : list of str
-        What a reader has to know about this comparison: policies from elsewhere, divisors of another profile.
+        Warnings, such as policies trained elsewhere or divisors of another profile.
     command : str or None
-        The command that makes these results again.
+        The command that repeats this comparison.
     contenders : dict of str to Contender
     """
 
@@ -227,7 +218,7 @@ class Results:
     contenders: dict[str, Contender] = field(default_factory=dict)
 
     def contender(self, name: str) -> Contender:
-        """Return what acted under a name."""
+        """Return a contender by its name."""
         return self.contenders.get(name) or parse_contender(name)
 
 
@@ -244,32 +235,28 @@ def evaluate(
     progress: bool = False,
     scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] = (),
 ) -> Results:
-    """Run contenders, and the yardstick eq. 6, on the same scenarios.
+    """Return the results of contenders, and of the yardstick eq. 6, on the same scenarios.
 
-    A contender whose device fails is charged, in `cost`, `COST_CAP` for each agent step that was left, as the reward
-    does; its other metrics stay what they were at the failure.
+    After a failure, `cost` increases by `COST_CAP` for each agent step left, as in the reward; the other metrics stay
+    what they were at the failure.
 
     Parameters
     ----------
     policies : sequence of str or Contender
-        Names of contenders (`laws.contenders.contender_names`), folders of policy bundles, or policies of one's own
-        (:class:`Own`). One that is named twice, in whatever words, runs once.
+        Names of contenders (`laws.contenders.contender_names`), folders of policy bundles, or your own policies
+        (:class:`Own`). One that is named twice, even by another name, runs once.
     suite, split, env_id : str
     profile : str, Path, mapping or Profile
     episodes : int, optional
         100, or one of each of `scenarios`, if None.
     seed : int
-        Scenario i belongs to seed ``seed + i``: comparisons whose seeds are closer than `episodes` share scenarios.
+        Scenario i has the seed ``seed + i``: comparisons whose seeds are closer than `episodes` share scenarios.
     duration, agent_period : float
-        Length of an episode, and time between two actions of a contender that has none of its own [s].
+        Length of an episode, and time between two actions of a contender without its own period [s].
     progress : bool
         Whether to show progress on stderr.
     scenarios : sequence of str, Path, mapping or Scenario
         Own scenarios, or their files, to play in turn instead of the suite's.
-
-    Returns
-    -------
-    Results
 
     Raises
     ------
@@ -280,9 +267,12 @@ def evaluate(
     episodes = (len(own) or 100) if episodes is None else episodes
     protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period, own)
     listed = YARDSTICK in policies
-    asked = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
-    contenders, remarks = _unique(asked if listed else [parse_contender(YARDSTICK), *asked])
-    remarks += _remarks(protocol, contenders)
+    named = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
+    contenders, remarks = _unique(named if listed else [parse_contender(YARDSTICK), *named])
+    label = labels([contender.name for contender in contenders])
+    differences = ((label[contender.name], training_differs(contender, protocol)) for contender in contenders)
+    remarks += [f"{name} {difference}" for name, difference in differences if difference]
+    remarks += device_remarks(protocol.profile, label)
 
     with ExitStack() as stack:
 
@@ -295,15 +285,9 @@ def evaluate(
         without_pushes = not _has_pushes(players[0][0], protocol)
         push_protocol = replace(protocol, suite=PUSH_SUITE, scenarios=()) if without_pushes else None
         pushed_players = [] if push_protocol is None else [make(push_protocol, contender) for contender in contenders]
-        results = Results(
-            protocol,
-            {},
-            {},
-            listed=listed,
-            push_suite=protocol.task if push_protocol is None else PUSH_SUITE,
-            remarks=remarks,
-            contenders={contender.name: contender for contender in contenders},
-        )
+        by_name = {contender.name: contender for contender in contenders}
+        push_suite = protocol.task if push_protocol is None else PUSH_SUITE
+        results = Results(protocol, {}, {}, {}, listed, push_suite, remarks=remarks, contenders=by_name)
         total = sum(env.max_episode_steps for env, _ in [*players, *pushed_players])
         bar = stack.enter_context(Progress(total, f"{protocol.episodes} episodes at once", "steps", progress))
         for k, contender in enumerate(contenders):
@@ -325,24 +309,24 @@ def evaluate(
 
 
 def labels(names: Sequence[str]) -> dict[str, str]:
-    """Return a short label for each contender: of a bundle's folder only the end that tells it from the others."""
+    """Return a short label for each contender: of a bundle's folder only the end, if that is unique."""
     short = {name: _short(name) for name in names}
     return {name: label if list(short.values()).count(label) == 1 else name for name, label in short.items()}
 
 
 def acts_from_outside(contender: Contender) -> bool:
-    """Tell whether a contender chooses the tension by what it observes, and not the loop itself."""
+    """Return whether a contender chooses the tension by observations, and not the loop itself."""
     return contender.policy_name is not None or isinstance(contender, Own)
 
 
 def is_bundle(name: str) -> bool:
-    """Tell whether a contender's name is that of a learned policy's folder."""
+    """Return whether a contender's name is that of a learned policy's folder."""
     known = name in contender_names() or name.startswith(CONSTANT) or is_tuned(name)
     return not known and python_file(name) is None
 
 
 def training_differs(contender: Contender, protocol: Protocol) -> str:
-    """Say where a learned policy was trained if that is not where it acts now, else an empty string."""
+    """Return how a learned policy's training differs from the protocol, an empty string if it does not."""
     if contender.policy_name is None or not is_bundle(contender.policy_name):
         return ""
     trained = read_bundle(contender.policy_name).env
@@ -370,7 +354,7 @@ def _short(name: str) -> str:
 
 
 def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]]:
-    """Return every contender once, and a remark for each that was named again in other words."""
+    """Return every contender once, and a remark for each that was named again by another name."""
     kept: dict[Any, Contender] = {}
     remarks = []
     for contender in contenders:
@@ -391,19 +375,9 @@ def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]
     return list(kept.values()), remarks
 
 
-def _remarks(protocol: Protocol, contenders: Sequence[Contender]) -> list[str]:
-    label = labels([contender.name for contender in contenders])
-    found = [
-        f"{label[contender.name]} {difference}"
-        for contender in contenders
-        if (difference := training_differs(contender, protocol))
-    ]
-    return found + device_remarks(protocol.profile, label)
-
-
 @dataclass(frozen=True)
 class Run:
-    """What one contender did in each scenario.
+    """The results of one contender in each scenario.
 
     Attributes
     ----------
@@ -427,10 +401,10 @@ def _make(protocol: Protocol, contender: Contender) -> Any:
 
 
 def load_contender(contender: Contender, env: Any) -> Policy:
-    """Return what acts for a contender in its environment: a batch of observations -> a batch of actions."""
+    """Return a contender's policy for its environment: a batch of observations -> a batch of actions."""
     if isinstance(contender, Own):
         if not callable(contender.act):
-            raise AmulettError(f"contender '{contender.name}' has nothing to act with: give it a callable, act=...")
+            raise AmulettError(f"contender '{contender.name}' has no policy: give it a callable, act=...")
         return own_policy(contender.act, env, contender.name)
     if contender.policy_name is None:
         return lambda observations: np.zeros((len(observations), 1), dtype=np.float32)
@@ -438,7 +412,7 @@ def load_contender(contender: Contender, env: Any) -> Policy:
 
 
 def play_alone(protocol: Protocol, contender: Contender) -> Run:
-    """Let one contender meet the protocol's scenarios."""
+    """Play the protocol's scenarios with one contender."""
     env = _make(protocol, contender)
     try:
         return play(protocol, env, load_contender(contender, env))
@@ -452,7 +426,7 @@ def _has_pushes(env: Any, protocol: Protocol) -> bool:
 
 
 def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], Any] = lambda steps: None) -> Run:
-    """Play one episode with each device; a device's values are those of the step in which its episode ended."""
+    """Play one episode with each device; its metrics are those of the step in which the episode ended."""
     count = protocol.episodes
     metrics = {name: np.empty(count) for name in METRICS}
     returns, charges = np.zeros(count), np.zeros(count)
@@ -484,7 +458,7 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
 
 
 def _look(env: Any) -> tuple[Values, NDArray[np.int64], Values]:
-    """Return each device's absolute position error [deg], phase and approach, as its microcontroller sees them now."""
+    """Return each device's absolute position error [deg], phase and approach [deg/s], by its own sensors."""
     simulation = env.episodes.simulation
     error = simulation.read("setpoint") - simulation.read("measured_angle")
     velocity = simulation.read("measured_velocity")

@@ -1,18 +1,18 @@
-"""Means and ratios over scenarios, with bootstrap intervals.
+"""Estimates over scenarios and training seeds, with bootstrap intervals.
 
-A *resample* draws as many scenarios as there are, with replacement. All metrics of all policies are resampled with the
-same draws: a scenario is drawn for every policy or for none, so that what a scenario does to all of them cancels in a
-ratio. The draws depend on the number of scenarios and on `SEED` only.
+A *resample* draws as many scenarios as there are, with replacement. All metrics of all policies use the same draws: a
+scenario is drawn for every policy or for none, so that differences between scenarios cancel in a ratio. The draws
+depend on the number of scenarios and on `SEED` only.
 
-NaN stands for a value that does not exist, such as the rise time of a step whose target was not reached.
+NaN is an undefined value, such as the rise time of a step whose target was not reached.
 
-What was learned varies with the training seed, too. The values of several seeds have the shape (seeds, scenarios), and
-their resamples draw seeds and scenarios independently of one another, whole rows and columns: :func:`draw_nested`.
-The intervals of few seeds remain too narrow: where little but the seeds differs, those of 10 contain the truth about
-92 times in 100, those of 3 rather 82.
+Learned policies also vary with the training seed. The values of several seeds have the shape (seeds, scenarios), and
+their resamples draw seeds and scenarios independently, as whole rows and columns: :func:`draw_nested`. The intervals of
+few seeds are still too narrow: if mainly the seeds differ, those of 10 contain the true value about 92 times in 100,
+those of 3 about 82 times.
 
 Interquartile mean, performance profile and probability of improvement are those of Agarwal et al., "Deep reinforcement
-learning at the edge of the statistical precipice" (2021); here low values are good, as costs are.
+learning at the edge of the statistical precipice" (2021); here low values are good, since they are costs.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from scipy.stats import beta
 RESAMPLES = 4000
 SEED = 0
 LEVEL = 0.95
-"""Probability that an interval is to contain the true value."""
+"""Nominal probability that an interval contains the true value."""
 
 Weights = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its interval; NaN where undefined, an infinite bound where the data give none."""
+    """A number with its interval; NaN if undefined, an infinite bound if the data have none."""
 
     mean: float
     low: float
     high: float
 
     def plain(self) -> dict[str, float | None]:
-        """Return ``{"mean", "low", "high"}``, with None for what is no finite number."""
+        """Return ``{"mean", "low", "high"}``, with None for numbers that are not finite."""
         return {key: float(value) if math.isfinite(value) else None for key, value in asdict(self).items()}
 
 
@@ -49,39 +49,14 @@ UNDEFINED = Estimate(np.nan, np.nan, np.nan)
 
 
 def draw_weights(count: int, resamples: int = RESAMPLES, seed: int = SEED) -> Weights:
-    """Draw how often each scenario occurs in each resample.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenarios, at least 1.
-    resamples : int
-        Number of resamples.
-    seed : int
-        Seed of the draws.
-
-    Returns
-    -------
-    ndarray, shape (resamples, count)
-        Whole numbers; each row sums to `count`.
-    """
+    """Return how often each of `count` (at least 1) scenarios occurs in each resample, shape (resamples, count)."""
     return np.random.default_rng(seed).multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
 
 
 def mean(values: ArrayLike, weights: Weights) -> Estimate:
-    """Return the mean of the values that exist, with its percentile bootstrap interval.
+    """Return the mean of the defined values, shape (count,), with its percentile bootstrap interval.
 
-    Parameters
-    ----------
-    values : array_like, shape (count,)
-        One value for each scenario; NaN where there is none.
-    weights : ndarray, shape (resamples, count)
-        From :func:`draw_weights`.
-
-    Returns
-    -------
-    Estimate
-        Without an interval (NaN) if fewer than two values exist: one scenario has no spread.
+    `weights` are from :func:`draw_weights`. With fewer than two values the interval is NaN.
     """
     values = np.asarray(values, dtype=float)
     return _ratio(values, np.where(np.isnan(values), np.nan, 1.0), weights)
@@ -90,13 +65,12 @@ def mean(values: ArrayLike, weights: Weights) -> Estimate:
 def ratio_of_sums(values: ArrayLike, reference: ArrayLike, weights: Weights) -> Estimate:
     """Return the sum of a policy's values over the sum of the reference's, scenarios resampled in pairs.
 
-    A ratio of sums and not a mean of ratios: a scenario counts by its cost, and one that costs the reference next
-    to nothing does not decide the comparison.
+    It is a ratio of sums, not a mean of ratios: a scenario with a very low cost of the reference has little influence.
 
     Parameters
     ----------
     values, reference : array_like, shape (count,)
-        What the policy and the reference have in the same scenarios. Only scenarios in which both exist count.
+        Of the same scenarios. Only scenarios in which both are defined count.
     weights : ndarray, shape (resamples, count)
         From :func:`draw_weights`.
 
@@ -132,7 +106,7 @@ class Draws:
 
 @dataclass(frozen=True)
 class Count:
-    """How often something happened in so many cases, and the exact interval of its probability."""
+    """A number of cases among all cases, with the exact interval of the probability."""
 
     count: int
     total: int
@@ -141,19 +115,11 @@ class Count:
 
 
 def draw_nested(seeds: int, scenarios: int, resamples: int = RESAMPLES, seed: int = SEED) -> Draws:
-    """Draw how often each training seed and each scenario occurs in each resample, independently of one another.
+    """Return how often each training seed and each scenario occurs in each resample, drawn independently.
 
     Scenarios are drawn as by :func:`draw_weights`, so that all contenders of a comparison share them. Of n seeds n - 1
-    are drawn, by which the resamples vary as much as means of n seeds do; drawing n of so few, they would vary less
-    (Rao and Wu, "Resampling inference with complex survey data", 1988).
-
-    Parameters
-    ----------
-    seeds, scenarios : int
-        How many there are, at least 1 each. One seed is no sample of seeds: then only scenarios are resampled.
-    resamples : int
-    seed : int
-        Seed of the draws.
+    are drawn: then the resamples vary as much as means of n seeds do; with n draws they would vary less (Rao and Wu,
+    "Resampling inference with complex survey data", 1988). With one seed, only scenarios are resampled.
     """
     some = np.random.default_rng(seed + 1).multinomial(max(seeds - 1, 1), np.full(seeds, 1.0 / seeds), size=resamples)
     return Draws(some.astype(float), draw_weights(scenarios, resamples, seed))
@@ -173,7 +139,7 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estim
     Returns
     -------
     Estimate
-        Only cells in which both exist count. Undefined (NaN) if the reference's sum is zero.
+        Only cells in which both are defined count. Undefined (NaN) if the reference's sum is zero.
     """
     cells = _cells(values, draws)
     other = np.broadcast_to(np.asarray(reference, dtype=float), cells.shape)
@@ -187,33 +153,23 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estim
 
 
 def nested_mean(values: ArrayLike, draws: Draws) -> Estimate:
-    """Return the mean of the values that exist, shape (seeds, scenarios), seeds and scenarios resampled."""
+    """Return the mean of the defined values, shape (seeds, scenarios), seeds and scenarios resampled."""
     cells = _cells(values, draws)
     return nested_ratio(cells, np.where(np.isnan(cells), np.nan, 1.0), draws)
 
 
 def interquartile_mean(values: ArrayLike, draws: Draws) -> Estimate:
-    """Return the mean of the middle half of all values, seeds and scenarios resampled.
+    """Return the mean of the middle half of all values, shape (seeds, scenarios), seeds and scenarios resampled.
 
-    Neither a few very bad episodes nor a few very good ones decide it.
-
-    Parameters
-    ----------
-    values : array_like, shape (seeds, scenarios)
-    draws : Draws
+    A few very bad or very good episodes do not change it.
     """
     return _mean_of_ranks(values, draws, 0.25, 0.75)
 
 
 def worst_mean(values: ArrayLike, draws: Draws, share: float = 0.1) -> Estimate:
-    """Return the mean of the largest values, by default of the worst decile of costs: their CVaR.
+    """Return the mean of the largest values, shape (seeds, scenarios): the CVaR of costs, by default of a tenth.
 
-    Parameters
-    ----------
-    values : array_like, shape (seeds, scenarios)
-    draws : Draws
-    share : float
-        Of all values, above 0 and at most 1.
+    `share` is the share of all values, above 0 and at most 1.
     """
     if not 0.0 < share <= 1.0:
         raise ValueError(f"share is {share}; it has to be above 0 and at most 1")
@@ -221,40 +177,40 @@ def worst_mean(values: ArrayLike, draws: Draws, share: float = 0.1) -> Estimate:
 
 
 def performance_profile(values: ArrayLike, thresholds: ArrayLike, draws: Draws) -> list[Estimate]:
-    """Return for each threshold the share of all values, shape (seeds, scenarios), that are at most that.
+    """Return for each threshold the share of all values, shape (seeds, scenarios), that do not exceed it.
 
-    The intervals are those of each threshold alone. A value that does not exist is never low enough.
+    The intervals are pointwise. An undefined value exceeds every threshold.
     """
     cells = _cells(values, draws)
     return [nested_mean(np.where(cells <= threshold, 1.0, 0.0), draws) for threshold in np.asarray(thresholds)]
 
 
 def probability_of_improvement(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estimate:
-    """Return how likely a learner costs less than the reference in one and the same scenario; a tie counts half.
+    """Return the probability that a learner costs less than the reference in the same scenario; a tie counts half.
 
     Parameters
     ----------
     values : array_like, shape (seeds, scenarios)
     reference : array_like, shape (scenarios,) or (other seeds, scenarios)
-        Of several seeds each meets each of the learner's; they are taken as they are, only `values`' are resampled.
+        Each of its seeds is compared with each of the learner's; only the seeds of `values` are resampled.
     draws : Draws
 
     Raises
     ------
     ValueError
-        If a value does not exist.
+        If a value is undefined.
     """
     cells, other = _cells(values, draws), np.atleast_2d(np.asarray(reference, dtype=float))
     if np.isnan(cells).any() or np.isnan(other).any():
-        raise ValueError("some values do not exist; whether they improve on others is undefined")
+        raise ValueError("some values are NaN; all have to be numbers for a probability of improvement")
     wins = [np.where(cells == row, 0.5, np.where(cells < row, 1.0, 0.0)) for row in other]
     return nested_mean(np.mean(wins, axis=0), draws)
 
 
 def count_failures(failed: ArrayLike) -> Count:
-    """Return how many episodes failed, with the exact (Clopper-Pearson) interval of the probability.
+    """Return the number of failed episodes, with the exact (Clopper-Pearson) interval of the probability.
 
-    It takes all episodes as independent, which those of one seed or scenario need not be.
+    All episodes are assumed to be independent, which those of one seed or scenario need not be.
     """
     cases = np.asarray(failed, dtype=bool)
     count, total, tail = int(cases.sum()), int(cases.size), 0.5 * (1.0 - LEVEL)
@@ -279,12 +235,12 @@ def _nested_sum(cells: NDArray[np.float64], draws: Draws) -> NDArray[np.float64]
 def _mean_of_ranks(values: ArrayLike, draws: Draws, low: float, high: float) -> Estimate:
     """Return the mean of the values whose rank, as a share of all, is between `low` and `high`.
 
-    The mean of the quantile function over that range: a value on its border counts in part.
+    This is the mean of the quantile function over that range: a value at its border counts in part.
     """
     cells = _cells(values, draws)
     if np.isnan(cells).all():
         return UNDEFINED
-    order = np.argsort(cells, axis=None, kind="stable")  # NaN come last, and weigh nothing
+    order = np.argsort(cells, axis=None, kind="stable")  # NaN are last, with weight 0
     row, column = np.unravel_index(order, cells.shape)
     ranked = cells.reshape(-1)[order]
     exists = ~np.isnan(ranked)
@@ -298,18 +254,18 @@ def _mean_of_ranks(values: ArrayLike, draws: Draws, low: float, high: float) -> 
             return np.diff(inside, axis=1, prepend=low * total) @ ranked / ((high - low) * total[:, 0])
 
     point = float(of(np.ones((1, ranked.size)))[0])
-    few = max(1_000_000 // ranked.size, 1)  # resamples at a time: the weights of all would take gigabytes
+    few = max(1_000_000 // ranked.size, 1)  # resamples at a time: the weights of all need gigabytes
     starts = range(0, len(draws.seeds), few)
     means = [of(draws.seeds[k : k + few, row] * draws.scenarios[k : k + few, column]) for k in starts]
     return _interval(point, np.concatenate(means), int(exists.sum()))
 
 
 def _interval(point: float, resampled: NDArray[np.float64], count: int) -> Estimate:
-    """Return a number with its percentile interval; without one if it stands on fewer than two values."""
+    """Return a number with its percentile interval, without one if there are fewer than two values."""
     if count < 2:
         return Estimate(point, np.nan, np.nan)
-    # A resample may hold none of the values that count: 0/0. What is left are numbers and infinities, among which
-    # the nearest rank is a value that occurred; interpolating could give NaN.
+    # A resample may have no defined value: 0/0. The others are numbers and infinities, whose nearest rank is defined,
+    # while interpolation could give NaN.
     tail = 50.0 * (1.0 - LEVEL)
     low, high = np.nanpercentile(resampled, [tail, 100.0 - tail], method="nearest")
     return Estimate(point, float(low), float(high))

@@ -1,4 +1,4 @@
-"""What is said of a device of one's own: a few short movements find each fault, and none on a sound device."""
+"""The diagnosis of an own device: short movements find each fault, and none on a sound device."""
 
 import json
 import re
@@ -30,8 +30,8 @@ def test_a_sound_device_gives_no_finding(profile):
         ({"plant": {"orientation": "vertical"}}, "spring end", 0.9, 1, "a spring is at the end of its table for 100%"),
         ({"drives": {"command_limit_deg": 200.0}}, "drive limit", 0.9, 1, "a drive is at command_limit_deg"),
         ({"drives": {"command_limit_deg": 200.0}}, "cannot start", 60, 70, "67.5 deg cannot begin: it may start with"),
-        ({"spring": {"stiffness": 5000.0}}, "tension", 11, 12, "at 15 N, the antagonist's tension comes to 11.2 N"),
-        ({"sensors": {"force_floor": 9.0}}, "force floor", 9, 9, "below sensors.force_floor, 9 N, are not trusted"),
+        ({"spring": {"stiffness": 5000.0}}, "tension", 11, 12, "at 15 N, the antagonist's tension is 11.2 N"),
+        ({"sensors": {"force_floor": 9.0}}, "force floor", 9, 9, "below sensors.force_floor, 9 N, are not estimated"),
         ({"plant": {"velocity_limit_deg": 20.0}}, "fails", 0, 6, "the device fails after .* s: joint velocity limit"),
     ],
 )
@@ -52,7 +52,7 @@ def test_remarks_name_borrowed_divisors_and_parameters_and_what_was_found():
     divisors, tuned, *found = device_remarks(
         load_profile(STIFF), ["eq6", "eq6-tuned", "parametric:steps", "constant:5"]
     )
-    assert "costs on the stiff are divided by what eq6 costs on the testbed" in divisors
+    assert "costs on the stiff are divided by those of eq6 on the testbed" in divisors
     assert tuned == "eq6-tuned, parametric:steps act with the parameters tuned on the testbed, not on the stiff"
     assert any("the agonist of the resting arm switches" in remark for remark in found)
     assert not any("tuned" in remark for remark in device_remarks(load_profile(STIFF), ["eq6"]))

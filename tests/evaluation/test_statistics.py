@@ -240,7 +240,7 @@ def test_the_probability_of_improvement_counts_wins_and_half_the_ties():
     assert probability_of_improvement(values, values, draws).mean == pytest.approx(0.5)
     brute = np.mean([[(a < b) + 0.5 * (a == b) for a, b in zip(x, y, strict=True)] for x in values for y in values[:1]])
     assert probability_of_improvement(values, values[:1], draws).mean == pytest.approx(brute)
-    with pytest.raises(ValueError, match="do not exist"):
+    with pytest.raises(ValueError, match="some values are NaN"):
         probability_of_improvement(np.full((2, 3), math.nan), [2.0, 2.0, 2.0], draws)
 
 

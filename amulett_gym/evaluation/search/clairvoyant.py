@@ -1,24 +1,22 @@
-"""The clairvoyant reference: per scenario, the best tension schedule that a search finds when it knows the future.
+"""The clairvoyant reference: for each scenario, the best tension schedule that a search with full knowledge finds.
 
-It knows all: the setpoints and pushes to come, and the sensors' noise, since every trial replays the scenario with its
-own noise key. A schedule has one tension setpoint for each agent step, within the range of the default actions, and
-reaches it on a ramp, as actions do. So it bounds from below what any policy of the same environment can cost, as far as
-the search goes; what acts at control rate or with other gains (`eq6`, `position-only`) plays by other rules, and may
-cost less.
+The search knows future setpoints, pushes and sensor noise: every trial replays the scenario with its noise key. A
+schedule has one tension setpoint for each agent step, within the range of the default actions, reached on a ramp, as
+actions are. Its cost is an estimate of the lower bound for all policies of the same environment. Contenders that act at
+control rate or with other gains (`eq6`, `position-only`) are not policies of it, and may cost less.
 
-With `Trials.redrawn` it knows all but chance (the *foresight* reference): a schedule is judged by its mean cost over
-several draws of the noise, none of them the scenario's own. Its cost in the scenario itself shows how much of
-the clairvoyant's lead is foresight, and how much is an answer to noise that cannot be foreseen.
+With `Trials.redrawn` the search knows all but chance (the *foresight* reference): the cost of a schedule is its mean
+over several draws of the noise, which differ from the scenario's own. Its cost in the scenario itself shows how much of
+the clairvoyant's advantage is foresight, and how much is a response to noise.
 
 The search starts from the schedules of every constant and of given laws and policies, so it is never worse than any of
-them. It goes on from the best few of them, in rounds. A round tries many *changes* of a schedule at once: trapezoids of
-random place, width and height, or as wide a window on another start's schedule. What a change does is over within a
-second or so; therefore each candidate has one change in every *segment* of time, and each change is judged by what its
-own segment then costs. The best changes of all segments together are the next schedules to try. Only what costs less as
-a whole is kept.
+them. The best of them are improved in rounds. A round tries many *changes* of a schedule at once: trapezoids of random
+place, width and height, or parts of another start's schedule. A change affects costs for about a second; so each
+candidate has one change in every *segment* of time, and each change is judged by the cost of its own segment. The best
+changes of all segments are combined to further candidates. A candidate with a lower total cost replaces the schedule.
 
 ``python -m amulett_gym.evaluation.search.clairvoyant --suite steps --episodes 50 --out DIR`` searches and prints
-how it stands beside the contenders.
+the reference's cost with those of the contenders.
 """
 
 from __future__ import annotations
@@ -46,17 +44,16 @@ from amulett_gym.profile import load_profile
 from amulett_gym.storage.kept import digest, kept
 
 VERSION = 2
-"""Of the search: one more whenever the same settings would find other schedules."""
+"""Version of the search, increased if the same settings would find other schedules."""
 
 CONSTANTS = tuple(float(tension) for tension in range(4, 16))
 """Constant tensions to start from [N]."""
 
 LAWS = ("eq6-held", "eq6-held-printed")
-"""Laws whose schedules are starts, beside those that the caller names."""
-
+"""Laws whose schedules are starts, in addition to those that the caller names."""
 
 SUCCESS = 0.15
-"""Share of changes that help at which their height stays as it is: fewer, and it falls."""
+"""Share of successful changes at which their height is constant; it decreases if fewer succeed."""
 
 Values = NDArray[np.float64]
 Devices = NDArray[np.int64]
@@ -66,13 +63,8 @@ Devices = NDArray[np.int64]
 class Stage:
     """A part of the search.
 
-    Attributes
-    ----------
-    rounds : int
-    shortest, longest : float
-        Between which the rise, the plateau and the fall of a change last [s].
-    segment : float
-        Length of a segment of time with one change [s].
+    The rise, the plateau and the fall of a change last from `shortest` to `longest` [s]; `segment` is the length of a
+    segment of time with one change [s].
     """
 
     rounds: int
@@ -83,18 +75,18 @@ class Stage:
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard to search.
+    """The effort of a search.
 
     Attributes
     ----------
     stages : tuple of Stage
         From coarse to fine.
     restarts : int
-        Schedules of a scenario that are improved, from as many of its best starts.
+        Number of a scenario's best starts that are improved.
     candidates : int
-        Candidates of a round, for each of them.
+        Candidates of a round, for each of these.
     height : float
-        Standard deviation of the first changes' heights [N].
+        Initial standard deviation of the changes' heights [N].
     seed : int
     """
 
@@ -112,20 +104,20 @@ class Effort:
 
 @dataclass(frozen=True)
 class Reference:
-    """What was found.
+    """The result of a search.
 
     Attributes
     ----------
     costs : ndarray, shape (S,)
-        Of the best schedule of each scenario; minus its return.
+        Cost of the best schedule of each scenario: minus its return.
     actions : ndarray of float32, shape (S, steps)
         That schedule, as actions of the default range.
     restarts : ndarray, shape (restarts, S)
-        Cost that the search from each start came to.
+        Final cost of the search from each start.
     starts : dict of str to ndarray, shape (S,)
-        Cost of each schedule to start from.
+        Cost of each start.
     curve : ndarray, shape (rounds + 1, 2)
-        Episodes simulated for a scenario so far, and the mean cost then.
+        Number of simulated episodes for each scenario so far, and the mean cost then.
     """
 
     costs: Values
@@ -148,22 +140,22 @@ def clairvoyant(
     block: int = 25,
     report: Callable[[int], object] = lambda rounds: None,
 ) -> Reference:
-    """Search for each scenario's best schedule.
+    """Return each scenario's best schedule.
 
     Parameters
     ----------
     trials : Trials
-        Of several draws of each scenario, costs are their means.
+        With several draws of each scenario, costs are their means.
     effort : Effort
     laws : sequence of str
-        Contenders (names or folders) that act from outside the loop, beside `LAWS` and `CONSTANTS`: their schedules are
-        starts, too.
+        Contenders (names or folders) that act from outside the loop; their schedules are starts in addition to those of
+        `LAWS` and `CONSTANTS`.
     folder : str or Path, optional
-        Where what was found is kept, and found again if nothing has changed: scenarios, device, costs, starts, effort.
+        Folder of results; they are reused if scenarios, device, costs, starts and effort are the same.
     block : int
-        Scenarios that are searched at once, and kept in one file.
+        Number of scenarios that are searched at once and stored in one file.
     report : callable
-        Called with a number of rounds when they are done; those of a block that was kept count, too.
+        Called with the number of rounds that were done; those of a reused block count, too.
 
     Raises
     ------
@@ -176,7 +168,7 @@ def clairvoyant(
     for first in range(0, count, block):
         scenarios = np.arange(first, min(first + block, count))
         own = {name: actions[scenarios] for name, actions in schedules.items()}
-        found.append(_found(trials, scenarios, own, effort, folder, report))
+        found.append(_kept(trials, scenarios, own, effort, folder, report))
     shares = np.array([part.costs.size for part in found]) / count
     return Reference(
         costs=np.concatenate([part.costs for part in found]),
@@ -188,7 +180,7 @@ def clairvoyant(
 
 
 def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actions]:
-    """Return the schedules that the constants and laws come to in each scenario's first draw, shape (S, steps)."""
+    """Return the schedules of the constants and laws in each scenario's first draw, shape (S, steps)."""
     count = len(trials.rows) // trials.draws
     schedules = {}
     for tension in CONSTANTS:
@@ -201,7 +193,7 @@ def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actio
 
 
 def replay(trials: Trials, actions: Actions) -> Values:
-    """Return what a schedule for each scenario costs there, the mean over its draws, shape (S,)."""
+    """Return the cost of a schedule for each scenario, the mean over its draws, shape (S,)."""
     return _cost(trials, np.arange(len(actions)), actions)
 
 
@@ -212,7 +204,7 @@ def improve(
     effort: Effort,
     report: Callable[[int], object] = lambda rounds: None,
 ) -> Reference:
-    """Search for the best schedules of some scenarios, whose starts have the shape (len(scenarios), steps)."""
+    """Return the best schedules of some scenarios; each start has the shape (len(scenarios), steps)."""
     rng = np.random.default_rng(effort.seed)
     names, donors = list(starts), np.array(list(starts.values()))
     own = np.tile(scenarios, len(names))
@@ -238,20 +230,14 @@ def improve(
     costs = state.costs().reshape(shape)
     best = costs.argmin(axis=0)
     actions = state.actions.reshape(*shape, -1)[best, np.arange(scenarios.size)].astype(np.float32)
-    return Reference(
-        costs=costs.min(axis=0),
-        actions=actions,
-        restarts=costs,
-        starts=dict(zip(names, start_costs, strict=True)),
-        curve=np.array(curve),
-    )
+    return Reference(costs.min(axis=0), actions, costs, dict(zip(names, start_costs, strict=True)), np.array(curve))
 
 
 @dataclass
 class _State:
-    """The schedules as they are now, one a row: N of them.
+    """The present N schedules.
 
-    `actions` and `traces` (what each agent step costs) have the shape (N, steps), `donors` (K, N, steps).
+    `actions` and `traces` (the cost of each agent step) have the shape (N, steps), `donors` (K, N, steps).
     """
 
     scenarios: Devices
@@ -261,12 +247,12 @@ class _State:
     heights: Values
 
     def costs(self) -> Values:
-        """Return what each schedule costs, shape (N,)."""
+        """Return the cost of each schedule, shape (N,)."""
         return self.traces.sum(axis=1)
 
 
 def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np.random.Generator) -> int:
-    """Try changes of all schedules, keep what costs less as a whole, and return the episodes tried for each."""
+    """Try changes of all schedules, keep those with a lower total cost; return the number of episodes for each."""
     period = trials.protocol.agent_period
     count, steps = state.actions.shape
     length = max(round(stage.segment / period), 2)
@@ -274,7 +260,7 @@ def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np
     segment = (np.arange(steps) + offset) // length
     bounds = np.flatnonzero(np.diff(segment, prepend=-1))
     window = _windows(steps, segment, offset, length, (count, candidates), stage, period, rng)
-    # Every third candidate goes towards another start's schedule, the others up or down.
+    # Every third candidate changes towards another start's schedule, the others up or down.
     height = state.heights[:, None, None] * rng.normal(size=(count, candidates, bounds.size))
     changes = window * height[:, :, segment]
     crossed = np.arange(0, candidates, 3)
@@ -289,10 +275,8 @@ def _round(trials: Trials, state: _State, stage: Stage, candidates: int, rng: np
     state.heights *= np.exp((np.mean(blind > 0.0, axis=(1, 2)) - SUCCESS) / 2.0)
     np.clip(state.heights, 0.002, 0.5, out=state.heights)
     together = np.clip(state.actions[:, None] + _combined(changes, gains, segment), -1.0, 1.0)
-    tried, traces = (
-        np.concatenate([tried, together], axis=1),
-        np.concatenate([traces, _play(trials, state.scenarios, together)], axis=1),
-    )
+    traces = np.concatenate([traces, _play(trials, state.scenarios, together)], axis=1)
+    tried = np.concatenate([tried, together], axis=1)
     best, rows = traces.sum(axis=2).argmin(axis=1), np.arange(count)
     better = traces[rows, best].sum(axis=1) < state.costs()
     state.actions[better] = tried[rows, best][better]
@@ -324,11 +308,11 @@ def _windows(
 
 
 def _combined(changes: Values, gains: Values, segment: Devices) -> Values:
-    """Return schedules' changes put together from what was tried, segment by segment, shape (count, 6, steps).
+    """Return combinations of the tried changes, shape (count, 6, steps).
 
-    The best of each segment; those of every other segment, in two halves, if neighbours spoil one another's gain; and
-    the mean of all, weighted by how much more than the average they gained, in which what is chance cancels: a step
-    along the estimated gradient, in three lengths.
+    They are the best change of each segment; these in even and in odd segments only, since neighbours can reduce each
+    other's gain; and the mean of all changes, weighted by their gain relative to the average, in which chance cancels:
+    a step along the estimated gradient, in three lengths.
     """
     count, candidates, _ = gains.shape
     rows, steps = np.arange(count)[:, None], np.arange(segment.size)
@@ -345,7 +329,7 @@ def _combined(changes: Values, gains: Values, segment: Devices) -> Values:
 
 
 def _play(trials: Trials, scenarios: Devices, actions: NDArray[np.floating[Any]]) -> Values:
-    """Return what each step of each schedule costs, shape as `actions`: (scenarios, tried, steps)."""
+    """Return the cost of each step of each schedule, shape as `actions`: (scenarios, tried, steps)."""
     count, tried, steps = actions.shape
     rows = _rows(trials, np.repeat(scenarios, tried))
     flat = np.repeat(actions.reshape(-1, steps).astype(np.float32), trials.draws, axis=0)
@@ -354,12 +338,12 @@ def _play(trials: Trials, scenarios: Devices, actions: NDArray[np.floating[Any]]
 
 
 def _cost(trials: Trials, scenarios: Devices, actions: Actions) -> Values:
-    """Return what a schedule for each of some scenarios costs there, shape (len(scenarios),)."""
+    """Return the costs of schedules, one for each of some scenarios, shape (len(scenarios),)."""
     return _play(trials, scenarios, actions[:, None])[:, 0].sum(axis=1)
 
 
 def _rows(trials: Trials, scenarios: Devices) -> Devices:
-    """Return all rows of some scenarios, those of one after the other's."""
+    """Return all rows of some scenarios, scenario by scenario."""
     return (scenarios[:, None] * trials.draws + np.arange(trials.draws)).reshape(-1)
 
 
@@ -385,7 +369,7 @@ def _followed(trials: Trials, name: str) -> Actions:
         turn = step % round(hold)
         if turn == 0:
             last, wanted = observations[:, TENSION_SETPOINT], np.clip(policy(observations)[:, 0], -1.0, 1.0)
-        # A ramp over the law's own period is one over each of the steps in it.
+        # The ramp over the law's own period, one agent step at a time.
         left = 1.0 - (turn + 1) / round(hold)
         steps.append((wanted + (last - wanted) * left).astype(np.float32))
         return steps[-1]
@@ -395,7 +379,7 @@ def _followed(trials: Trials, name: str) -> Actions:
     return np.array(steps).T
 
 
-def _found(
+def _kept(
     trials: Trials,
     scenarios: Devices,
     starts: dict[str, Actions],
@@ -403,7 +387,7 @@ def _found(
     folder: str | Path | None,
     report: Callable[[int], object],
 ) -> Reference:
-    """Read what was found for these scenarios, or search for it and keep it."""
+    """Return the stored result for these scenarios, or search and store it."""
     if folder is None:
         return improve(trials, scenarios, starts, effort, report)
     protocol = trials.protocol
@@ -418,7 +402,7 @@ def _found(
             **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
         )
         if not np.allclose(_cost(trials, scenarios, found.actions), found.costs, rtol=1e-9):
-            raise ValueError("they cost something else in this version of the simulation")
+            raise ValueError("their costs differ in this version of the simulation")
         report(effort.rounds)
         return found
 
@@ -434,31 +418,30 @@ def _pack(found: Reference) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Search by the command line's words, and print the mean costs of contenders and reference."""
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--suite", nargs="+", default=["steps"])
     parser.add_argument("--split", default="held-out")
     parser.add_argument("--profile", default="testbed")
     parser.add_argument("--episodes", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i")
-    parser.add_argument("--policies", nargs="*", default=[], metavar="NAME", help="whose schedules are starts, too")
-    parser.add_argument("--out", metavar="DIR", help="what is found is kept there, and not searched for again")
+    parser.add_argument("--policies", nargs="*", default=[], metavar="NAME", help="contenders for further starts")
+    parser.add_argument("--out", metavar="DIR", help="folder of results; they are reused")
     arguments = parser.parse_args(argv)
+    profile, split, episodes = load_profile(arguments.profile), arguments.split, arguments.episodes
     for suite in arguments.suite:
-        protocol = Protocol(
-            load_profile(arguments.profile), suite, arguments.split, episodes=arguments.episodes, seed=arguments.seed
-        )
+        protocol = Protocol(profile, suite, split, episodes=episodes, seed=arguments.seed)
         found = clairvoyant(Trials(protocol), laws=arguments.policies, folder=arguments.out)
-        print(f"\n{suite}, {arguments.split}, {arguments.episodes} scenarios from seed {arguments.seed}: mean cost")
+        print(f"\n{suite}, {split}, {episodes} scenarios from seed {arguments.seed}: mean cost")
         for name, cost in _mean_costs(protocol, found).items():
             print(f"  {name:44} {cost:.4f}", flush=True)
-        print("  found after so many episodes a scenario:")
-        for episodes, cost in found.curve[:: max(len(found.curve) // 12, 1)]:
-            print(f"    {episodes:6.0f} {cost:.4f}")
+        print("  by number of episodes for each scenario:")
+        for simulated, cost in found.curve[:: max(len(found.curve) // 12, 1)]:
+            print(f"    {simulated:6.0f} {cost:.4f}")
 
 
 def _mean_costs(protocol: Protocol, found: Reference) -> dict[str, float]:
-    """Return the mean costs of what acts in the loop, of the starts, and of what was found, by name."""
+    """Return the mean costs of the contenders in the loop, of the starts, and of the search's results, by name."""
     every, action = np.arange(protocol.episodes), held(np.full(protocol.episodes, 10.0))
     constants = {name: costs.mean() for name, costs in found.starts.items() if name.startswith(CONSTANT)}
     best = min(constants, key=lambda name: constants[name])
