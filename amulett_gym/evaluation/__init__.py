@@ -1,1 +1,1 @@
-"""Paired runs of contenders on the same scenarios, their metrics, statistics and report."""
+"""Comparison of contenders on the same scenarios."""

@@ -1,4 +1,4 @@
-"""Conformance checks of an environment: of Gymnasium, of Stable-Baselines3 and of this package.
+"""Conformance checks of an environment.
 
 A check is a function of a `Subject` that raises an exception if the environment breaks the promise.
 """

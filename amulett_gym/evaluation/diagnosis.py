@@ -26,7 +26,7 @@ MOST_SWITCHES = 1.0
 """Agonist switches of a resting arm [1/s]; shipped devices: none."""
 
 MOST_SWING = 2.0
-"""Peak to peak of a resting joint without its drift [deg]: half the paper's error margin; shipped devices: up to 0.7."""
+"""Peak to peak of a resting joint without drift [deg]: half the paper's error margin; shipped devices: up to 0.7."""
 
 MOST_ERROR = 2.0
 """Mean error of a resting joint [deg], the paper's error margin; shipped devices: up to 0.13."""

@@ -1,4 +1,4 @@
-"""The registry of metrics: key, name, unit and definition of every number that is reported of an episode.
+"""The registry of metrics: the name, unit, definition of every number that is reported of an episode.
 
 There are two costs. ``cost`` is computed from the metrics below and ranks contenders: neither shaped nor capped. The
 *capped cost* is minus the return, at most `COST_CAP` for each agent step: training minimises and validates it.

@@ -1,4 +1,4 @@
-"""Remarks on results of the user's own device; they are printed once and stored with the results."""
+"""Remarks on results of the user's own device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network as a policy: from observations to its inputs, and from its output to actions."""
+"""A network as a policy: its inputs from observations, its output as actions."""
 
 from __future__ import annotations
 

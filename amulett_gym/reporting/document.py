@@ -1,4 +1,4 @@
-"""Markdown documents with generated parts, each between two lines, and figures in a folder next to the document."""
+"""Markdown documents with generated parts, each between two lines."""
 
 from __future__ import annotations
 

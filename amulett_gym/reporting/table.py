@@ -1,4 +1,4 @@
-"""A table: as text of 80 columns, as Markdown, as HTML and as CSV."""
+"""A table as text of 80 columns, Markdown, HTML or CSV."""
 
 from __future__ import annotations
 

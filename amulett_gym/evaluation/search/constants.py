@@ -1,4 +1,4 @@
-"""Print the mean cost of constant tensions on each suite, and which of them is best in how many scenarios.
+"""Print the mean costs of constant tensions on each suite.
 
 ::
 
