@@ -1,4 +1,4 @@
-"""`amulett bench`: how fast kernel, environments and learning are, beside others in the same run."""
+"""`amulett bench`: how fast kernel, environments and learning are, compared with others in the same run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from amulett_gym.cli.train import add_overrides
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable, write_json
 
-HELP = "measure speed: kernel, environments, learning, scale, beside C, Gymnasium's environments and peers"
+HELP = "measure speed: kernel, environments, learning, scale; compare with C and with other environments"
 EXAMPLES = """  amulett bench
   amulett bench --c --ppo --peers --out runs/bench
   amulett bench --time-to-beat --seeds 3 --out runs/bench
@@ -28,6 +28,8 @@ _READ_BY = {
     "seeds": ("time-to-beat",),
     "limit": ("time-to-beat",),
     "simulated": ("scale",),
+    "turns": ("speed", "c", "ppo", "scale", "peers"),
+    "devices": ("speed", "c", "scale"),
 }
 """The sections that read an option; all of them read those that are not here."""
 
@@ -35,15 +37,15 @@ _READ_BY = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     sections = parser.add_argument_group("measured on request, besides kernel and environments")
-    sections.add_argument("--c", action="store_true", help="the kernel beside the same tick in C (needs a C compiler)")
-    sections.add_argument("--ppo", action="store_true", help="PPO beside the same PPO on a null environment")
+    sections.add_argument("--c", action="store_true", help="the same tick in C (needs a C compiler)")
+    sections.add_argument("--ppo", action="store_true", help="PPO, compared with PPO on a null environment")
     sections.add_argument(
         "--time-to-beat", action="store_true", help="training time until PPO beats eq. 6, and the best constant, too"
     )
     sections.add_argument("--scale", action="store_true", help="from 1 to 65,536 devices; memory; an hour simulated")
     sections.add_argument("--peers", action="store_true", help="MuJoCo, MyoSuite, gym-electric-motor, if installed")
     parser.add_argument("--devices", type=int, default=1024, help="devices in the vector environments (default: 1024)")
-    parser.add_argument("--turns", type=int, default=7, help="interleaved turns that each one takes (default: 7)")
+    parser.add_argument("--turns", type=int, default=7, help="alternating turns of each (default: 7)")
     parser.add_argument("--seed", type=int, default=0, help="of scenarios and actions (default: 0)")
     parser.add_argument(
         "--config", metavar="FILE", help="recipe of --ppo (default: that of amulett train) and --time-to-beat (its own)"

@@ -36,7 +36,8 @@ def _speed(data: Data) -> list[Table]:
     ]
     head = ("", "agent steps/s", "slowest", "fastest", "ticks/s", "ratio")
     note = (
-        "Medians of interleaved turns. Ratio: to Pendulum-v1 (single), to CartPole-v1 (vector); 1.3 or less is a tie."
+        "Medians of alternating turns. Ratio: single environments to Pendulum-v1, vector environments to CartPole-v1; "
+        "between 1/1.3 and 1.3 counts as equal."
     )
     return [Table("Kernel and environments", head, rows, note)]
 
@@ -57,9 +58,9 @@ def _c(data: Data) -> list[Table]:
         ]
         for profile, ratio in data["ratio_to_c"].items()
     ]
-    note = "Million ticks a second on one core; medians of interleaved turns; the ratio turn by turn (least-most)."
-    title = f"The kernel beside the same tick in C, {data['c_devices']:,} devices"
-    return [Table(title, ("", *columns, "kernel to strict scalar C"), rows, note)]
+    note = "Million ticks a second on one core: medians of alternating turns. Ratio per turn: median (minimum-maximum)."
+    title = f"The kernel compared with the same tick in C, {data['c_devices']:,} devices"
+    return [Table(title, ("", *columns, "ratio kernel / C, strict scalar"), rows, note)]
 
 
 def _ppo(data: Data) -> list[Table]:
@@ -68,12 +69,13 @@ def _ppo(data: Data) -> list[Table]:
     ratios = {"env": _spread(ppo["ratio"], least, most, digits=3), "null": "1"}
     rows = [
         [label, f"{ppo[name]:,.0f}", *(f"{ppo['step_ms'][name][part]:.2f}" for part in parts), ratios[name]]
-        for name, label in (("env", "our environment"), ("null", "null environment"))
+        for name, label in (("env", "simulated environment"), ("null", "null environment"))
     ]
     note = (
-        f"The recipe of `amulett train`, {ppo['num_envs']} devices. Rollouts alternate, each with its update; a turn "
-        "is as many of each as an episode takes, the ratio turn by turn (least-most). Milliseconds are what a step "
-        "of all devices takes on average: in the rollout, and as its share of the update."
+        f"The recipe of `amulett train`, {ppo['num_envs']} devices. The two environments take turns. One "
+        "turn is enough rollouts, each followed by its update, to cover one episode. Ratio per turn, simulated to null "
+        "environment: median (minimum-maximum). Times are averages per step of all devices: rollout time per step, and "
+        "update time divided by the steps of a rollout."
     )
     head = ("", "agent steps/s", *(f"{part} [ms]" for part in parts), "ratio")
     return [Table("PPO of Stable-Baselines3", head, rows, note)]
@@ -87,12 +89,14 @@ def _time_to_beat(data: Data) -> list[Table]:
         times = (seconds(run[key]) for key in keys)
         rows.append([f"seed {run['seed']}", f"{costs[0]:.3f}", *times, f"{min(costs):.3f}", f"{run['curve'][-1][1]:,}"])
     rows.append(["median", "", *(_median(found["runs"], key) for key in keys), "", ""])
-    lower = f"below the lower of eq. 6 and {lines['constant_tension']:g} N ({lines['lower']:.3f}) [s]"
-    head = ("", "first cost", f"below eq. 6 ({lines['eq6']:.3f}) [s]", lower, "least cost", "agent steps")
+    lower = f"below eq. 6 and {lines['constant_tension']:g} N ({lines['lower']:.3f}) [s]"
+    head = ("", "first cost", f"below eq. 6 ({lines['eq6']:.3f}) [s]", lower, "lowest cost", "agent steps")
     note = (
-        f"Training time on {found['cores']} cores, without judging and compiling, at most {found['limit_s']:g} s. "
-        f"The first policy is a constant {found['initial_tension']:g} N. Costs on {found['episodes']} fixed validation "
-        "scenarios; a line counts as crossed if the same policy is below it on as many held-out scenarios, too."
+        f"Training time on {found['cores']} cores, without evaluation and compilation, at most {found['limit_s']:g} s; "
+        "in parentheses the cost to beat. The first policy is a constant "
+        f"{found['initial_tension']:g} N. Costs on {found['episodes']} fixed validation scenarios. A law counts as "
+        "beaten only if the same policy also beats it on as many held-out scenarios; so a seed may have a lower cost "
+        "on validation and not have beaten it. Such a seed counts as the slowest in the median."
     )
     return [Table("Time to beat", head, rows, note)]
 
@@ -104,22 +108,28 @@ def _scale(data: Data) -> list[Table]:
         costs = scale["device_step_ns"].items()
         rows = [[f"{int(size):,}", *(f"{row[key]:,.0f}" for key in keys)] for size, row in costs]
         note = (
-            "By number of devices in a vector environment: observations, rewards and infos included; "
-            "autoreset where turns are longer than episodes, up to about a thousand devices."
+            "Rows: number of devices in one vector environment. The time includes observations, rewards and infos, and "
+            "automatic resets only up to about 1,000 devices; with more, a measurement ends before the first episode "
+            "ends."
         )
-        made.append(Table("Cost of a device's step [ns], testbed, one core", ("", *keys), rows, note))
+        head = ("devices", "median", "minimum", "maximum")
+        made.append(Table("Time per step and device [ns], testbed, one core", head, rows, note))
     if "two_threads" in scale:
         rows = [[f"{int(size):,}", _spread(**row, digits=2)] for size, row in scale["two_threads"].items()]
-        note = "By number of devices; turn by turn (least-most). Faster where a second core is free."
-        made.append(Table("Two threads to one, testbed", ("", "times as fast"), rows, note))
+        note = "Ratio of the speeds per turn: median (minimum-maximum). Useful only if a second core is free."
+        made.append(Table("Two threads compared with one, testbed", ("devices", "speed-up"), rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
         rows = [
             ["simulated devices: parameters, scenarios, states", _bytes(memory["simulation"])],
             ["all arrays of the environment, Gymnasium's spaces included", _bytes(memory["arrays"])],
-            ["growth of resident memory, room for what a step returns included", _bytes(memory["resident"])],
+            [
+                "growth of the process's resident memory, with the arrays that a step returns",
+                _bytes(memory["resident"]),
+            ],
         ]
-        made.append(Table("Memory of a device [bytes]", ("", f"{memory['devices']:,} devices"), rows))
+        note = "Resident memory grows by less than the arrays where the process reuses memory that it had freed before."
+        made.append(Table("Memory per device [bytes]", ("", f"{memory['devices']:,} devices"), rows, note))
     if "long_run" in scale:
         made.append(_long_run(scale["long_run"]))
     return made
@@ -127,13 +137,22 @@ def _scale(data: Data) -> list[Table]:
 
 def _long_run(run: Data) -> Table:
     rows = [
-        ["last third's speed to the first third's", f"{run['speed_ratio']:.3f}"],
-        ["growth of resident memory, bytes a device", _bytes(run["resident_growth_bytes_per_device"])],
+        ["speed in the last third divided by that in the first third", f"{run['speed_ratio']:.3f}"],
+        ["growth of resident memory [bytes per device]", _bytes(run["resident_growth_bytes_per_device"])],
         ["devices that failed", f"{run['failures']}"],
-        ["the episode after it is bit for bit a new environment's", "yes" if run["last_episode_is_exact"] else "NO"],
-        ["error of the clock in one episode as long as all of it [s]", f"{run['lone_clock_error_s']:.1e}"],
-        ["change of the joint angle in its second half [deg]", f"{run['lone_angle_change_deg']:.1e}"],
-        ["change of the string tensions in its second half [N]", f"{run['lone_tension_change_n']:.1e}"],
+        [
+            "the last episode is bit-identical to that of a new environment",
+            "yes" if run["last_episode_is_exact"] else "NO",
+        ],
+        ["one episode of the whole time: error of the clock [s]", f"{run['lone_clock_error_s']:.1e}"],
+        [
+            "one episode of the whole time: change of the joint angle in the second half [deg]",
+            f"{run['lone_angle_change_deg']:.1e}",
+        ],
+        [
+            "one episode of the whole time: change of the string tensions in the second half [N]",
+            f"{run['lone_tension_change_n']:.1e}",
+        ],
     ]
     title = f"{run['simulated_s'] / 60:.0f} minutes of simulated time, {run['devices']:,} devices"
     return Table(title, ("", ""), rows)
@@ -151,23 +170,23 @@ def _peers(data: Data) -> list[Table]:
         cells = [_spread(**ratio[own], digits=1) for ratio in ratios for own in ours] or ["-"] * 2 * len(ours)
         rows.append([name, f"{row['steps_per_s']:,.0f}", f"{row['ticks_per_s']:,.0f}", *cells])
     profiles = [name.removeprefix("single, ") for name in ours]
-    columns = (f"{what}: {profile} to it" for what in ("steps", "ticks") for profile in profiles)
+    columns = (f"{what}: {profile} / row" for what in ("steps", "ticks") for profile in profiles)
     note = (
-        "Medians of interleaved turns; ratios turn by turn (least-most): how many times as fast ours is. A step is an "
-        "agent's, a tick the physics'."
+        "Medians of alternating turns. Ratios of speeds per turn, this environment's profile to the row's environment: "
+        "median (minimum-maximum). A step is one action of the agent, a tick one step of the physics."
     )
     head = ("", "agent steps/s", "inner ticks/s", *columns)
-    return [Table("Peers, one environment on one core each", head, rows, "\n".join([note, *skipped]))]
+    return [Table("Other packages, one environment on one core each", head, rows, "\n".join([note, *skipped]))]
 
 
 def seconds(value: float | None) -> str:
-    """Return a training time, or that it was not enough."""
+    """Return a training time, or ``"not reached"``."""
     return "not reached" if value is None else f"{value:.1f}"
 
 
 def _median(runs: Sequence[Data], key: str) -> str:
     """Return the median of the times, of which those that were not reached are the longest."""
-    median = statistics.median_high([float("inf") if run[key] is None else run[key] for run in runs])
+    median = statistics.median([float("inf") if run[key] is None else run[key] for run in runs])
     return seconds(None if median == float("inf") else median)
 
 

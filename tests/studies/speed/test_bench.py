@@ -107,6 +107,7 @@ def test_the_command_that_is_written_down_has_the_options_of_its_section():
     assert bench._command(arguments, "ppo") == "amulett bench --ppo --turns 2 --set num_envs=64"
     assert bench._command(arguments, "scale") == "amulett bench --scale --turns 2 --simulated 60.0"
     assert bench._command(arguments, "speed") == "amulett bench --turns 2"
+    assert bench._command(arguments, "time-to-beat") == "amulett bench --time-to-beat --set num_envs=64"
 
 
 def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
@@ -242,6 +243,7 @@ def test_the_document_has_a_place_for_every_section(tmp_path):
 def test_times_that_were_not_reached_are_the_longest():
     runs = [{"lower_s": value} for value in (3.0, None, 5.0)]
     assert performance._median(runs, "lower_s") == "5.0"
+    assert performance._median([*runs, {"lower_s": 8.0}], "lower_s") == "6.5"
     assert performance._median([*runs, {"lower_s": None}], "lower_s") == "not reached"
 
 
