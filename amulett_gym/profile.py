@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
-from amulett_gym.storage.curve import Curve, read_curve
+from amulett_gym.storage.curve import Curve, is_csv, read_curve
 from amulett_gym.storage.reading import user_path, visible
 from amulett_gym.storage.safe_yaml import read_yaml
 
@@ -74,7 +74,7 @@ class Spring(Sourced):
         ge=1e-6, le=10, description="string deflection at which the table ends [m]; force is held beyond"
     )
     measured_curve: Curve | None = Field(
-        default=None, description="replaces the geometric model: a CSV file (see storage.curve), kept by its content"
+        default=None, description="replaces the geometric model: a CSV file (see `storage.curve`), or its text"
     )
 
     @field_validator("measured_curve", mode="before")
@@ -297,9 +297,9 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
     path = find_config(profile, "profile")
     content = read_yaml(path, "profile")
     spring = content.get("spring")
-    if isinstance(spring, dict) and isinstance(spring.get("measured_curve"), str):
-        # Relative to the file that names it, not to the working folder.
-        spring["measured_curve"] = str(path.parent / user_path(spring["measured_curve"]))
+    curve = spring.get("measured_curve") if isinstance(spring, dict) else None
+    if isinstance(curve, str) and not is_csv(curve):  # relative to the file that names it, not to the working folder
+        spring["measured_curve"] = str(path.parent / user_path(curve))
     return _validate(content, f"profile '{path}'", f"in {path.name}")
 
 

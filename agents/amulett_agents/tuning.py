@@ -226,7 +226,7 @@ def _begin(out: Path, config: TrainConfig, space: Space, seed: int, seeds: int, 
         "seeds": seeds,
     }
     if (out / STUDY).is_file():
-        earlier = read_json(out / STUDY, "study", limit=1_000_000)
+        earlier = read_json(out / STUDY, "study")
         if changed := differences(earlier, json.loads(json.dumps(study))):
             raise AmulettError(
                 f"'{out}' holds another study: {'; '.join(changed)}; continue that one, or choose another folder"

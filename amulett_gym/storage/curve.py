@@ -1,28 +1,31 @@
-"""A measured force-deflection curve: read from a CSV file once, checked, and kept with the profile by its content."""
+"""A measured force-deflection curve: read from a CSV file, checked, and kept with the profile as CSV text."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_serializer, model_validator
 
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.table import read_columns
+from amulett_gym.storage.reading import read_text
+from amulett_gym.storage.table import parse_columns
 
 COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
-MOST_POINTS = 1000
-_MOST_BYTES = 1_000_000
+MOST_BYTES = 1_000_000
+"""Size of the largest CSV file accepted."""
+MOST_KEPT = 1_500_000
+"""Characters of the longest curve as CSV text: indented in a recipe's YAML, it stays below that file's limit."""
 _LEAST_RISE = 1e-9  # [m]: far below what can be measured, and far above where slopes overflow
 
 
 class Curve(Group):
     """A curve from rest on, or joined to it: deflections rise by a nanometre or more, the force never falls."""
 
-    deflection_m: list[float] = Field(min_length=3, max_length=MOST_POINTS, description="of the string, 0 to 10 [m]")
+    deflection_m: list[float] = Field(min_length=3, description="of the string, 0 to 10 [m]")
     force_N: list[float] = Field(description="of the string, 0 to 1e6 [N]")
     spring_deflection_m: list[float] | None = Field(
-        default=None, description="of the linear spring, 0 to 10 [m]; null: the potentiometer sees the string's"
+        default=None, description="of the linear spring, 0 to 10 [m]; null: the potentiometer measures the string's"
     )
 
     @model_validator(mode="after")
@@ -44,26 +47,43 @@ class Curve(Group):
         starts = {name: values[0] for name, values in columns.items()}
         if any(starts.values()) and not all(starts.values()):
             raise ValueError(f"it starts at {starts}; all of them have to be 0, or all above")
+        if (size := len(self.to_csv())) > MOST_KEPT:
+            raise ValueError(f"it has {size} characters as CSV; at most {MOST_KEPT} are allowed")
         return self
 
+    @model_serializer
+    def to_csv(self) -> str:
+        """Return the curve as CSV text, from which `read_curve` reads the same numbers."""
+        columns = {name: values for name, values in self if values is not None}
+        rows = (",".join(map(repr, row)) for row in zip(*columns.values(), strict=True))
+        return "\n".join([",".join(columns), *rows, ""])
 
-def read_curve(path: str | Path) -> Curve:
+
+def read_curve(source: str | Path) -> Curve:
     """Read a measured curve.
 
     Parameters
     ----------
-    path : str or Path
-        CSV file (comma or semicolon) with a header and the columns ``deflection_m``, ``force_N`` and optionally
-        ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection itself). A
+    source : str or Path
+        A CSV file (comma or semicolon), or its text: a header and the columns ``deflection_m``, ``force_N`` and
+        optionally ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection). A
         curve that starts above zero is joined to the origin. Average repeated and noisy measurements first.
 
     Raises
     ------
     AmulettError
-        If `read_columns` refuses the file, or `Curve` the values.
+        If the file cannot be read or has more than 1 MB, `parse_columns` refuses the text, or `Curve` the values.
     """
-    columns = read_columns(path, "measured spring curve", COLUMNS[:2], _MOST_BYTES, COLUMNS[2:])
+    what, text = "measured spring curve", str(source)
+    if not is_csv(text):
+        what, text = f"{what} '{source}'", read_text(source, what, MOST_BYTES)
+    columns = parse_columns(text, what, COLUMNS[:2], COLUMNS[2:])
     try:
         return Curve.model_validate(dict(zip(COLUMNS, columns, strict=False)))
     except ValidationError as error:
-        raise describe(error, Curve, f"measured spring curve '{path}'") from error
+        raise describe(error, Curve, what) from error
+
+
+def is_csv(source: str) -> bool:
+    """Return whether a source of a curve is CSV text, not the path of a file: it has more than one line."""
+    return "\n" in source

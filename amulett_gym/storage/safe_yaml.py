@@ -16,9 +16,6 @@ import yaml
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.reading import MAX_DEPTH, check_tree, read_text
 
-MAX_BYTES = 100_000
-"""Largest YAML file accepted; the shipped ones have 5 kB."""
-
 MAX_NODES = 10_000
 """Keys and values in a file, aliases counted as often as they are used; the largest of ours has 500."""
 
@@ -75,7 +72,7 @@ def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
     AmulettError
         If the file cannot be read, `parse_yaml` refuses its text, or it holds something else than a mapping.
     """
-    content = parse_yaml(read_text(path, what, MAX_BYTES), f"{what} '{path}'")
+    content = parse_yaml(read_text(path, what), f"{what} '{path}'")
     if not isinstance(content, dict):
         raise AmulettError(f"{what} '{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
     return content
@@ -140,12 +137,16 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.1 or 1.2 would take for something else."""
+    """Quotes text that YAML 1.1 or 1.2 would take for something else; writes text of several lines as such."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
+    def represent_text(self, data: str) -> yaml.ScalarNode:
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style="|" if "\n" in data else None)
 
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 for _kind, _construct in (
     ("bool", _Loader.construct_truth),
     ("int", _Loader.construct_integer),

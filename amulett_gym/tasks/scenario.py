@@ -34,9 +34,9 @@ from amulett_gym.simulation.layout import (
     Orientation,
     load_arm,
 )
-from amulett_gym.storage.reading import read_json, user_path
+from amulett_gym.storage.reading import read_json, read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
-from amulett_gym.storage.table import read_columns
+from amulett_gym.storage.table import parse_columns
 
 MAX_BYTES = 20_000_000
 """Largest scenario file accepted, some hundred thousand samples or moves."""
@@ -107,7 +107,8 @@ class SetpointFile(Group):
     def read(self, folder: Path) -> dict[str, Any]:
         """Return the samples: the content of a `Setpoint`."""
         names, path = [self.time_column, self.column], folder / user_path(self.file)
-        time, angle = map(np.array, read_columns(path, "setpoint", names, _MAX_TABLE_BYTES))
+        text = read_text(path, "setpoint", _MAX_TABLE_BYTES)
+        time, angle = map(np.array, parse_columns(text, f"setpoint '{path}'", names))
         if not time.size:
             raise AmulettError(f"setpoint '{path}' has no samples")
         time = time * (1e-3 if self.time_unit == "ms" else 1.0)

@@ -6,7 +6,9 @@ import pytest
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
-from amulett_gym.storage.curve import MOST_POINTS, Curve, read_curve
+from amulett_gym.storage import curve as curves
+from amulett_gym.storage.curve import MOST_BYTES, Curve, read_curve
+from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 
 BAD_CURVES = {
     "nothing at all": ("", "row 1 has no column 'deflection_m'"),
@@ -14,8 +16,8 @@ BAD_CURVES = {
     "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", "row 1 has no column 'force_N'"),
     "too short": ("deflection_m,force_N\n0,0\n1,1\n", "'deflection_m'.*at least 3 items"),
     "too long": (
-        "deflection_m,force_N\n" + "\n".join(f"{k}e-6,{k}" for k in range(MOST_POINTS + 1)),
-        "'deflection_m'.*at most 1000 items",
+        "deflection_m,force_N\n" + "0,0\n" * (MOST_BYTES // 4),
+        "has 1000021 bytes; at most 1000000 are allowed",
     ),
     "a force that falls": (
         "deflection_m,force_N\n0,0\n1,5\n2,4\n",
@@ -81,10 +83,29 @@ def test_a_profile_keeps_its_curve_by_content(tmp_path):
     profile = load_profile({"name": "own", "base": "testbed", "spring": {"measured_curve": curve}})
     curve.unlink()
     content = json.loads(profile.model_dump_json())
-    assert content["spring"]["measured_curve"]["force_N"] == [2.0, 5.0, 10.0]
+    assert content["spring"]["measured_curve"] == "deflection_m,force_N\n0.001,2.0\n0.002,5.0\n0.004,10.0\n"
+    assert load_profile(content) == profile
+    content["spring"]["measured_curve"] = {"deflection_m": [0.001, 0.002, 0.004], "force_N": [2, 5, 10]}
     assert load_profile(content) == profile
     with pytest.raises(AmulettError, match=r"spring\.measured_curve.*cannot read .*curve\.csv"):
         load_profile({"name": "own", "base": "testbed", "spring": {"measured_curve": str(curve)}})
+
+
+def test_a_long_curve_is_kept_in_yaml_with_the_same_numbers(tmp_path):
+    rows = "\n".join(f"{k}e-7,{k / 3},{k / 7}e-6" for k in range(6000))  # more numbers than a YAML file may have
+    (tmp_path / "curve.csv").write_text(f"deflection_m,force_N,spring_deflection_m\n{rows}\n")
+    (tmp_path / "own.yaml").write_text("{name: own, base: testbed, spring: {measured_curve: curve.csv}}")
+    profile = load_profile(tmp_path / "own.yaml")
+    (tmp_path / "kept.yaml").write_text(to_yaml({"env": {"profile": profile.model_dump()}}))
+    assert load_profile(read_yaml(tmp_path / "kept.yaml", "recipe")["env"]["profile"]) == profile
+
+
+def test_a_curve_that_would_not_fit_into_a_kept_file_is_refused(monkeypatch):
+    columns = {"deflection_m": [0.0, 0.1, 0.2], "force_N": [0.0, 1.0, 2.0]}
+    size = len(Curve(**columns).to_csv())
+    monkeypatch.setattr(curves, "MOST_KEPT", size - 1)
+    with pytest.raises(ValueError, match=f"it has {size} characters as CSV; at most {size - 1} are allowed"):
+        Curve(**columns)
 
 
 @pytest.mark.parametrize("name", BAD_CURVES)
