@@ -8,8 +8,7 @@ import warnings
 from collections.abc import Iterable
 from importlib.metadata import version
 
-_LONGEST = 100
-"""Characters of a name that are shown, and of one for which the nearest is looked for."""
+_LONGEST = 100  # characters of a name that are shown, and of one for which the nearest is searched
 
 
 class AmulettError(ValueError):
@@ -17,16 +16,9 @@ class AmulettError(ValueError):
 
 
 def other_version(what: str, found: int, known: int, remedy: str) -> AmulettError:
-    """Build the error for a file of another version of its format, for the caller to raise.
+    """Return the error for a file (`what`) of a format version other than the `known` one.
 
-    Parameters
-    ----------
-    what : str
-        The file.
-    found, known : int
-        Its version, and the one that is read here.
-    remedy : str
-        What to do about an older one; a newer one needs a newer amulett-gym.
+    `remedy` says what to do about an older file; a newer one needs a newer amulett-gym.
     """
     hint = "update amulett-gym" if found > known else remedy
     return AmulettError(f"{what}: 'version' is {str(found)[:20]}; this amulett-gym reads {known}: {hint}")
@@ -35,7 +27,7 @@ def other_version(what: str, found: int, known: int, remedy: str) -> AmulettErro
 def install_extra(extra: str) -> str:
     """Return the commands that install an extra of amulett-gym, which is on no package index."""
     wheel = f"amulett_gym-{version('amulett-gym')}-py3-none-any.whl"
-    return f"pip install -e '.[{extra}]' in a checkout, or pip install './{wheel}[{extra}]' beside the wheel file"
+    return f"pip install -e '.[{extra}]' in a checkout, or pip install './{wheel}[{extra}]' where the wheel file is"
 
 
 def nearest(name: str, choices: Iterable[str]) -> str:
@@ -47,29 +39,18 @@ def nearest(name: str, choices: Iterable[str]) -> str:
 
 
 def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
-    """Build the error for a name that is not among `choices`.
-
-    Parameters
-    ----------
-    kind : str
-        What the name stands for, e.g. ``"suite"``.
-    name : str
-        The name that was given.
-    choices : iterable of str
-        The valid names.
-
-    Returns
-    -------
-    AmulettError
-        To be raised by the caller.
-    """
+    """Return the error for a name that is not among the valid `choices`; `kind` is e.g. ``"suite"``."""
     listed = sorted(choices)
-    shown = name if len(name) <= _LONGEST else f"{name[:_LONGEST]}..."
-    return AmulettError(f"unknown {kind} '{shown}'; choose from {', '.join(listed)}{nearest(name, listed)}")
+    return AmulettError(f"unknown {kind} '{shorten(name)}'; choose from {', '.join(listed)}{nearest(name, listed)}")
+
+
+def shorten(text: str, most: int = _LONGEST) -> str:
+    """Return `text`, cut after `most` characters."""
+    return text if len(text) <= most else f"{text[:most]}..."
 
 
 def warn_deprecated(message: str) -> None:
-    """Give a DeprecationWarning where the user wrote what it is about: above our, Gymnasium's and pydantic's frames."""
+    """Issue a DeprecationWarning at the user's line: the first frame outside of ours, Gymnasium's and pydantic's."""
     level, frame = 1, sys._getframe()
     inner = ("amulett_gym", "amulett_agents", "gymnasium", "pydantic")
     while frame.f_back is not None and str(frame.f_globals.get("__name__")).partition(".")[0] in inner:

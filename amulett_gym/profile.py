@@ -1,8 +1,8 @@
-"""One validated description of the device and its loop: the *profile*.
+"""The *profile*: one validated description of a device with its control loop.
 
-A profile is a YAML file (or a dict) of groups; every key is typed, range-checked and carries its unit. Lengths, masses
-and forces are in SI; angles are in degrees where the key says ``_deg``, and become radians in
-:mod:`amulett_gym.simulation.layout`. A profile may name a `base` profile and give only what differs from it.
+A profile is a YAML file (or a dict) of groups; every key is typed, range-checked and carries its unit. Units are SI,
+but angles are in degrees where the key ends in ``_deg``. A profile may name a `base` profile and give only what differs
+from it.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ NonNegative = Annotated[float, Field(ge=0)]
 Seconds = Annotated[float, Field(ge=0, le=100)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
 LEAST_INERTIA = 1e-9
-"""Of an arm [kg m2]: a gram at 1 mm."""
+"""Smallest inertia of an arm [kg m2]: a gram at 1 mm."""
 
 MOST_TENSION = 1e6
-"""Largest string tension that can be asked for [N]; the square of one without bound, a metric, would be no number."""
+"""Largest string tension setpoint [N]; without a limit its square, in a metric, could overflow."""
 
 STABLE_STEP = 2.5
-"""Time constants, or radians of a swing, that an integration step may cover; Runge-Kutta is stable up to 2.78."""
+"""Time constants, or radians of an oscillation, in an integration step; Runge-Kutta is stable up to 2.78."""
 
 
 class PointMass(Group):
@@ -59,13 +59,13 @@ class Plant(Sourced):
     def _check_inertia(self) -> Plant:
         if not any(item.mass * item.arm**2 >= LEAST_INERTIA for item in self.masses):
             raise ValueError(
-                f"masses give no inertia; at least one needs {LEAST_INERTIA} kg m2 (mass times arm squared) or more"
+                f"masses give no inertia; at least one needs mass times arm squared >= {LEAST_INERTIA} kg m2"
             )
         return self
 
 
 class Spring(Sourced):
-    """The non-linear spring assembly in each string (Figure 5a), or a measured curve instead."""
+    """The non-linear spring assembly in each string (Figure 5a)."""
 
     stiffness: float = Field(ge=1e-3, le=1e7, description="stiffness of each of the two linear springs [N/m]")
     half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
@@ -87,12 +87,12 @@ class Spring(Sourced):
         if self.free_length > self.half_width:
             raise ValueError(
                 f"free_length is {self.free_length} m; it has to be at most half_width, {self.half_width} m, "
-                "or the springs would push the string out of its axis"
+                "or the springs push the string out of its axis"
             )
         if self.half_width > 100 * self.max_deflection:
             raise ValueError(
                 f"half_width is {self.half_width} m; it has to be at most 100 times max_deflection, "
-                f"{self.max_deflection} m, or the sliders would hardly move"
+                f"{self.max_deflection} m, or the sliders hardly move"
             )
         return self
 
@@ -107,18 +107,16 @@ class Damping(Sourced):
     b: float = Field(ge=-10, lt=0, description="[1/N]")
     c: float = Field(ge=-50, le=50, description="[N] if shifted, dimensionless [1] if printed")
     d: float = Field(ge=0, le=1e6, description="decay rate at large preload [1/s]")
-    preload: Literal["mean", "smaller"] = Field(description="which of the two true string forces is the preload x")
+    preload: Literal["mean", "smaller"] = Field(description="which of both true string forces is the preload x")
     keeps: Literal["torque", "rate"] = Field(
-        description="what stays the same when a payload changes the inertia: the damping torque, or the decay rate"
+        description="what a payload leaves unchanged: the damping torque, or the decay rate"
     )
 
 
 class Drives(Sourced):
     """Both motors."""
 
-    lag: Seconds = Field(
-        description="time constant of the motor position [s], 0.4 integration steps or more; 0: it follows at once"
-    )
+    lag: Seconds = Field(description="time constant of the motor position [s], 0.4 integration steps or more; 0: none")
     rate_limit_deg: float | None = Field(
         default=None, gt=0, le=1e6, description="largest motor speed [deg/s]; null: none"
     )
@@ -136,22 +134,22 @@ class Sensors(Sourced):
     potentiometer_travel: float = Field(ge=1e-6, le=1, description="travel of the slider [m]")
     potentiometer_noise: float = Field(ge=0, le=1, description="standard deviation [m]")
     force_filter: Seconds = Field(description="time constant of the estimated force's low-pass [s]; 0: none")
-    force_floor: float = Field(ge=0, le=1e6, description="forces estimated below this are not trusted [N]; 0: all are")
+    force_floor: float = Field(ge=0, le=1e6, description="smallest force estimate that is trusted [N]; 0: all are")
     below_floor: Literal["clamp", "hold", "ignore"] = Field(
         description="clamp: report the floor; hold: repeat the last trusted value; ignore: report the raw estimate, "
-        "but let the tension controller see no error"
+        "with no error for the tension controller"
     )
 
 
 class Pid(Group):
-    """Gains of one PID controller. Position: deg/deg. Tension: deg/N."""
+    """Gains of one PID controller."""
 
     kp: Gain = Field(description="proportional gain [1], or [deg/N] of tension")
     ki: Gain = Field(description="integral gain [1/s], or [deg/(N s)]")
     kd: Gain = Field(description="derivative gain [s], or [deg s/N]")
     derivative_filter: Seconds = Field(description="time constant of the derivative's filter [s]; 0: none")
     derivative_on: Literal["error", "measurement"] = Field(
-        default="error", description="what is differentiated; by the measurement, setpoint steps do not kick"
+        default="error", description="signal that is differentiated; with the measurement, setpoint steps do not kick"
     )
 
 
@@ -165,20 +163,18 @@ class Loop(Sourced):
     position_only: Pid = Field(description="joint position controller used without the tension controller")
     offset_deg: float = Field(ge=0, le=180, description="co-contraction of each drive in position-only control [deg]")
     wiring: Literal["sum", "tension_only"] = Field(
-        description="the antagonist follows position plus tension controller, or the tension controller alone"
+        description="controllers that the antagonist follows: position plus tension, or tension alone"
     )
-    agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or one drive throughout")
+    agonist: Literal["switching", "biceps", "triceps"] = Field(description="switching, or always the same drive")
     switch_filter: Seconds = Field(
         description="time constant of the low-pass over the difference of both springs' deflections [s]; 0: none"
     )
     switch_hysteresis: float = Field(
-        ge=0,
-        le=1,
-        description="the other spring has to be deflected this much more than the agonist's before they switch [m]",
+        ge=0, le=1, description="difference of both springs' deflections above which the agonist switches [m]"
     )
     tie_width: float = Field(ge=0, le=1, description="spring deflections closer than this are equal [m]")
     tie_error_deg: Degrees = Field(
-        description="at equal deflections the desired motion decides, if the error is at least this [deg]"
+        description="position error from which, at equal deflections, the desired motion decides [deg]"
     )
     velocity_filter: float = Field(ge=1e-6, le=100, description="time constant of the measured joint velocity [s]")
 
@@ -213,17 +209,17 @@ class VariableStiffness(Sourced):
 
 
 class Profile(Group):
-    """A device with its loop: everything the simulation has to know that is not part of a scenario."""
+    """A device with its control loop: everything that the simulation needs in addition to a scenario."""
 
-    name: str = Field(min_length=1, max_length=200, description="of the device, in reports")
-    base: str | None = Field(default=None, description="the shipped profile this one started from")
-    description: str = Field(default="", description="a line for `amulett list`")
+    name: str = Field(min_length=1, max_length=200, description="name of the device in reports")
+    base: str | None = Field(default=None, description="shipped profile whose values apply where none is given")
+    description: str = Field(default="", description="one line for `amulett list`")
     plant: Plant = Field(description="arm and pulleys")
     spring: Spring = Field(description="spring assembly in each string")
-    damping: Damping = Field(description="decay rate by preload")
+    damping: Damping = Field(description="decay rate over the preload")
     drives: Drives = Field(description="both motors")
     sensors: Sensors = Field(description="encoder and potentiometers")
-    loop: Loop = Field(description="controllers and their switching")
+    loop: Loop = Field(description="controllers")
     variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
 
     @model_validator(mode="after")
@@ -238,10 +234,10 @@ class Profile(Group):
 
     @property
     def root(self) -> str:
-        """Name of the shipped profile behind this one, whose reward divisors apply; that of the device if none is.
+        """Name of the shipped profile that this one derives from, whose reward divisors apply; its own name if none.
 
-        It is the base, unless there is more of the shipped profile that this one is named after: what was changed from
-        a copy of the testbed's content is based on the testbed, which itself is based on the simulation.
+        That is the base, unless this profile shares more groups with the shipped profile of its own name: a changed
+        copy of the testbed's content derives from the testbed, which itself is based on the simulation.
         """
         common = {name: self._groups_of(name) for name in profile_names() if name in (self.base, self.name)}
         if self.base is not None and common.get(self.name, 0) <= common.get(self.base, 0):
@@ -249,13 +245,13 @@ class Profile(Group):
         return self.name if self.name not in common or common[self.name] else f"{self.name} (own)"
 
     def _groups_of(self, shipped: str) -> int:
-        """Return how many groups are those of a shipped profile."""
+        """Return how many groups are equal to those of a shipped profile."""
         other = load_profile(shipped)
         return sum(getattr(self, name) == group for name, group in other if isinstance(group, Sourced))
 
 
 def is_shipped(profile: Profile) -> bool:
-    """Return whether a profile is one of the shipped ones, unchanged."""
+    """Return whether a profile is an unchanged shipped one."""
     return profile.name in profile_names() and profile == load_profile(profile.name)
 
 
@@ -267,17 +263,13 @@ def profile_names() -> tuple[str, ...]:
 
 
 def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
-    """Read and validate a profile.
+    """Return a validated profile.
 
     Parameters
     ----------
     profile : str, Path, mapping or Profile
         A shipped profile's name (``"simulation"``, ``"testbed"``), a YAML file, or the content of one. A mapping may
         name a ``base`` profile and hold only the keys that differ.
-
-    Returns
-    -------
-    Profile
 
     Raises
     ------
@@ -297,13 +289,12 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
     path = find_config(profile, "profile")
     content = read_yaml(path, "profile")
     spring = content.get("spring")
-    curve = spring.get("measured_curve") if isinstance(spring, dict) else None
-    if isinstance(curve, str) and not is_csv(curve):  # relative to the file that names it, not to the working folder
-        spring["measured_curve"] = str(path.parent / user_path(curve))
+    if isinstance(spring, dict) and isinstance(curve := spring.get("measured_curve"), str) and not is_csv(curve):
+        spring["measured_curve"] = str(path.parent / user_path(curve))  # relative to the file that names it
     return _validate(content, f"profile '{path}'", f"in {path.name}")
 
 
-@cache  # reading YAML takes longer than simulating a step response; all of it is frozen
+@cache  # reading YAML takes longer than simulating a step response
 def _shipped(name: str) -> Profile:
     return _validate(_content(name), f"profile '{name}'")
 
@@ -322,7 +313,7 @@ def _resolve_base(content: Mapping[str, Any], given: str) -> dict[str, Any]:
         raise unknown("base profile", str(base), profile_names())
     below = _resolve_base(_content(base), "")
     merged = merge(below, content)
-    for name, changes in content.items():  # the base's sources are those of its own values
+    for name, changes in content.items():  # a changed value no longer has the base's source
         group, old = merged[name], below.get(name)
         if isinstance(changes, Mapping) and isinstance(old, Mapping) and isinstance(group.get("sources"), Mapping):
             changed = {key for key in old.get("sources", ()) if group.get(key) != old.get(key)}

@@ -1,4 +1,4 @@
-"""Typed settings: groups that refuse unknown keys, and errors that name key, value and what is allowed."""
+"""Typed settings: pydantic groups, their conversion to plain data, and their error messages."""
 
 from __future__ import annotations
 
@@ -11,19 +11,17 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from amulett_gym.errors import AmulettError, nearest
+from amulett_gym.errors import AmulettError, nearest, shorten
 from amulett_gym.storage.reading import user_path, visible
 
 SOURCES = ("paper", "datasheet", "identified", "assumed", "given")
 _MOST_ERRORS = 10
-_MOST_SHOWN = 100
 
 
 class Group(BaseModel):
     """A frozen group of settings; unknown keys, non-finite numbers, and text or truth values as numbers are refused.
 
-    A number may be Python's or NumPy's, an integer may be written as a float (``5e6``), a list as a tuple or an array,
-    and the text of a path as a Path.
+    Numbers may be Python's or NumPy's, integers may be floats (``5e6``), lists tuples or arrays, and path texts Paths.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
@@ -40,9 +38,9 @@ class Group(BaseModel):
 
 
 class Sourced(Group):
-    """A group whose values can name where they come from: one of `SOURCES`, and an explanation."""
+    """A group with the source of its values: one of `SOURCES`, and an explanation."""
 
-    sources: dict[str, str] = Field(default_factory=dict, description="key -> '<source>: explanation'")
+    sources: dict[str, str] = Field(default={}, description="key -> '<source>: explanation'")
 
     @model_validator(mode="after")
     def _check_sources(self) -> Sourced:
@@ -55,29 +53,23 @@ class Sourced(Group):
 
 
 def configs_folder() -> Path:
-    """Return the folder of the recipes that come with the package: a checkout's ``configs/``, or a wheel's copy."""
+    """Return the folder of the packaged recipes: a checkout's ``configs/``, or a wheel's copy."""
     package = Path(__file__).parent
     return package / "configs" if (package / "configs").is_dir() else package.parent / "configs"
 
 
 def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
-    """Return the file that a user names, or the packaged one of that name if there is none.
+    """Return a file by its path relative to `folder`, or the packaged one of that name if it does not exist.
 
-    Parameters
-    ----------
-    path : str or Path
-        A file, relative to `folder`. A packaged one may be named as ``configs/ppo.yaml``, ``ppo.yaml`` or ``ppo``.
-    what : str
-        What it holds, for the error message.
-    folder : Path
+    A packaged file may be named as ``configs/ppo.yaml``, ``ppo.yaml`` or ``ppo``; `what` it holds is for the error.
 
     Raises
     ------
     AmulettError
-        If there is neither.
+        If neither exists.
     """
     place, packaged = folder / user_path(path), configs_folder()
-    exists = os.path.exists(place)  # noqa: PTH110  (a Path's raises for names that are too long)
+    exists = os.path.exists(place)  # noqa: PTH110  (Path.exists raises for names that are too long)
     if exists and not place.is_dir():
         return place
     files = [file for kind in ("yaml", "json") for file in visible(packaged, f"**/*.{kind}")]
@@ -87,9 +79,9 @@ def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
         if asked in (name, name.rpartition(".")[0]):
             return packaged / name
     if exists:
-        return place  # a folder: the reader says so
+        return place  # a folder: its reader raises
     raise AmulettError(
-        f"cannot read {what} '{_shorten(str(path))}': No such file or directory; packaged are {', '.join(names)}"
+        f"cannot read {what} '{shorten(str(path))}': No such file or directory; packaged are {', '.join(names)}"
         f"{nearest(asked, names)}"
     )
 
@@ -97,13 +89,8 @@ def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
 def to_plain(value: Any, annotation: Any = Any) -> Any:
     """Return `value` as plain data: numbers, text, truth values, None, and lists and dicts of them.
 
-    Parameters
-    ----------
-    value : object
-        NumPy's (or torch's) numbers and arrays become Python's, tuples lists, mappings dicts, and paths text. Objects
-        of other kinds stay as they are.
-    annotation : type
-        What is wanted. Where that is an integer, an integral float becomes an int; where a tuple, lists become tuples.
+    NumPy's (or torch's) numbers and arrays become Python's, tuples lists, mappings dicts, and paths text; other objects
+    stay. If `annotation` is an integer type, an integral float becomes an int; if it is a tuple, lists become tuples.
     """
     if hasattr(value, "dtype") and hasattr(value, "tolist"):
         value = value.tolist()
@@ -122,18 +109,17 @@ def to_plain(value: Any, annotation: Any = Any) -> Any:
 
 
 def _alternatives(annotation: Any) -> Iterator[Any]:
-    """Yield the types of a union, or the one type that an annotation is."""
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        for member in typing.get_args(annotation):
+    """Yield the members of a union, or the one type of an annotation."""
+    origin, members = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin in (typing.Union, types.UnionType, typing.Annotated):
+        for member in members[:1] if origin is typing.Annotated else members:
             yield from _alternatives(member)
-    elif typing.get_origin(annotation) is typing.Annotated:
-        yield from _alternatives(typing.get_args(annotation)[0])
     else:
         yield annotation
 
 
 def _container(wanted: list[Any], *kinds: type) -> tuple[type, Any]:
-    """Return which of some kinds of container is wanted, the first if none, and the type of its items."""
+    """Return the wanted kind of container, the first of `kinds` if none, and the type of its items."""
     for annotation in wanted:
         kind = typing.get_origin(annotation)
         if kind in kinds:
@@ -142,20 +128,20 @@ def _container(wanted: list[Any], *kinds: type) -> tuple[type, Any]:
 
 
 def describe(error: ValidationError, model: type[BaseModel], what: str) -> AmulettError:
-    """Turn a pydantic error into one that names key, value, what is allowed and the nearest valid key."""
+    """Return a pydantic error as one that names key, value, what is allowed and the nearest valid key."""
     lines = []
     errors = error.errors(include_url=False)
     for item in errors[:_MOST_ERRORS]:
         location = item["loc"]
-        key = _shorten(".".join(str(part) for part in location))
+        key = shorten(".".join(str(part) for part in location))
         if item["type"] == "extra_forbidden":
             choices = _keys_at(model, location[:-1])
             lines.append(f"unknown key '{key}'{nearest(key.split('.')[-1], choices)} (allowed: {', '.join(choices)})")
         elif item["type"] == "missing":
             lines.append(f"'{key}' is missing")
         else:
-            value = "" if isinstance(item["input"], dict | list) else f" is {_shorten(repr(item['input']))}"
-            message = _shorten(item["msg"].removeprefix("Value error, "), 10 * _MOST_SHOWN)
+            value = "" if isinstance(item["input"], dict | list) else f" is {shorten(repr(item['input']))}"
+            message = shorten(item["msg"].removeprefix("Value error, "), 1000)
             if item["type"] == "bool_type" and isinstance(item["input"], str):
                 message += ": true or false"
             lines.append(f"'{key}'{value}: {message}" if key else message)
@@ -168,28 +154,22 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]
     """Return `base` with the keys of `changes` replaced, group by group; a list is replaced whole."""
     merged = dict(base)
     for key, value in changes.items():
-        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
-            merged[key] = merge(merged[key], value)
-        else:
-            merged[key] = value
+        old = merged.get(key)
+        merged[key] = merge(old, value) if isinstance(value, Mapping) and isinstance(old, Mapping) else value
     return merged
 
 
 def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed at `location` inside `model`, looking through lists and optional groups."""
+    """Return the keys allowed at `location` inside `model`, also within lists and optional groups."""
     for part in location:
         if part in model.model_fields:
             model = _group_in(model.model_fields[str(part)].annotation) or model
     return list(model.model_fields)
 
 
-def _shorten(text: str, most: int = _MOST_SHOWN) -> str:
-    return text if len(text) <= most else f"{text[:most]}..."
-
-
 def _group_in(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     if typing.get_origin(annotation) in (list, typing.Union, types.UnionType):
-        return next((group for group in map(_group_in, typing.get_args(annotation)) if group), None)
+        return next(filter(None, map(_group_in, typing.get_args(annotation))), None)
     return None

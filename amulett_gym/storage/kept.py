@@ -1,7 +1,7 @@
-"""Finished work, kept by the content of its inputs: read back as long as they are the same, else done again.
+"""Results kept in files with their inputs: read back as long as the inputs are the same, else computed again.
 
-A file holds, beside a result, what the result was made from. A file that is not there, that was made from other inputs
-or that is damaged counts as no result; the new result replaces it whole. ``.json`` holds plain data, ``.npz`` arrays.
+A file that is missing, damaged or made from other inputs counts as no result; the new result replaces it whole.
+``.json`` holds plain data, ``.npz`` arrays.
 """
 
 from __future__ import annotations
@@ -9,12 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.settings import to_plain
 from amulett_gym.storage.reading import read_arrays, read_json
 from amulett_gym.storage.writing import atomic_path, write_json
 
@@ -23,17 +25,14 @@ T = TypeVar("T")
 MAX_BYTES = 400_000_000
 """Size of the largest file that is read back [bytes]."""
 
-_DIGEST = "sha256"  # in an .npz, beside the arrays
+_DIGEST = "sha256"  # name of the inputs' digest in an .npz
 
 
 def digest(*parts: Any) -> str:
     """Return the SHA-256 of inputs, one after the other, as 64 hexadecimal digits.
 
-    Parameters
-    ----------
-    *parts : bytes, ndarray, str, or plain data
-        Bytes, text and arrays count by their bytes; plain data as JSON with sorted keys, where NumPy's numbers and
-        arrays count as Python's, and paths as text.
+    Bytes, text and arrays count by their bytes; plain data as JSON with sorted keys, where NumPy's numbers and arrays
+    count as Python's, and paths as text.
 
     Raises
     ------
@@ -58,20 +57,20 @@ def kept(
     pack: Callable[[T], Any] = lambda result: result,
     unpack: Callable[[Any], T] = lambda content: content,
 ) -> T:
-    """Return a finished result from its file, or make it and keep it there.
+    """Return a result from its file, or compute it and keep it there.
 
     Parameters
     ----------
     path : str or Path
         ``.json`` or ``.npz``. Missing parent folders are created.
     inputs : plain data
-        All that the result depends on; what is long as its `digest`.
+        All that the result depends on; long inputs as their `digest`.
     make : callable
-        Does the work and returns its result.
+        Returns the result.
     pack : callable
         Result -> plain data, or a dict of arrays for an ``.npz``.
     unpack : callable
-        The inverse. A KeyError, TypeError or ValueError says that the content is no result that can be used.
+        The inverse; a KeyError, TypeError or ValueError means that the content cannot be used.
 
     Raises
     ------
@@ -80,17 +79,15 @@ def kept(
     """
     content = read_kept(path, inputs)
     if content is not None:
-        try:
+        with suppress(KeyError, TypeError, ValueError):
             return unpack(content)
-        except (KeyError, TypeError, ValueError):  # damaged
-            pass
     result = make()
     write_kept(path, inputs, pack(result))
     return result
 
 
 def read_kept(path: str | Path, inputs: Any) -> Any:
-    """Return what `write_kept` wrote for these inputs; None if there is no such file, or it is damaged."""
+    """Return what `write_kept` wrote for these inputs, or None."""
     try:
         if Path(path).suffix == ".npz":
             arrays = read_arrays(path, "result", MAX_BYTES)
@@ -103,7 +100,7 @@ def read_kept(path: str | Path, inputs: Any) -> Any:
 
 
 def write_kept(path: str | Path, inputs: Any, content: Any) -> None:
-    """Write a result and what it was made from, atomically; see :func:`kept`.
+    """Write a result with its inputs, atomically; see :func:`kept`.
 
     Raises
     ------
@@ -119,17 +116,8 @@ def write_kept(path: str | Path, inputs: Any, content: Any) -> None:
 
 
 def _name(inputs: Any) -> str:
-    """Return inputs as one text: a digest as it is, anything else as its digest."""
     return inputs if isinstance(inputs, str) else digest(inputs)
 
 
 def _text(data: Any) -> str:
-    return json.dumps(data, sort_keys=True, default=_plain)
-
-
-def _plain(item: Any) -> Any:
-    if isinstance(item, np.ndarray | np.generic):
-        return item.tolist()
-    if isinstance(item, Path):
-        return str(item)
-    raise TypeError(f"{type(item).__name__} is no plain data")
+    return json.dumps(to_plain(data), sort_keys=True)

@@ -22,28 +22,23 @@ except ImportError:  # Windows
 
 
 LOCK = ".lock"
-"""Name of the file by which a command keeps a folder to itself."""
+"""Name of the file by which a command reserves a folder."""
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
 @contextmanager
 def locked_folder(path: str | Path) -> Iterator[None]:
-    """Keep a folder to this process during the block, by a lock on the file ``.lock`` in it.
+    """Reserve an existing folder for this process during the block, by a lock on the file ``.lock`` in it.
 
     The system releases the lock when a process ends, however it ends, so a file that is left behind blocks no process.
-    Where the file system knows no locks, the owner that the file names is looked for: on this computer, whether the
-    process lives; on another one it is taken to.
-
-    Parameters
-    ----------
-    path : str or Path
-        An existing folder.
+    Where the file system has no locks, the owner named in the file counts: on this computer as long as its process
+    lives, on another one always.
 
     Raises
     ------
     AmulettError
-        If another process, or this one, has the folder already: with the owner's process id, host and start; or if the
+        If another process, or this one, has locked the folder (the error names its process id, host and start), or the
         file cannot be written.
     """
     lock = user_path(path) / LOCK
@@ -60,13 +55,13 @@ def locked_folder(path: str | Path) -> Iterator[None]:
 
 
 def _open_lock(lock: Path) -> int:
-    """Return the handle of the lock file, locked and with this process as the owner in it."""
+    """Return the handle of the lock file, locked, with this process written to it as the owner."""
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             if _is_owned(handle):
                 raise AmulettError(f"'{lock.parent}' is in use by {_owner(handle)}; choose another folder, or wait")
-            # Its last owner may have deleted the file just now: then the next process would lock another file.
+            # If its last owner has just deleted the file, the next process would lock another one: try again.
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(handle), lock.stat()):
                     _write_owner(handle)
@@ -111,7 +106,7 @@ def _read_owner(handle: int) -> dict[str, Any]:
 
 def _owner(handle: int) -> str:
     owner = _read_owner(handle)
-    if not owner:  # it has locked the file, and not written to it yet
+    if not owner:  # it has not written to the file yet
         return "another process"
     return f"process {owner.get('pid')} on {owner.get('host')}, since {owner.get('started')}"
 
@@ -126,5 +121,5 @@ def _is_alive(pid: Any) -> bool:
     except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
-        return True
+        pass
     return True

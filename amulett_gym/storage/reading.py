@@ -1,4 +1,4 @@
-"""Reading untrusted files: size and depth are limited, and only ordinary files are opened."""
+"""Reading of untrusted files: size and depth are limited, and only ordinary files are opened."""
 
 from __future__ import annotations
 
@@ -24,30 +24,29 @@ MAX_DIGITS = 100
 
 
 def user_path(path: str | Path) -> Path:
-    """Return a path that a user gave, with ``~`` as the home folder; without a home it stays as it is."""
+    """Return a path with ``~`` expanded to the home folder; unchanged if there is none."""
     return Path(os.path.expanduser(path))  # noqa: PTH111  (a Path's raises where there is no home)
 
 
 def visible(folder: Path, pattern: str = "*") -> list[Path]:
-    """Return what a folder holds that matches a glob pattern, sorted.
+    """Return the paths in a folder that match a glob pattern, sorted, without hidden files and folders.
 
-    Hidden files, and what is in hidden folders, are no content: file managers leave some behind.
+    Hidden files are no content: file managers and killed processes leave some behind.
     """
     paths = folder.iterdir() if pattern == "*" else folder.glob(pattern)  # a glob does not report what it cannot read
     return sorted(path for path in paths if not any(part.startswith(".") for part in path.relative_to(folder).parts))
 
 
 def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool = True) -> bytes:
-    """Read an ordinary file; a pipe or a device might never end.
+    """Return the content of an ordinary file; a pipe or a device might never end.
 
     Parameters
     ----------
     path : str or Path
-        The file.
     what : str
         What the file holds, for the error message.
     limit : int
-        Largest size accepted, in bytes.
+        Largest size accepted [bytes].
     follow : bool
         Whether `path` may be a symbolic link.
 
@@ -82,12 +81,12 @@ def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool
 
 
 def read_text(path: str | Path, what: str, limit: int = 4_000_000) -> str:
-    """Read a UTF-8 text file, with or without a byte order mark; see :func:`read_bytes` for the parameters.
+    """Return the text of a UTF-8 file, with or without a byte order mark, line ends normalised.
 
     Raises
     ------
     AmulettError
-        If the file is missing, unreadable, no ordinary one, larger than `limit` or not UTF-8.
+        If `read_bytes` refuses the file, or it is not UTF-8.
     """
     text = to_text(read_bytes(path, what, limit), f"{what} '{path}'")
     return text.replace("\r\n", "\n").replace("\r", "\n")
@@ -108,18 +107,12 @@ def to_text(content: bytes, what: str) -> str:
 
 
 def read_json(path: str | Path, what: str, limit: int = 4_000_000) -> Any:
-    """Read a JSON file; see :func:`read_bytes` for the parameters.
-
-    Raises
-    ------
-    AmulettError
-        If the file cannot be read or :func:`parse_json` refuses its text.
-    """
+    """Return the content of a JSON file; errors as of `read_text` and `parse_json`."""
     return parse_json(read_text(path, what, limit), f"{what} '{path}'")
 
 
 def parse_json(text: str, what: str) -> Any:
-    """Return what a JSON text stands for.
+    """Return the content of a JSON text.
 
     Raises
     ------
@@ -137,12 +130,12 @@ def parse_json(text: str, what: str) -> Any:
 
 
 def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[str, NDArray[Any]]:
-    """Read the arrays of an ``.npz`` file, none of them of Python objects; see :func:`read_bytes` for the parameters.
+    """Return the arrays of an ``.npz`` file, none of them of Python objects.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read, is larger than `limit`, packed or unpacked, or is damaged.
+        If the file cannot be read, is larger than `limit` (also unpacked), or is damaged.
     """
     import numpy as np
 
@@ -162,7 +155,7 @@ def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[s
 
 
 def check_tree(value: Any, finite: bool = True) -> None:
-    """Raise ValueError if plain data is nested too deeply, or a number is too long or not finite, or a text is none."""
+    """Raise ValueError if plain data is nested too deeply, a number too long or not finite, or a text not Unicode."""
     waiting = [(value, 1)]
     while waiting:
         item, depth = waiting.pop()

@@ -1,8 +1,8 @@
-"""Reading untrusted YAML 1.2: plain data only, and bounded before anything is built from it.
+"""YAML 1.2 of plain data, read from untrusted text within limits.
 
 PyYAML reads YAML 1.1, where ``yes`` and ``off`` are truth values, ``010`` is 8, ``1:30`` is 90, and ``1e-3`` is text.
 Here only ``true`` and ``false`` are truth values, and numbers are those of YAML 1.2, with ``_`` between digits allowed
-as well. Everything else is text; so is an integer with leading zeros, which the two versions read differently.
+as well. Everything else is text, also an integer with leading zeros, which the two versions read differently.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.storage.reading import MAX_DEPTH, check_tree, read_text
 
 MAX_NODES = 10_000
-"""Keys and values in a file, aliases counted as often as they are used; the largest of ours has 500."""
+"""Keys and values in a file, aliases counted at each use; the largest shipped file has 500."""
 
 _TAGS = ("map", "seq", "str", "null", "merge")
 _DIGITS = "[0-9]+(?:_[0-9]+)*"
@@ -30,11 +30,11 @@ _SCALARS = {
         "-+.0123456789",
     ),
 }
-"""Pattern of what is a truth value or a number, and the characters with which one can begin."""
+"""Pattern of truth values and numbers, and their first characters."""
 
 
 def parse_yaml(text: str, what: str) -> Any:
-    """Return what a YAML text stands for: mappings, lists, text, numbers, truth values and null.
+    """Return the content of a YAML text: mappings, lists, text, numbers, truth values and null.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ def parse_yaml(text: str, what: str) -> Any:
     Raises
     ------
     AmulettError
-        If it is no valid YAML, wants another kind of object, is nested more than `MAX_DEPTH` deep, stands for more than
+        If it is no valid YAML, holds another kind of object, is nested more than `MAX_DEPTH` deep, has more than
         `MAX_NODES` keys and values, refers to itself, holds a key twice or an integer that is too long.
     """
     try:
-        value = yaml.load(text, Loader=_Loader)  # a SafeLoader with less
+        value = yaml.load(text, Loader=_Loader)
         check_tree(value, finite=False)
-    # What the safe loader raises for `!!int ''`, `!!bool x` and the like.
+    # `!!int ''`, `!!bool x` and the like raise LookupError, ArithmeticError or TypeError.
     except (yaml.YAMLError, ValueError, LookupError, ArithmeticError, TypeError, RecursionError) as error:
         message = " ".join(str(error).split())[:500]
         raise AmulettError(f"{what} is not valid YAML: {message}") from error
@@ -59,18 +59,18 @@ def parse_yaml(text: str, what: str) -> Any:
 
 
 def to_yaml(value: Any, **options: Any) -> str:
-    """Return plain data as YAML that `parse_yaml` reads as the same, keys in their order; `options` are PyYAML's."""
+    """Return plain data as YAML from which `parse_yaml` reads the same, keys in order; `options` are PyYAML's."""
     text: str = yaml.dump(value, Dumper=_Dumper, sort_keys=False, **options)
     return text
 
 
 def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
-    """Read a YAML file that has to hold a mapping.
+    """Return the mapping in a YAML file.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read, `parse_yaml` refuses its text, or it holds something else than a mapping.
+        If the file cannot be read, `parse_yaml` refuses its text, or it holds something else.
     """
     content = parse_yaml(read_text(path, what), f"{what} '{path}'")
     if not isinstance(content, dict):
@@ -79,7 +79,7 @@ def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):
-    """Counts nodes while they are composed; constructs what JSON has, and nothing else."""
+    """Counts nodes while composing them; constructs JSON's types only."""
 
     yaml_constructors = {  # noqa: RUF012  (PyYAML's own convention)
         tag: constructor
