@@ -1,15 +1,14 @@
-"""ONE tick: control, drive, integrate, sense; N devices are a loop over it.
+"""The control tick: control, drive, integrate, sense.
 
-The microcontroller senses at the end of a tick what it will act on in the next one, so that an agent between two ticks
-sees exactly what the loop sees. Every function takes the parameters `p`, a block of scenarios `c`, a block of states
-`s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`); `m` is the block's motion
-within the tick.
+The microcontroller reads its sensors at the end of a tick and acts on the readings in the next one, so that an agent
+between two ticks observes exactly what the loop observes. Every function takes the parameters `p`, a block of scenarios
+`c`, a block of states `s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`); `m`
+is the block's motion within the tick.
 
-A tick is a handful of stages, each a loop over the block's lanes that the compiler can turn into SIMD instructions.
-That asks three things of what is written here: where lanes differ, both values are computed and one is chosen; what
-takes each lane another number of turns stands in a stage of its own; and no stage is too long (`control` and
-`begin_motion` in one loop cost a fifth of the speed). A lane's arithmetic is the same wherever it is done, so the bits
-depend neither on the device's neighbours nor on their number.
+A tick is a sequence of stages, each a loop over the block's lanes that the compiler can vectorise (SIMD). Therefore:
+where lanes differ, both values are computed and one is chosen; loops whose length differs from lane to lane have a
+stage of their own; and no stage is too long (`control` and `begin_motion` in one loop are a fifth slower). A lane's
+arithmetic does not depend on its position, so the bits depend neither on the device's neighbours nor on their number.
 """
 
 from __future__ import annotations
@@ -27,20 +26,7 @@ from amulett_gym.model.drive import drive_rate
 from amulett_gym.model.plant import contact_torque, deflection_biceps, deflection_triceps, joint_acceleration
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import estimate_force, inverse_look_up, look_up, look_up_slope
-from amulett_gym.simulation.layout import (
-    AGENT,
-    ANGLE_LIMIT,
-    CLAMP,
-    EQ6,
-    IGNORE,
-    LANES,
-    MAX_PUSHES,
-    MINIMUM_JERK,
-    MOTION_BLOCK,
-    NOT_FINITE,
-    RUNNING,
-    VELOCITY_LIMIT,
-)
+from amulett_gym.simulation import layout
 from amulett_gym.simulation.random import noise, random_bits
 
 SENSOR_STREAMS = np.uint64(4)
@@ -48,19 +34,19 @@ ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), n
 SHAKE_STREAM = np.uint64(0x5A4E)
 TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
 # scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
-FARTHEST = 1e100  # [rad], [rad/s]; within a tick an unstable arm can get so far that the square, a metric, is no number
+FARTHEST = 1e100  # [rad], [rad/s]; beyond, the square in a metric could overflow
 
 
 @compiled
 def advance(p, c_blocks, s_blocks, paths, num_devices, ticks):
-    """Advance all devices by a number of control ticks; a device that failed stands still.
+    """Advance all devices by a number of control ticks; a device that failed keeps its state.
 
-    `paths` is None, and nothing of them is compiled, or `layout.Paths`.
+    `paths` is `layout.Paths`, or None: then the code for paths is not compiled.
     """
     parameters = p[0]
-    m = np.empty(1, dtype=MOTION_BLOCK)[0]
+    m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
-        lanes = min(LANES, num_devices - block * LANES)
+        lanes = min(layout.LANES, num_devices - block * layout.LANES)
         advance_block(parameters, c_blocks[block], s_blocks[block], m, paths, block, lanes, ticks)
 
 
@@ -71,7 +57,7 @@ def advance_block(p, c, s, m, paths, block, lanes, ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
-            # Unsigned: an index that might be negative would have to be checked, lane by lane.
+            # Unsigned: numba checks whether a signed index is negative, lane by lane.
             tick(p, c, s, m, paths, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
@@ -80,7 +66,7 @@ def advance_block(p, c, s, m, paths, block, lanes, ticks):
 def next_failed(s, first, lanes):
     """Return the next lane whose device has failed, or the number of lanes."""
     for i in range(first, lanes):
-        if s.failure[i] != RUNNING:
+        if s.failure[i] != layout.RUNNING:
             return i
     return lanes
 
@@ -118,7 +104,7 @@ def start_counting(p, c, s, m, first, end):
 
 @compiled
 def next_late(c, s, first, end):
-    """Return the next lane whose control tick comes too late, or `end`: its commands are held for one more period."""
+    """Return the next lane that misses its control tick (its commands are held for one more period), or `end`."""
     for i in range(first, end):
         if c.late_probability[i] > 0.0:
             counter = np.uint64(s.tick[i]) * SENSOR_STREAMS + LATENESS
@@ -129,18 +115,18 @@ def next_late(c, s, first, end):
 
 @compiled_lanes
 def act(p, s, m, first, end):
-    """Stage 1: command the drives by what was sensed."""
+    """Stage 1: command the drives from the sensor readings."""
     for i in range(first, end):
         control(p, s, m, i)
 
 
 @compiled_lanes
 def begin_motion(p, c, s, m, first, end):
-    """Stage 2: note where drives and arm start from, and what pushes the arm; commands and pushes are held."""
+    """Stage 2: set the initial motion of drives and arm, and the push; commands and pushes are constant in a tick."""
     for i in range(first, end):
         time = s.tick[i] * p.control_period
         push = 0.0
-        for k in range(MAX_PUSHES):
+        for k in range(layout.MAX_PUSHES):
             elapsed = time - c.push_time[k, i]
             remaining = c.push_duration[k, i] - elapsed
             acts = k < c.push_count[i] and elapsed >= -TIME_SLACK and remaining > TIME_SLACK
@@ -157,7 +143,7 @@ def begin_motion(p, c, s, m, first, end):
 
 @compiled_lanes
 def shake(p, c, s, m, first, end):
-    """Stage 3: add the random torque of the scenarios that have one, white noise behind two first-order low-passes."""
+    """Stage 3: add the random torque, if a scenario has one: white noise through two first-order low-passes."""
     for i in range(first, end):
         if c.shake_rms[i] > 0.0:
             elapsed = s.tick[i] * p.control_period - c.shake_time[i]
@@ -171,7 +157,7 @@ def shake(p, c, s, m, first, end):
 
 @compiled
 def shake_deviation(lag, period):
-    """Return the standard deviation that two equal low-passes in a row leave of white noise of 1.
+    """Return the standard deviation of unit white noise after two equal low-passes in series.
 
     Their impulse response is a^2 (n + 1) q^n, where q = lag / (lag + period) and a = 1 - q.
     """
@@ -181,7 +167,7 @@ def shake_deviation(lag, period):
 
 @compiled_lanes
 def evaluate(p, c, s, m, first, end, reach, weight):
-    """Stage 4: evaluate the rates of change `reach` [s] along those evaluated last, and add them to the step's sum."""
+    """Stage 4: evaluate the rates of change `reach` [s] ahead by the last ones, and add them to the step's sum."""
     for i in range(first, end):
         x, v = m.angle[i] + reach * m.angle_rate[i], m.velocity[i] + reach * m.velocity_rate[i]
         a, b = m.biceps[i] + reach * m.biceps_rate[i], m.triceps[i] + reach * m.triceps_rate[i]
@@ -197,7 +183,7 @@ def evaluate(p, c, s, m, first, end, reach, weight):
 
 @compiled_lanes
 def step(m, first, end, h):
-    """Stage 5: go a step of `h` [s] with the weighted mean of the four evaluations' rates."""
+    """Stage 5: integrate over `h` [s] with the weighted mean of the four evaluations' rates."""
     for i in range(first, end):
         m.angle[i] += h * m.angle_sum[i] / 6.0
         m.velocity[i] += h * m.velocity_sum[i] / 6.0
@@ -234,7 +220,7 @@ def find_setpoints(p, c, s, paths, block, first, end):
 
 @compiled_lanes
 def begin_due_moves(p, c, s, first, end):
-    """Stage 7: begin the setpoint's moves whose time has come."""
+    """Stage 7: begin the setpoint's moves that are due."""
     for i in range(first, end):
         begin_moves(p, c, s, i)
 
@@ -248,7 +234,7 @@ def follow_moves(p, c, s, first, end):
 
 @compiled_lanes
 def follow_paths(p, c, s, parts, places, first, end):
-    """Stages 7 and 8 of a batch in which some setpoints are paths."""
+    """Stages 7 and 8 for a batch in which some setpoints are paths."""
     for i in range(first, end):
         if places.count[i] > 0:
             follow_path(p, c, s, parts, places, i)
@@ -259,7 +245,7 @@ def follow_paths(p, c, s, parts, places, first, end):
 
 @compiled_lanes
 def add_waves(p, c, s, first, end):
-    """Stage 9: add the sinusoids and chirps of the scenarios that have one."""
+    """Stage 9: add sinusoids and chirps."""
     for i in range(first, end):
         if c.wave_amplitude[i] > 0.0:
             add_wave(p, c, s, i)
@@ -267,20 +253,20 @@ def add_waves(p, c, s, first, end):
 
 @compiled_lanes
 def track_steps(p, c, s, m, first, end):
-    """Stage 10: judge how the arm follows the setpoint."""
+    """Stage 10: measure how the arm follows the setpoint."""
     for i in range(first, end):
         track_step(p, c, s, m, i)
 
 
 @compiled
 def choose(condition, yes, no):
-    """Return one of two values, both of which are read: a branch would keep the lanes from running together."""
+    """Return one of two values, both of which are read: a branch would prevent vectorisation."""
     return yes if condition else no
 
 
 @compiled
 def control(p, s, m, i):
-    """Section 2.2: turn what was sensed into both drives' position commands."""
+    """Section 2.2: set both drives' position commands from the sensor readings."""
     error = s.setpoint[i] - s.measured_angle[i]
     agonist = p.fixed_agonist
     if agonist == 0.0:
@@ -298,8 +284,8 @@ def control(p, s, m, i):
         triceps_share = p.antagonist_share if agonist == BICEPS else 1.0
         s.tension_setpoint[i] = choose_tension(p, s, i, error)
         control_tension(p, s, i, switched)
-        # At a switch the offsets take over what the drives had before: from here each command changes by the position
-        # controller's ordinary increment only, although the tension controller starts anew on the other string.
+        # At a switch the offsets are set from the previous commands: each command then changes by the position
+        # controller's ordinary increment only, although the tension controller restarts on the other string.
         offset_biceps = s.command_biceps[i] - biceps_share * last_position_output
         offset_triceps = s.command_triceps[i] - triceps_share * last_position_output
         s.offset_biceps[i] = choose(switched, offset_biceps, s.offset_biceps[i])
@@ -333,11 +319,11 @@ def control_position(p, s, i, error):
 
 @compiled
 def choose_tension(p, s, i, error):
-    """Return the tension setpoint [N]: the agent's, on its way, or eq. 6 at control rate."""
-    if p.law == AGENT:
+    """Return the tension setpoint [N]: the agent's, interpolated, or eq. 6 at control rate."""
+    if p.law == layout.AGENT:
         s.tension_command[i] += s.tension_rate[i]
         return s.tension_command[i]
-    if p.law == EQ6:
+    if p.law == layout.EQ6:
         factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
     else:
         factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
@@ -353,13 +339,13 @@ def control_tension(p, s, i, restart):
     measured = choose(biceps_is_antagonist, s.measured_biceps[i], s.measured_triceps[i])
     command = choose(biceps_is_antagonist, s.command_biceps[i], -s.command_triceps[i])
     error = s.tension_setpoint[i] - estimate
-    if untrusted and p.below_floor == IGNORE:
+    if untrusted and p.below_floor == layout.IGNORE:
         error = 0.0
     signal = error if p.tension_on_error else -estimate
     derivative = filtered_derivative(
         s.tension_derivative[i], signal - s.tension_signal[i], p.tension_kd, p.tension_filter, p.control_period
     )
-    # No room where the drive is at its end, and none where the sensor is: above the table, below the floor.
+    # No headroom where the drive or the sensor is at its limit: above the table, below the floor.
     integral = integrate(
         s.tension_integral[i],
         error,
@@ -376,9 +362,9 @@ def control_tension(p, s, i, restart):
 
 @compiled
 def setpoint_kick(p, s, m, i):
-    """Return what a jump of the position setpoint alone adds to the position controller's output in this tick [rad].
+    """Return the part of the position controller's output in this tick that a jump of the setpoint causes [rad].
 
-    It passes through the proportional and the derivative term, whatever the arm and the tension do.
+    It passes through the proportional and the derivative term and does not depend on arm and tension.
     """
     decayed = s.kick_derivative[i]
     if p.position_on_error:
@@ -393,9 +379,9 @@ def setpoint_kick(p, s, m, i):
 
 @compiled
 def command_drives(p, s, m, i, biceps, triceps, kick_biceps, kick_triceps):
-    """Limit and set both commands, and add what their change costs (eq. 8, as a sum over control ticks).
+    """Limit and set both commands, and add their change to ISAV (eq. 8, as a sum over control ticks) and effort.
 
-    The effort is the same without what the setpoint's jump alone contributes, which is alike under every law.
+    The effort excludes the contribution of the setpoint's jump, which is the same under every law.
     """
     limit = p.command_limit
     effort_biceps = min(max(biceps - kick_biceps, -limit), limit) - s.command_biceps[i]
@@ -430,14 +416,14 @@ def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
 
 @compiled
 def stretch_biceps(p, c, i, drive, angle):
-    """Return how far the biceps' string is deflected, as a share of what the look-up tables cover."""
+    """Return the deflection of the biceps' string as a share of the look-up tables' range."""
     radius = p.drive_radius * c.pulley_biceps_factor[i]
     return deflection_biceps(drive, angle, radius, p.joint_radius) * p.inverse_max_deflection
 
 
 @compiled
 def stretch_triceps(p, c, i, drive, angle):
-    """Return how far the triceps' string is deflected, as a share of what the look-up tables cover."""
+    """Return the deflection of the triceps' string as a share of the look-up tables' range."""
     radius = p.drive_radius * c.pulley_triceps_factor[i]
     return deflection_triceps(drive, angle, radius, p.joint_radius) * p.inverse_max_deflection
 
@@ -451,23 +437,23 @@ def obstacle_torque(c, i, angle, velocity):
 
 @compiled
 def clear_rates(m, i):
-    """Begin a Runge-Kutta step: nothing is evaluated yet. Adding minus zero changes no number, not even minus zero."""
+    """Begin a Runge-Kutta step with zero rates; minus zero, since adding it changes no number, not even minus zero."""
     m.angle_rate[i] = m.velocity_rate[i] = m.biceps_rate[i] = m.triceps_rate[i] = -0.0
     m.angle_sum[i] = m.velocity_sum[i] = m.biceps_sum[i] = m.triceps_sum[i] = -0.0
 
 
 @compiled
 def end_motion(p, c, s, m, i):
-    """Take over the state at the end of the motion, unless it is not finite, and add its costs."""
+    """Store the state at the end of the motion, unless it is not finite, and update the metrics."""
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
     error_before = s.setpoint[i] - s.angle[i]
     if not (abs(x) <= FARTHEST and abs(v) <= FARTHEST):
-        s.failure[i] = NOT_FINITE  # the last state stays, so that nothing downstream meets a NaN or overflows
+        s.failure[i] = layout.NOT_FINITE  # the last state stays, so that no later calculation has a NaN or overflows
         return
     if abs(x) > p.angle_limit:
-        s.failure[i] = ANGLE_LIMIT
+        s.failure[i] = layout.ANGLE_LIMIT
     elif abs(v) > p.velocity_limit:
-        s.failure[i] = VELOCITY_LIMIT
+        s.failure[i] = layout.VELOCITY_LIMIT
     s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
@@ -479,7 +465,7 @@ def end_motion(p, c, s, m, i):
     s.contact_peak[i] = max(s.contact_peak[i], m.counting[i] * abs(s.contact_torque[i]))
     if push != 0.0 and m.counting[i] > 0.0:
         s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
-    # At the end of the tick only: an ideal drive lets the force jump at its beginning.
+    # At the end of the tick only: with an ideal drive the force jumps at its begin.
     force = choose(s.agonist[i] == BICEPS, s.force_triceps[i], s.force_biceps[i])
     tension_error = s.tension_setpoint[i] - force
     s.tension_ise[i] += counted * tension_error * tension_error
@@ -555,8 +541,9 @@ def sensor_noise(deviation, key, counter):
 @compiled
 def trust(p, estimate, last):
     """Return the force estimate after the treatment of those below the floor (Figure 5b)."""
-    distrusted = estimate if p.below_floor == IGNORE else (p.force_floor if p.below_floor == CLAMP else last)
-    return estimate if estimate >= p.force_floor else distrusted
+    below = p.force_floor if p.below_floor == layout.CLAMP else last
+    below = estimate if p.below_floor == layout.IGNORE else below
+    return estimate if estimate >= p.force_floor else below
 
 
 @compiled
@@ -567,7 +554,7 @@ def low_pass(last, value, time_constant, period):
 
 @compiled
 def begin_moves(p, c, s, i):
-    """Begin the setpoint's moves whose time has come, and note where a setpoint step begins."""
+    """Begin the setpoint's moves that are due, and the setpoint steps with them."""
     time = s.tick[i] * p.control_period
     while s.move[i] + 1 < c.move_count[i] and c.move_time[s.move[i] + 1, i] <= time + TIME_SLACK:
         s.move[i] += 1
@@ -590,20 +577,20 @@ def follow_setpoint(p, c, s, i):
     last = s.setpoint[i] - s.setpoint_wave[i]
     s.setpoint[i] = start + (c.move_angle[k, i] - start) * minimum_jerk(progress)
     if c.move_duration[k, i] == 0.0:
-        # Until the controller has seen it: a tick may come too late.
+        # Summed until the controller acts: it may miss a tick.
         s.setpoint_jump[i] += s.setpoint[i] - last
 
 
 @compiled
 def follow_path(p, c, s, parts, places, i):
-    """Begin the parts of the path whose time has come, and set the position setpoint [rad] for the present time."""
+    """Begin the parts of the path that are due, and set the position setpoint [rad] for the present time."""
     time = s.tick[i] * p.control_period
     first, count = places.first[i], places.count[i]
     while s.move[i] + 1 < count and parts[first + s.move[i] + 1].time <= time + TIME_SLACK:
         s.move[i] += 1
         part = parts[first + s.move[i]]
         change = part.angle - part.start
-        if part.shape == MINIMUM_JERK:
+        if part.shape == layout.MINIMUM_JERK:
             begin_step(s, i, time, part.angle, change if time >= c.measure_from[i] - TIME_SLACK else 0.0)
         if part.duration == 0.0:
             s.setpoint_jump[i] += change
@@ -613,7 +600,7 @@ def follow_path(p, c, s, parts, places, i):
     progress = 1.0
     if part.duration > 0.0:
         progress = min(max((time - part.time) / part.duration, 0.0), 1.0)
-    if part.shape == MINIMUM_JERK:
+    if part.shape == layout.MINIMUM_JERK:
         progress = minimum_jerk(progress)
     s.setpoint[i] = part.start + (part.angle - part.start) * progress
 
@@ -653,7 +640,7 @@ def begin_step(s, i, time, target, change):
 
 @compiled
 def track_step(p, c, s, m, i):
-    """Follow rise, settling, overshoot and the stiffness at rest."""
+    """Update rise and settling time, overshoot and the stiffness at rest."""
     if s.step_direction[i] != 0.0:
         beyond = s.step_direction[i] * (s.angle[i] - s.step_target[i])
         s.overshoot[i] = max(s.overshoot[i], beyond)
@@ -675,10 +662,11 @@ def track_step(p, c, s, m, i):
 
 @compiled
 def settle(p, c_blocks, s_blocks, paths, devices):
-    """Start the given devices anew, at rest on their initial angle with their initial tension."""
+    """Reset the given devices, at rest at their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
-        block, i = device // LANES, np.uint64(device % LANES)  # as in a tick, so that nothing is compiled twice
+        # Unsigned as in a tick, so that nothing is compiled twice.
+        block, i = device // layout.LANES, np.uint64(device % layout.LANES)
         c, s = c_blocks[block], s_blocks[block]
         settle_strings(parameters, c, s, i)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
@@ -697,7 +685,7 @@ def settle(p, c_blocks, s_blocks, paths, devices):
 
 @compiled
 def settle_strings(p, c, s, i):
-    """Find the static equilibrium and give the controllers the memory that holds it."""
+    """Set the static equilibrium, and the controllers' memory that holds it."""
     angle = c.initial_angle[i]
     radius_biceps = p.drive_radius * c.pulley_biceps_factor[i]
     radius_triceps = p.drive_radius * c.pulley_triceps_factor[i]
@@ -711,7 +699,7 @@ def settle_strings(p, c, s, i):
         s.agonist[i] = TRICEPS if needed < 0.0 else BICEPS
     biceps_is_agonist = s.agonist[i] == BICEPS
     if p.tension_loop:
-        # The antagonist has the tension. The agonist carries the load on top of it, or lets go as much.
+        # The antagonist has the tension, the agonist in addition the load, which may be negative.
         pull_biceps = tension + needed if biceps_is_agonist else tension
         pull_triceps = tension if biceps_is_agonist else tension - needed
         biceps = inverse_look_up(p.force_table, pull_biceps / c.spring_biceps_factor[i]) / p.inverse_max_deflection
@@ -740,10 +728,10 @@ def settle_strings(p, c, s, i):
     biceps = stretch_biceps(p, c, i, turn_biceps, angle)
     triceps = stretch_triceps(p, c, i, turn_triceps, angle)
     s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)
-    # The microcontroller takes the springs for the profile's.
+    # The microcontroller knows the profile's springs only.
     biceps, triceps = s.force_biceps[i] / c.spring_biceps_factor[i], s.force_triceps[i] / c.spring_triceps_factor[i]
     s.estimate_biceps[i], s.estimate_triceps[i] = trust(p, biceps, biceps), trust(p, triceps, triceps)
-    # A tension below the floor is estimated higher than it is: the controller starts with the output zero all the same.
+    # A tension below the floor is overestimated; the controller starts with output zero nevertheless.
     estimate = s.estimate_triceps[i] if biceps_is_agonist else s.estimate_biceps[i]
     s.tension_integral[i] = p.tension_kp * (estimate - tension)
     s.contact_torque[i] = obstacle_torque(c, i, angle, 0.0)
@@ -753,9 +741,9 @@ def settle_strings(p, c, s, i):
 
 @compiled
 def position_only_equilibrium(p, c, i, needed, apart):
-    """Return how far both drives turn beyond the biceps' slack angle [rad] so that f_1 - f_2 is `needed` [N].
+    """Return by bisection the turn of both drives beyond the biceps' slack angle [rad] for f_1 - f_2 = `needed` [N].
 
-    By bisection. `apart` is how much further the biceps' slack angle lies than the triceps' [rad].
+    `apart` is the biceps' slack angle minus the triceps' [rad].
     """
     reach = 1.0 / (p.inverse_max_deflection * p.drive_radius) + p.position_only_offset
     low, high = -2.0 * reach, 2.0 * reach

@@ -1,4 +1,4 @@
-"""One episode as plain data: what the setpoint does, what disturbs and loads the arm, how this device was built.
+"""A scenario: one episode as plain data, with setpoint, disturbances, load and the device's deviations.
 
 A scenario can be written as JSON or YAML, read back and replayed bit for bit. Packed, times, torques, stiffnesses,
 factors and sensor offsets keep 7 digits (see `simulation.layout`).
@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,47 +38,47 @@ from amulett_gym.storage.reading import read_json, read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.table import parse_columns
 
-MAX_BYTES = 20_000_000
-"""Largest scenario file accepted, some hundred thousand samples or moves."""
+P = TypeVar("P", bound=Group)
 
 _MAX_TABLE_BYTES = 40_000_000
 
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
-_PACKING = 1e-6  # more than the share by which packing changes a number
+_FIELDS = frozenset(SCENARIO.names or ())
+_PACKING = 1e-6  # bound of the relative rounding error of packing
 
 
 class Move(Group):
     """A move of the position setpoint: a step, or a minimum-jerk reach."""
 
-    time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
-    angle_deg: float = Field(ge=-180, le=180, description="where it goes [deg]")
+    time: float = Field(ge=0, le=1e6, description="begin [s]; acts from the first control tick at or after it")
+    angle_deg: float = Field(ge=-180, le=180, description="target [deg]")
     duration: float = Field(default=0.0, ge=0, le=1e6, description="[s], at least a millisecond; 0: a step")
 
     @model_validator(mode="after")
     def _check_duration(self) -> Move:
         if 0 < self.duration < 1e-3:
-            raise ValueError(f"a duration of {self.duration} s is shorter than a millisecond; 0 stands for a step")
+            raise ValueError(f"a duration of {self.duration} s is shorter than a millisecond; 0 is a step")
         return self
 
 
 class Setpoint(Group):
     """A sampled position setpoint instead of moves, such as a logged one; it counts no setpoint steps.
 
-    Before its first sample the arm rests at the initial angle, after its last one there. Two samples of one time are a
-    jump. In a scenario file ``{"file": "log.csv", "column": ...}`` reads it from a CSV file (see `SetpointFile`).
+    Before its first sample the setpoint is the initial angle, after its last one that sample. Two samples of one time
+    are a jump. In a scenario file ``{"file": "log.csv", "column": ...}`` reads it from a CSV file (`SetpointFile`).
     """
 
-    time: list[float] = Field(min_length=1, description="of the samples, rising [s]")
-    angle_deg: list[float] = Field(description="at these times [deg], to nine decimals")
+    time: list[float] = Field(min_length=1, description="rising times of the samples [s]")
+    angle_deg: list[float] = Field(description="samples [deg], to nine decimals")
     interpolation: Literal["linear", "hold"] = Field(
-        default="linear", description="between two samples: straight from one to the next, or the first one until then"
+        default="linear", description="between two samples: a straight line, or the first one"
     )
 
     @model_validator(mode="after")
     def _check_samples(self) -> Setpoint:
         time, angle = np.array(self.time), np.array(self.angle_deg)
         if time.size != angle.size:
-            raise ValueError(f"time has {time.size} samples and angle_deg {angle.size}; they have to be as many")
+            raise ValueError(f"time has {time.size} samples and angle_deg {angle.size}; they have to be equally many")
         for name, values, low, high in (("time", time, 0.0, 1e6), ("angle_deg", angle, -180.0, 180.0)):
             wrong = (values < low) | (values > high)
             if wrong.any():
@@ -92,16 +92,14 @@ class Setpoint(Group):
 
 
 class SetpointFile(Group):
-    """Where a scenario's sampled setpoint is read from."""
+    """A CSV file with a scenario's sampled setpoint."""
 
     file: str = Field(description="CSV file with a header, relative to the scenario's file")
-    column: str = Field(description="of the setpoint")
-    unit: Literal["deg", "rad"] = Field(default="deg", description="of that column")
-    time_column: str = Field(default="time", description="of the time")
-    time_unit: Literal["s", "ms"] = Field(default="s", description="of that column")
-    begin: float | None = Field(
-        default=None, ge=0, le=1e6, description="when the first sample is played [s]; null: at its own time"
-    )
+    column: str = Field(description="column of the setpoint")
+    unit: Literal["deg", "rad"] = Field(default="deg", description="unit of that column")
+    time_column: str = Field(default="time", description="column of the time")
+    time_unit: Literal["s", "ms"] = Field(default="s", description="unit of that column")
+    begin: float | None = Field(default=None, ge=0, le=1e6, description="time of the first sample [s]; null: its own")
     interpolation: Literal["linear", "hold"] = Field(default="linear", description="as of `Setpoint`")
 
     def read(self, folder: Path) -> dict[str, Any]:
@@ -119,55 +117,53 @@ class SetpointFile(Group):
 
 
 class Wave(Group):
-    """A sinusoid or a linear chirp on top of the moves: A sin(2 pi (f + chirp t / 2) t), t from its beginning.
+    """A sinusoid or a linear chirp added to the moves: A sin(2 pi (f + chirp t / 2) t), t from its begin.
 
-    Rise and settling times are judged by the moves' targets, without it. After whole cycles it ends without a jump.
+    Rise and settling times refer to the moves' targets, without it. After whole cycles it ends without a jump.
     """
 
     amplitude_deg: float = Field(gt=0, le=180, description="A [deg]")
-    frequency: float = Field(ge=0, le=50, description="f, at its beginning [Hz]")
-    chirp: float = Field(default=0.0, ge=-50, le=50, description="by which the frequency changes a second [Hz/s]")
-    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
+    frequency: float = Field(ge=0, le=50, description="f, frequency at the begin [Hz]")
+    chirp: float = Field(default=0.0, ge=-50, le=50, description="rate of change of the frequency [Hz/s]")
+    time: float = Field(default=0.0, ge=0, le=1e6, description="begin [s]")
     duration: float = Field(ge=1e-3, le=1e6, description="[s], at least a millisecond")
 
 
 class Push(Group):
-    """An external torque for a while: at once (a pulse), or with ramps (a slow push)."""
+    """An external torque of limited duration: a pulse, or with ramps (a slow push)."""
 
-    time: float = Field(ge=0, le=1e6, description="when it begins [s]; acts from the first control tick at or after it")
-    duration: float = Field(ge=1e-3, le=1e6, description="ramps included [s], at least a millisecond")
+    time: float = Field(ge=0, le=1e6, description="begin [s]; acts from the first control tick at or after it")
+    duration: float = Field(ge=1e-3, le=1e6, description="[s], ramps included, at least a millisecond")
     torque: float = Field(ge=-100, le=100, description="positive in flexion [N m]")
-    rise: float = Field(
-        default=0.0, ge=0, le=1e6, description="how long it rises, and falls again at its end [s]; 0: a pulse"
-    )
+    rise: float = Field(default=0.0, ge=0, le=1e6, description="duration of each ramp, up and down [s]; 0: a pulse")
 
     @model_validator(mode="after")
     def _check_ramps(self) -> Push:
         if 0 < self.rise < 1e-3:
-            raise ValueError(f"a rise of {self.rise} s is shorter than a millisecond; 0 stands for a pulse")
+            raise ValueError(f"a rise of {self.rise} s is shorter than a millisecond; 0 is a pulse")
         if 2 * self.rise > self.duration * (1.0 + _PACKING):
             raise ValueError(f"a push of {self.duration} s has no room to rise and fall for {self.rise} s each")
         return self
 
 
 class Shake(Group):
-    """A random external torque: white noise of the control ticks behind two equal first-order low-passes.
+    """A random external torque: white noise per control tick through two equal first-order low-passes.
 
-    It begins at rest and has its rms from about one period of the bandwidth on; two scenarios with one `noise_seed`
-    are shaken alike.
+    It begins at zero and has its rms after about one period of the bandwidth; scenarios with the same `noise_seed` have
+    the same torque.
     """
 
     rms: float = Field(gt=0, le=100, description="root mean square [N m]")
     bandwidth: float = Field(gt=0, le=100, description="corner frequency of each low-pass [Hz]")
-    time: float = Field(default=0.0, ge=0, le=1e6, description="when it begins [s]")
+    time: float = Field(default=0.0, ge=0, le=1e6, description="begin [s]")
     duration: float = Field(ge=1e-3, le=1e6, description="[s], at least a millisecond")
 
 
 class Obstacle(Group):
-    """Something compliant in the way of the forearm."""
+    """A compliant obstacle in the path of the forearm."""
 
-    angle_deg: float = Field(ge=-180, le=180, description="where it begins [deg]")
-    blocks: Literal["flexion", "extension"] = Field(default="flexion", description="the motion that meets it")
+    angle_deg: float = Field(ge=-180, le=180, description="joint angle of its surface [deg]")
+    blocks: Literal["flexion", "extension"] = Field(default="flexion", description="motion that it blocks")
     stiffness: float = Field(gt=0, le=10_000, description="[N m/rad]")
     damping: float = Field(default=0.0, ge=0, le=100, description="[N m s/rad]")
 
@@ -180,7 +176,7 @@ class Payload(Group):
 
 
 class Device(Group):
-    """How this device differs from its profile, which is all that its microcontroller knows."""
+    """Deviations of this device from its profile; its microcontroller knows the profile only."""
 
     spring_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
     spring_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
@@ -189,14 +185,11 @@ class Device(Group):
     inertia: float = Field(default=1.0, ge=0.5, le=2, description="factor of J, the payload's share included [1]")
     damping: float = Field(default=1.0, ge=0, le=4, description="factor of delta [1]")
     noise: float = Field(default=1.0, ge=0, le=10, description="factor of the sensors' noise [1]")
-    encoder_bias_deg: float = Field(default=0.0, ge=-30, le=30, description="added to the joint angle's reading [deg]")
-    slider_bias_biceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
-    slider_bias_triceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="added to the potentiometer's [m]")
+    encoder_bias_deg: float = Field(default=0.0, ge=-30, le=30, description="error of the joint angle's reading [deg]")
+    slider_bias_biceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="error of the potentiometer [m]")
+    slider_bias_triceps: float = Field(default=0.0, ge=-0.01, le=0.01, description="error of the potentiometer [m]")
     late_probability: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.9,
-        description="probability that a control tick comes too late: its commands are held for one more period [1]",
+        default=0.0, ge=0, le=0.9, description="probability that a control tick is missed: commands are held [1]"
     )
 
     @model_validator(mode="before")
@@ -217,33 +210,31 @@ class Device(Group):
 
 
 class Scenario(Group):
-    """Everything about an episode that is not the profile."""
+    """Everything about an episode except for the profile."""
 
-    initial_angle_deg: float = Field(default=0.0, ge=-180, le=180, description="at rest there at the start [deg]")
+    initial_angle_deg: float = Field(default=0.0, ge=-180, le=180, description="initial angle, at rest [deg]")
     initial_tension: float | None = Field(
-        default=None,
-        gt=0,
-        le=MOST_TENSION,
-        description="of the antagonist at the start [N]; null: the profile's nominal tension",
+        default=None, gt=0, le=MOST_TENSION, description="of the antagonist [N]; null: the profile's nominal tension"
     )
-    moves: list[Move] = Field(default=[], description="of the setpoint, in their order")
+    moves: list[Move] = Field(default=[], description="moves of the setpoint, in their order")
     setpoint: Setpoint | None = Field(
-        default=None, description="samples to follow instead of moves; without an initial angle, the first one is it"
+        default=None,
+        description="samples to follow instead of moves; the first one is the initial angle if none is given",
     )
-    wave: Wave | None = Field(default=None, description="on top of the moves; null: none")
-    pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES, description="from outside")
-    shake: Shake | None = Field(default=None, description="a random torque; null: none")
-    obstacle: Obstacle | None = Field(default=None, description="in the forearm's way; null: none")
-    payload: Payload | None = Field(default=None, description="that the forearm carries; null: none")
+    wave: Wave | None = Field(default=None, description="added to the moves; null: none")
+    pushes: list[Push] = Field(default=[], max_length=MAX_PUSHES, description="external torques")
+    shake: Shake | None = Field(default=None, description="random external torque; null: none")
+    obstacle: Obstacle | None = Field(default=None, description="obstacle in the forearm's path; null: none")
+    payload: Payload | None = Field(default=None, description="carried by the forearm; null: none")
     orientation: Orientation = Field(
         default="profile", description="plane in which the forearm swings; gravity acts in the vertical one"
     )
-    device: Device = Field(default=Device(), description="how it differs from the profile; without a key: not at all")
+    device: Device = Field(default=Device(), description="deviations from the profile; without a key: none")
     measure_from: float = Field(
         default=0.0,
         ge=0,
         le=1e6,
-        description="metrics, rewards and setpoint steps count from here [s]; before, the arm settles",
+        description="begin of metrics, rewards and setpoint steps [s]; before, the arm settles",
     )
     family: Family | None = Field(
         default=None,
@@ -264,19 +255,19 @@ class Scenario(Group):
                 )
         if self.setpoint is not None:
             if self.moves:
-                raise ValueError("'moves' and 'setpoint' are both there; give one of them")
+                raise ValueError("'moves' and 'setpoint' are both given; give one of them")
             if "initial_angle_deg" not in self.model_fields_set:
                 object.__setattr__(self, "initial_angle_deg", self.setpoint.angle_deg[0])
         return self
 
     @property
     def has_path(self) -> bool:
-        """Whether the setpoint takes a path beside the packed record: samples, or more moves than fit into it."""
+        """Whether the setpoint needs a path outside the packed record: it has samples, or too many moves."""
         return self.setpoint is not None or len(self.moves) > MAX_MOVES
 
 
 def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
-    """Read and validate a scenario from a JSON or YAML file (by its suffix), a mapping, or as it is.
+    """Return a validated scenario from a JSON or YAML file (by its suffix), a mapping or a scenario.
 
     Raises
     ------
@@ -306,7 +297,6 @@ def _read_samples(setpoint: Mapping[str, Any], folder: Path, what: str) -> dict[
 
 
 def _read(path: Path) -> Any:
-    """Return the content of a scenario file."""
     suffix = path.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return read_yaml(path, "scenario")
@@ -316,7 +306,7 @@ def _read(path: Path) -> Any:
 
 
 def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
-    """Turn a scenario into the record that the simulation reads, in SI units and radians; `pack_path` is the rest.
+    """Return a scenario as the record that the simulation reads, in SI units and radians; see also `pack_path`.
 
     Returns
     -------
@@ -333,54 +323,33 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
             f"scenario: 'initial_angle_deg' is {scenario.initial_angle_deg}; the device's limit is +-{limit} deg"
         )
     row = empty_rows(1, profile)
-    row["initial_angle"] = np.radians(scenario.initial_angle_deg)
+    row["initial_angle"], row["measure_from"] = np.radians(scenario.initial_angle_deg), scenario.measure_from
     if scenario.initial_tension is not None:
         row["initial_tension"] = scenario.initial_tension
-    if scenario.payload is not None:
-        row["payload_mass"], row["payload_arm"] = scenario.payload.mass, scenario.payload.arm
+    if scenario.noise_seed is not None:
+        row["noise_key"] = scenario.noise_seed
     row["orientation"] = ORIENTATIONS.index(scenario.orientation)
-    _pack_device(scenario.device, row)
+    row["family"] = FAMILIES.index(scenario.family or ("contact" if scenario.obstacle is not None else None))
+    for prefix in ("wave", "shake", "obstacle", "payload"):
+        if (part := getattr(scenario, prefix)) is not None:
+            _put(row, f"{prefix}_", part)
+    _put(row, "", scenario.device)
     load_arm(row, profile)
     row["move_count"] = ON_PATH if scenario.has_path else len(scenario.moves)
     for k, move in enumerate([] if scenario.has_path else scenario.moves):
-        row["move_time"][0, k] = move.time
-        row["move_angle"][0, k] = np.radians(move.angle_deg)
-        row["move_duration"][0, k] = move.duration
-    if scenario.wave is not None:
-        row["wave_amplitude"] = np.radians(scenario.wave.amplitude_deg)
-        row["wave_frequency"], row["wave_chirp"] = scenario.wave.frequency, scenario.wave.chirp
-        row["wave_time"], row["wave_duration"] = scenario.wave.time, scenario.wave.duration
+        _put(row, "move_", move, k)
     row["push_count"] = len(scenario.pushes)
     for k, push in enumerate(scenario.pushes):
-        row["push_time"][0, k] = push.time
-        row["push_duration"][0, k] = push.duration
-        row["push_torque"][0, k] = push.torque
+        _put(row, "push_", push, k)
         row["push_inverse_rise"][0, k] = 1.0 / push.rise if push.rise > 0.0 else 0.0
-    if scenario.shake is not None:
-        for key, value in scenario.shake:
-            row[f"shake_{key}"] = value
     if scenario.obstacle is not None:
-        row["obstacle_angle"] = np.radians(scenario.obstacle.angle_deg)
         row["obstacle_side"] = 1.0 if scenario.obstacle.blocks == "flexion" else -1.0
-        row["obstacle_stiffness"] = scenario.obstacle.stiffness
-        row["obstacle_damping"] = scenario.obstacle.damping
-    row["measure_from"] = scenario.measure_from
-    touches: Family | None = "contact" if scenario.obstacle is not None else None
-    row["family"] = FAMILIES.index(scenario.family or touches)
-    if scenario.noise_seed is not None:
-        row["noise_key"] = scenario.noise_seed
-    if scenario.obstacle is not None:
         _check_stiffness(scenario.obstacle, float(row["inertia"][0]), profile)
     return row
 
 
 def pack_path(scenario: Scenario) -> NDArray[np.void]:
-    """Return the setpoint's path if the record has no room for it, else an array without elements.
-
-    Returns
-    -------
-    ndarray of `simulation.layout.PATH`
-    """
+    """Return the setpoint's path (records of `simulation.layout.PATH`), empty if it fits into the packed record."""
     if not scenario.has_path:
         return np.zeros(0, dtype=PATH)
     setpoint = scenario.setpoint
@@ -390,7 +359,7 @@ def pack_path(scenario: Scenario) -> NDArray[np.void]:
     else:
         times, angles = setpoint.time, setpoint.angle_deg
         durations, shape = [0.0] * len(times), STEPS
-        if setpoint.interpolation == "linear":  # a jump to the first sample, a part to each other one, and the end
+        if setpoint.interpolation == "linear":  # a jump to the first sample, a part to each other one, a last one
             durations, shape = [0.0, *np.diff(times), 0.0], LINEAR
             times, angles = [times[0], *times], [*angles, angles[-1]]
     path = np.zeros(len(times), dtype=PATH)
@@ -410,9 +379,7 @@ def _unpack_path(path: NDArray[np.void]) -> dict[str, Any]:
 
 
 def unpack(row: NDArray[np.void] | np.void, path: NDArray[np.void] | None = None) -> Scenario:
-    """Turn a packed record, and the path if it has one, back into a scenario; packing it again gives the same.
-
-    The numbers are those that were packed, as far as they had 7 digits where 7 are kept.
+    """Return the scenario of a packed record and its path, if it has one; packing it again gives the same bits.
 
     Raises
     ------
@@ -420,94 +387,63 @@ def unpack(row: NDArray[np.void] | np.void, path: NDArray[np.void] | None = None
         If the record has a path and it is not given.
     """
     if row["move_count"] == ON_PATH and (path is None or not path.size):
-        raise AmulettError("the scenario's setpoint is a path beside its record; unpack needs both")
+        raise AmulettError("the scenario's setpoint is a path outside its record; unpack needs both")
 
-    def degrees(angle: Any) -> float:
-        return round(float(np.degrees(angle)), _DIGITS)
-
-    def number(name: str, *index: int) -> float:
-        return float(str(row[name][index]))  # the shortest decimal that is packed to these bits
-
-    moves = {} if path is None or not path.size else _unpack_path(path)
-    if not moves:
-        moves["moves"] = [
-            Move(
-                time=number("move_time", k),
-                angle_deg=degrees(row["move_angle"][k]),
-                duration=number("move_duration", k),
-            )
-            for k in range(int(row["move_count"]))
-        ]
-    obstacle = payload = wave = shake = None
-    if row["obstacle_stiffness"] > 0:
-        obstacle = Obstacle(
-            angle_deg=degrees(row["obstacle_angle"]),
-            blocks="flexion" if row["obstacle_side"] > 0 else "extension",
-            stiffness=number("obstacle_stiffness"),
-            damping=number("obstacle_damping"),
-        )
-    if row["payload_mass"] > 0:
-        payload = Payload(mass=number("payload_mass"), arm=number("payload_arm"))
-    if row["wave_amplitude"] > 0:
-        wave = Wave(
-            amplitude_deg=degrees(row["wave_amplitude"]),
-            **{key: number(f"wave_{key}") for key in ("frequency", "chirp", "time", "duration")},
-        )
-    if row["shake_rms"] > 0:
-        shake = Shake(**{key: number(f"shake_{key}") for key in Shake.model_fields})
-    return Scenario(
-        initial_angle_deg=degrees(row["initial_angle"]),
-        initial_tension=number("initial_tension"),
-        **moves,
-        pushes=[
-            Push(
-                time=number("push_time", k),
-                duration=number("push_duration", k),
-                torque=number("push_torque", k),
-                rise=_rise(row["push_inverse_rise"][k]),
-            )
-            for k in range(int(row["push_count"]))
-        ],
-        wave=wave,
-        shake=shake,
-        obstacle=obstacle,
-        payload=payload,
+    path_or_moves = {} if path is None or not path.size else _unpack_path(path)
+    moves = [_take(row, "move_", Move, k) for k in range(int(row["move_count"]))]
+    pushes = [
+        _take(row, "push_", Push, k, rise=_rise(row["push_inverse_rise"][k])) for k in range(int(row["push_count"]))
+    ]
+    blocks = "flexion" if row["obstacle_side"] > 0 else "extension"
+    return _take(
+        row,
+        "",
+        Scenario,
+        **(path_or_moves or {"moves": moves}),
+        pushes=pushes,
+        wave=_take(row, "wave_", Wave) if row["wave_amplitude"] > 0 else None,
+        shake=_take(row, "shake_", Shake) if row["shake_rms"] > 0 else None,
+        obstacle=_take(row, "obstacle_", Obstacle, blocks=blocks) if row["obstacle_stiffness"] > 0 else None,
+        payload=_take(row, "payload_", Payload) if row["payload_mass"] > 0 else None,
         orientation=ORIENTATIONS[int(row["orientation"])],
-        device=Device(
-            **{name: number(f"{name}_factor") for name in DEVICE_FACTORS},
-            encoder_bias_deg=degrees(row["encoder_bias"]),
-            slider_bias_biceps=number("slider_bias_biceps"),
-            slider_bias_triceps=number("slider_bias_triceps"),
-            late_probability=number("late_probability"),
-        ),
-        measure_from=number("measure_from"),
+        device=_take(row, "", Device),
         family=FAMILIES[int(row["family"])],
         noise_seed=int(row["noise_key"]),
     )
 
 
+def _field(prefix: str, key: str) -> str:
+    """Return the packed record's field of a key of a scenario's part; not every key has one."""
+    return f"{key}_factor" if key in DEVICE_FACTORS and not prefix else prefix + key.removesuffix("_deg")
+
+
+def _put(row: NDArray[np.void], prefix: str, part: Group, *index: int) -> None:
+    """Pack the keys of a part that have a field."""
+    for key, value in part:
+        if (field := _field(prefix, key)) in _FIELDS:
+            row[field][0, *index] = np.radians(value) if key.endswith("_deg") else value
+
+
+def _take(row: NDArray[np.void] | np.void, prefix: str, part: type[P], *index: int, **others: Any) -> P:
+    """Return a part of a packed scenario, with those of its keys that the record does not hold as they are."""
+    for key in part.model_fields:
+        if key not in others and (field := _field(prefix, key)) in _FIELDS:
+            value = row[field][index]
+            # The shortest decimal that is packed to the same bits.
+            others[key] = round(float(np.degrees(value)), _DIGITS) if key.endswith("_deg") else float(str(value))
+    return part(**others)
+
+
 def _rise(inverse: np.float32) -> float:
-    """Return the ramp's length [s] of the fewest digits that is packed as this inverse [1/s]; 0 for a pulse."""
+    """Return the ramp's duration [s] with the fewest digits that is packed as this inverse [1/s]; 0: a pulse."""
     if inverse == 0.0:
         return 0.0
     rises = (float(f"{1.0 / float(inverse):.{digits}g}") for digits in range(1, 18))
     return next(rise for rise in rises if np.float32(1.0 / rise) == inverse)
 
 
-def _pack_device(device: Device, row: NDArray[np.void]) -> None:
-    for name in DEVICE_FACTORS:
-        row[f"{name}_factor"] = getattr(device, name)
-    row["encoder_bias"] = np.radians(device.encoder_bias_deg)
-    row["slider_bias_biceps"], row["slider_bias_triceps"] = device.slider_bias_biceps, device.slider_bias_triceps
-    row["late_probability"] = device.late_probability
-
-
 def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> None:
-    """Refuse an obstacle that the integration step cannot resolve.
-
-    A step may cover half a radian of the swing on the obstacle, and a tenth of the damping's time constant: damping
-    makes the torque jump at contact, in the middle of a step.
-    """
+    """Refuse an obstacle that the integration step cannot resolve."""
     for key, value, most in (
         ("stiffness", obstacle.stiffness, most_stiffness(inertia, profile)),
         ("damping", obstacle.damping, most_damping(inertia, profile)),
@@ -521,17 +457,23 @@ def _check_stiffness(obstacle: Obstacle, inertia: float, profile: Profile) -> No
 
 
 def most_stiffness(inertia: Any, profile: Profile) -> Any:
-    """Return how stiff an obstacle may be [N m/rad] for an inertia [kg m2]: a step is half a radian of the swing."""
+    """Return the largest stiffness of an obstacle [N m/rad] for an inertia [kg m2].
+
+    An integration step then covers half a radian of the oscillation on the obstacle.
+    """
     return 0.25 * inertia / (profile.loop.control_period / profile.loop.substeps) ** 2
 
 
 def most_damping(inertia: Any, profile: Profile) -> Any:
-    """Return how much it may damp [N m s/rad]: a step is a tenth of the damping's time constant."""
+    """Return the largest damping of an obstacle [N m s/rad] for an inertia [kg m2].
+
+    An integration step is then a tenth of its time constant: damping makes the torque jump at contact, within a step.
+    """
     return 0.1 * inertia / (profile.loop.control_period / profile.loop.substeps)
 
 
 def empty_rows(count: int, profile: Profile) -> NDArray[np.void]:
-    """Return `count` packed scenarios in which nothing happens: the bare arm at rest at 0 deg."""
+    """Return `count` packed scenarios without events: the bare arm at rest at 0 deg."""
     rows = np.zeros(count, dtype=SCENARIO)
     rows["initial_tension"] = profile.variable_stiffness.nominal_tension
     for name in DEVICE_FACTORS:
