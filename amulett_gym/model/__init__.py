@@ -1,1 +1,1 @@
-"""Section 2.1 of the paper: the arm, its springs, its friction, drives and sensors."""
+"""The device of section 2.1 of the paper."""

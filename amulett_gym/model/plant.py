@@ -1,6 +1,6 @@
 """Equations 1-5: the elbow joint between two strings.
 
-Signs: flexion is positive. Both drives turning by the same angle move the joint; turning apart they co-contract it.
+Flexion is positive. Equal turns of both drives move the joint; opposite turns co-contract it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,9 @@ Numbers = float | NDArray[np.float64]
 
 
 def inertia(masses: Sequence[Numbers], arms: Sequence[Numbers]) -> Any:
-    """Return J of eq. 3 [kg m2]: point masses by Huygens-Steiner, plus a thin rod as long as the longest arm.
+    """Return J of eq. 3 [kg m2] from m_i [kg] and lever arms l_i [m].
 
-    Parameters
-    ----------
-    masses : sequence of float or ndarray
-        m_i [kg].
-    arms : sequence of float or ndarray
-        l_i, lever arms about the joint [m].
+    Point masses by Huygens-Steiner, plus a thin rod with the length of the longest arm.
     """
     rod = sum(masses) * reduce(np.maximum, arms) ** 2 / 12
     return rod + sum(mass * arm**2 for mass, arm in zip(masses, arms, strict=True))
@@ -66,40 +61,20 @@ def joint_acceleration(
 ) -> float:
     """Return the second derivative of x_a by eq. 1 [rad/s2], with an external torque added.
 
-    Parameters
-    ----------
-    joint, velocity : float
-        x_a [rad] and its rate [rad/s].
-    force_biceps, force_triceps : float
-        f(Delta l_1), f(Delta l_2) [N].
-    decay : float
-        delta [1/s].
-    external : float
-        Torque of pushes and obstacles, positive in flexion [N m].
-    inertia, static_torque : float
-        J [kg m2] and M_m [N m].
-    joint_radius : float
-        R_2 [m].
+    From x_a [rad] and its rate [rad/s], f(Delta l_1) and f(Delta l_2) [N], delta [1/s], the torque of pushes and
+    obstacles, positive in flexion [N m], J [kg m2], M_m [N m] and R_2 [m].
     """
-    weight = static_torque * math.sin(joint) if static_torque != 0.0 else 0.0  # a sine is dear
+    weight = static_torque * math.sin(joint) if static_torque != 0.0 else 0.0  # a sine takes long
     torque = (force_biceps - force_triceps) * joint_radius - weight + external
     return torque / inertia - 2.0 * decay * velocity
 
 
 @compiled
 def contact_torque(joint: float, velocity: float, angle: float, side: float, stiffness: float, damping: float) -> float:
-    """Return the torque of a compliant obstacle [N m]; it pushes the arm back and never pulls.
+    """Return the torque of a compliant obstacle [N m], which pushes and never pulls.
 
-    Parameters
-    ----------
-    joint, velocity : float
-        x_a [rad] and its rate [rad/s].
-    angle : float
-        Where the obstacle begins [rad].
-    side : float
-        +1 if it blocks flexion beyond `angle`, -1 if it blocks extension.
-    stiffness, damping : float
-        [N m/rad] and [N m s/rad]; a stiffness of 0 is no obstacle.
+    From x_a [rad] and its rate [rad/s], the obstacle's angle [rad], its side (+1 if it blocks flexion, -1 extension),
+    stiffness [N m/rad] (0: no obstacle) and damping [N m s/rad].
     """
     depth = side * (joint - angle)
     if depth <= 0.0 or stiffness <= 0.0:

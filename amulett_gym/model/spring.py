@@ -1,17 +1,17 @@
-"""The non-linear spring assembly in each string, and the look-up tables made from it (Figure 5a).
+"""Look-up tables of the non-linear spring assembly in each string (Figure 5a).
 
-The assembly: the string pulls on a node that two equal linear springs hold from both sides. Unloaded, the springs
-stand across the string, each `half_width` long. A string deflection y stretches them to sqrt(half_width^2 + y^2), and
-their pull along the string is ::
+The string pulls on a node between two equal linear springs. Unloaded, the springs are perpendicular to the string, each
+`half_width` long. A string deflection y stretches them to sqrt(half_width^2 + y^2), and their force along the string
+is ::
 
     f(y) = 2 k y (1 - free_length / sqrt(half_width^2 + y^2))
 
-which is progressive: slope 2 k (1 - free_length/half_width) at rest, 2 k far out. The potentiometer measures how far a
-linear spring was stretched, sqrt(half_width^2 + y^2) - half_width. Near rest that grows with y squared only, so a
-small force can hardly be estimated: the rising error at low forces of Figure 5b.
+which is progressive: slope 2 k (1 - free_length/half_width) at rest, 2 k for large y. The potentiometer measures the
+stretch of a linear spring, sqrt(half_width^2 + y^2) - half_width. Near rest that grows with y squared only, so small
+forces can hardly be estimated: the rising error at low forces of Figure 5b.
 
 The tables are uniform and interpolated by monotone cubics (PCHIP). A slack string (y < 0) has no force; beyond the
-table's end the force is held.
+table's end the force is constant.
 """
 
 from __future__ import annotations
@@ -33,20 +33,17 @@ CELLS = 256
 
 @dataclass(frozen=True)
 class SpringTables:
-    """Look-up tables of one spring assembly, ready for the kernel.
+    """Look-up tables of one spring assembly: cubic coefficients of each cell, shape (256, 4).
 
     Attributes
     ----------
-    force : ndarray, shape (256, 4)
-        Cubic coefficients of the string force [N] over the string deflection, cell by cell.
-    spring_deflection : ndarray, shape (256, 4)
-        The same for the linear spring's deflection [m], which the potentiometer sees.
-    estimated_force : ndarray, shape (256, 4)
-        The same for the force over the *square root* of the linear spring's deflection: the microcontroller's table.
-    max_deflection : float
-        String deflection at the tables' end [m].
-    max_spring_deflection : float
-        Linear spring's deflection there [m].
+    force, spring_deflection : ndarray
+        String force [N] and linear spring's deflection [m], which the potentiometer measures, over the string
+        deflection.
+    estimated_force : ndarray
+        The force over the *square root* of the linear spring's deflection: the microcontroller's table.
+    max_deflection, max_spring_deflection : float
+        String deflection and linear spring's deflection at the tables' end [m].
     """
 
     force: NDArray[np.float64]
@@ -70,7 +67,7 @@ class SpringTables:
         return float(look_up(self.force, deflection / self.max_deflection))
 
     def stiffness_at(self, deflection: float) -> float:
-        """Return the slope of f [N/m] at a string deflection [m]; 0 where the string is slack or the force is held."""
+        """Return the slope of f [N/m] at a string deflection [m]; 0 in a slack string and beyond the table's end."""
         return float(look_up_slope(self.force, deflection / self.max_deflection) / self.max_deflection)
 
     def deflection_at(self, force: float) -> float:
@@ -79,7 +76,7 @@ class SpringTables:
         Raises
         ------
         AmulettError
-            If the force is negative or more than the assembly can give.
+            If the force is negative or more than `max_force`.
         """
         if not 0.0 <= force <= self.max_force:
             raise AmulettError(f"a string force of {force} N is outside what the springs give: 0 to {self.max_force} N")
@@ -139,7 +136,7 @@ def _tables(
 
 @compiled
 def look_up(table: NDArray[np.float64], position: float) -> float:
-    """Return a table's value at `position`, 0 at its start and 1 at its end; held beyond both."""
+    """Return a table's value at `position`, 0 at its start and 1 at its end; constant beyond both."""
     cells = table.shape[0]
     scaled = min(max(position, 0.0), 1.0) * cells
     cell = min(int(scaled), cells - 1)

@@ -1,4 +1,4 @@
-"""A batch of simulated devices, one included: the only door to the kernel."""
+"""A batch of one or more simulated devices: the interface to the kernel."""
 
 from __future__ import annotations
 
@@ -12,21 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
-from amulett_gym.simulation import kernel
-from amulett_gym.simulation.layout import (
-    LANES,
-    ON_PATH,
-    PATH,
-    PLACE_BLOCK,
-    SCENARIO,
-    SCENARIO_BLOCK,
-    STATE_BLOCK,
-    Control,
-    Paths,
-    pack_parameters,
-    words,
-    zeros,
-)
+from amulett_gym.simulation import kernel, layout
+from amulett_gym.simulation.layout import LANES, Control, Paths, pack_parameters, words, zeros
 
 
 class Simulation:
@@ -39,7 +26,7 @@ class Simulation:
         At least 1.
     control : {"decentralized", "position-only"}
     tension_law : {"agent", "eq6", "eq6-printed"}
-        Who sets the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
+        Source of the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
 
     Attributes
     ----------
@@ -63,8 +50,8 @@ class Simulation:
         self.num_devices = num_devices
         self.parameters = pack_parameters(profile, control, tension_law)
         num_blocks = -(-num_devices // LANES)
-        self.scenarios = np.zeros(num_blocks, dtype=SCENARIO_BLOCK)
-        self.states = zeros(num_blocks, STATE_BLOCK)
+        self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
+        self.states = zeros(num_blocks, layout.STATE_BLOCK)
         self.paths: Paths | None = None
 
     @property
@@ -79,7 +66,7 @@ class Simulation:
 
     @property
     def max_stiffness(self) -> float:
-        """Joint stiffness at which both strings are as stiff as their springs get [N m/rad]."""
+        """Joint stiffness with both strings at their largest stiffness [N m/rad]."""
         p = self.parameters[0]
         slope = steepest_slope(p["force_table"]) * p["inverse_max_deflection"]
         return float(2.0 * slope * p["joint_radius"] ** 2)
@@ -90,27 +77,26 @@ class Simulation:
         devices: NDArray[np.int64] | None = None,
         paths: Sequence[NDArray[np.void]] | None = None,
     ) -> None:
-        """Start devices anew, at rest in their initial posture.
+        """Reset devices to rest in their initial posture.
 
         Parameters
         ----------
         scenarios : ndarray of `SCENARIO`
             One for each of the devices.
         devices : ndarray of int, optional
-            Which devices; all if None.
+            All if None.
         paths : sequence of ndarray of `PATH`, optional
             One for each of the devices (`tasks.scenario.pack_path`), empty where its setpoint follows moves.
 
         Raises
         ------
         AmulettError
-            If an initial posture needs a string force that the springs cannot give, or a drive turned beyond its limit,
-            or a scenario's path is missing.
+            If an initial posture needs a string force or a drive angle out of range, or a scenario's path is missing.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios)
         lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
-        if ((lengths > 0) != (scenarios["move_count"] == ON_PATH)).any():
+        if ((lengths > 0) != (scenarios["move_count"] == layout.ON_PATH)).any():
             raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")
         self._keep_paths(devices, paths or [])
         block, lane = np.divmod(devices, LANES)
@@ -120,15 +106,15 @@ class Simulation:
         kernel.settle(self.parameters, self.scenarios, self.states, self.paths, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
-        """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until it is set again.
+        """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until the next call.
 
         Raises
         ------
         AmulettError
-            If a tension is NaN or more than 1e6 N, either way.
+            If the absolute value of a tension is NaN or more than 1e6 N.
         """
         if not (np.abs(tension) <= MOST_TENSION).all():
-            raise AmulettError(f"the tension command is {tension!r}; at most {MOST_TENSION:,.0f} N can be asked for")
+            raise AmulettError(f"the tension command is {tension!r}; at most {MOST_TENSION:,.0f} N are allowed")
         block, lane = np.divmod(np.arange(self.num_devices), LANES)
         self.states["tension_command"][block, lane] = tension
         self.states["tension_rate"][block, lane] = 0.0
@@ -144,17 +130,17 @@ class Simulation:
     def read_scenarios(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
         """Return a copy of the given devices' scenarios, `SCENARIO` records of shape (len(devices),)."""
         block, lane = np.divmod(devices, LANES)
-        copies = np.zeros(block.size, dtype=SCENARIO)  # its gaps too: a hash of a record is one of its gaps as well
+        copies = np.zeros(block.size, dtype=layout.SCENARIO)  # gaps are zero, so that records can be hashed
         for copy, own in zip(words(copies, 1), words(self.scenarios, LANES), strict=True):
             copy[..., 0] = own[block, :, lane]
         return copies
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of everything that an episode changes."""
+        """Return a snapshot of all data that an episode changes."""
         return {"scenarios": self.scenarios.copy(), "states": self.states.copy(), "paths": deepcopy(self.paths)}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state` from a simulation of the same size."""
+        """Restore a snapshot taken by `get_state` from a simulation of the same size."""
         if state["states"].shape != self.states.shape:
             raise AmulettError(
                 f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self.states.size}"
@@ -164,15 +150,15 @@ class Simulation:
         self.paths = deepcopy(state["paths"])
 
     def read_path(self, device: int) -> NDArray[np.void]:
-        """Return a copy of one device's setpoint path, records of `PATH`; none if its setpoint follows moves."""
+        """Return a copy of one device's setpoint path, records of `PATH`; empty if its setpoint follows moves."""
         if self.paths is None:
-            return np.zeros(0, dtype=PATH)
+            return np.zeros(0, dtype=layout.PATH)
         parts, places = self.paths
         first, count = (places[name][divmod(device, LANES)] for name in ("first", "count"))
         return parts[first : first + count].copy()
 
     def _keep_paths(self, devices: NDArray[np.int64], paths: Sequence[NDArray[np.void]]) -> None:
-        """Give some devices new paths, and keep those of the others."""
+        """Set new paths of some devices, and keep those of the others."""
         found = dict(zip(devices.tolist(), paths, strict=False))
         if self.paths is not None:
             others = np.setdiff1d(np.flatnonzero(self.paths[1]["count"]), devices).tolist()
@@ -180,14 +166,14 @@ class Simulation:
         found = {device: path for device, path in found.items() if path.size}
         self.paths = None
         if found:
-            places = zeros(self.states.size, PLACE_BLOCK)
+            places = zeros(self.states.size, layout.PLACE_BLOCK)
             block, lane = np.divmod(list(found), LANES)
             places["count"][block, lane] = lengths = [path.size for path in found.values()]
             places["first"][block, lane] = np.cumsum(lengths) - lengths
             self.paths = np.concatenate(list(found.values())), places
 
     def _check_posture(self, scenarios: NDArray[np.void]) -> None:
-        """Refuse a start that the strings cannot hold or the drives cannot reach, before anything is written."""
+        """Refuse a start that the strings cannot hold or the drives cannot reach."""
         p = self.parameters[0]
         angle, tension = scenarios["initial_angle"], scenarios["initial_tension"]
         side = scenarios["obstacle_side"]
@@ -199,15 +185,15 @@ class Simulation:
             agonist = tension + np.where(biceps_is_agonist, needed, -needed)
         else:
             agonist, tension = np.abs(needed), np.zeros_like(tension)
-        # By what the profile's springs would give at the same deflection.
+        # Forces of the profile's springs at the same deflection.
         weakest = np.minimum(scenarios["spring_biceps_factor"], scenarios["spring_triceps_factor"])
         most, least = np.maximum(agonist, tension) / weakest, np.minimum(agonist, tension)
         if (most > self.max_force).any() or (least < 0).any():
             worst = int(np.argmax(np.maximum(most - self.max_force, -least)))
             force = most[worst] if most[worst] > self.max_force else least[worst]
             raise AmulettError(
-                f"scenario {worst} starts with a string force of {force:.2f} N (its tension, and what holds weight and "
-                f"contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {self.max_force:.2f} N"
+                f"scenario {worst} starts with a string force of {force:.2f} N (its tension and the load of weight "
+                f"and contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {self.max_force:.2f} N"
             )
         stretch = p["position_only_offset"] * p["drive_radius"]
         if p["tension_loop"]:

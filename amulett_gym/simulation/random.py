@@ -1,7 +1,7 @@
-"""A counter-based generator: every random number is a pure function of a 64-bit key and a counter.
+"""Counter-based random numbers: each is a pure function of a 64-bit key and a counter.
 
-SplitMix64 (Steele, Lea and Flood, 2014) read as a function: its n-th output is a mix of ``key + n * golden``. So a
-device's noise depends on its own key and clock only, never on its neighbours, their number or the order of calls.
+SplitMix64 (Steele, Lea and Flood, 2014) as a function: its n-th output is a mix of ``key + n * golden``. A device's
+noise depends on its own key and clock only, not on its neighbours, their number or the order of calls.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def random_bits(key: np.uint64, counter: np.uint64) -> np.uint64:
 def noise(key: np.uint64, counter: np.uint64) -> float:
     """Return a bell-shaped random number with mean 0 and standard deviation 1.
 
-    The scaled sum of four uniform numbers: close to normal, and bounded by 3.47, as the noise of a converter is.
+    The scaled sum of four uniform numbers: close to normal, and bounded by 3.47, like a converter's noise.
     """
     bits = random_bits(key, counter)
     total = float(bits & _LOW) + float((bits >> _16) & _LOW) + float((bits >> _32) & _LOW) + float(bits >> _48)
@@ -83,17 +83,17 @@ def normal(keys: NDArray[np.uint64], counters: NDArray[np.uint64], count: int) -
 
 
 def derive_keys(keys: NDArray[np.uint64], counters: NDArray[np.uint64] | int) -> NDArray[np.uint64]:
-    """Return one new key for each key and counter: for the episodes of a device, and the streams of an episode."""
+    """Return one new key for each key and counter, e.g. for a device's episodes and an episode's streams."""
     derived = np.empty_like(keys)
     _derive(keys, np.full(keys.shape, counters, dtype=np.uint64), derived)
     return derived
 
 
 def keys_from_seeds(seeds: NDArray[np.object_]) -> NDArray[np.uint64]:
-    """Return one key for each seed, a whole number of at least 0 and of any size.
+    """Return one key for each seed, an integer of at least 0 and of any size.
 
-    Seeds below 2**64 that differ give keys that differ: mixing is one to one. Further words of a larger seed are mixed
-    in one after the other.
+    Different seeds below 2**64 give different keys: the mix is a bijection. The further words of a larger seed are
+    mixed in one by one.
     """
     keys = derive_keys((seeds & _WORD).astype(np.uint64), _SEED_STREAM)
     rest = seeds >> 64

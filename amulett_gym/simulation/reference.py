@@ -1,9 +1,9 @@
-"""A slow second model of the device, written apart from the kernel, that exists to check it.
+"""An independent, slow second model of the device, to check the kernel.
 
-:func:`replay_motion` integrates plant and drives (eqs. 1-5) between control ticks with scipy, to tolerances that leave
-no error to speak of; :func:`replay_control` is section 2.2 in plain Python. Both are fed with what a trajectory has
-recorded and say what should have come of it, so that the two halves of a loop are checked apart, without one's
-rounding being amplified by the other. Only the profile and the knots of the spring tables are shared with the kernel.
+:func:`replay_motion` integrates plant and drives (eqs. 1-5) between control ticks with scipy, to tight tolerances;
+:func:`replay_control` is section 2.2 in plain Python. Both take the recorded inputs from a trajectory and return the
+expected outputs, so that the two halves of a loop are checked separately and do not amplify each other's rounding.
+Only the profile and the knots of the spring tables are shared with the kernel.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ ABSOLUTE_TOLERANCE = (1e-12, 1e-10, 1e-11, 1e-11)  # joint [rad], its rate [rad/
 
 
 def string_force(profile: Profile) -> Callable[[float], float]:
-    """Return f(Delta l) [N] over a string's deflection [m]: none in a slack string, held beyond the table's end."""
+    """Return f(Delta l) [N] over a string's deflection [m]: 0 in a slack string, constant beyond the table's end."""
     tables = build_tables(profile.spring)
     knots = np.append(tables.force[:, 0], tables.max_force)
     curve = PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots)
@@ -64,15 +64,14 @@ def arm(
 def replay_motion(
     profile: Profile, scenario: NDArray[np.void] | np.void, trajectory: Trajectory
 ) -> dict[str, NDArray[np.float64]]:
-    """Return how the arm should have moved under the recorded commands.
+    """Return the expected motion of the arm under the recorded commands.
 
     Parameters
     ----------
     profile : Profile
     scenario : record of `layout.SCENARIO`
-        Load, plane, pushes, obstacle and the device's factors are taken from it.
     trajectory : Trajectory
-        Gives the first row's angles, the commands of every tick and, in a scenario that shakes the arm, the torque.
+        Source of the first row's angles, the commands of every tick and, with a random torque, the push torque.
 
     Returns
     -------
@@ -139,17 +138,9 @@ def replay_motion(
             push = float(trajectory["push_torque"][tick + 1])
         if lag == 0.0:
             state[2:] = commands
-        # Springs, friction and obstacle have kinks: short steps, so that none is stepped over unseen.
-        solution = solve_ivp(
-            derivative,
-            (0.0, period),
-            state,
-            method="DOP853",
-            args=(*commands, push),
-            rtol=RELATIVE_TOLERANCE,
-            atol=ABSOLUTE_TOLERANCE,
-            max_step=min(period / 2, 1e-3),
-        )
+        # Short steps, since springs, friction and obstacle have kinks.
+        tolerances = {"rtol": RELATIVE_TOLERANCE, "atol": ABSOLUTE_TOLERANCE, "max_step": min(period / 2, 1e-3)}
+        solution = solve_ivp(derivative, (0.0, period), state, "DOP853", args=(*commands, push), **tolerances)
         if not solution.success:
             raise ArithmeticError(f"tick {tick}: {solution.message}")
         state = solution.y[:, -1]
@@ -161,17 +152,17 @@ def replay_motion(
 def replay_control(
     profile: Profile, trajectory: Trajectory, control: Control = "decentralized", late: NDArray[np.bool_] | None = None
 ) -> dict[str, NDArray[np.float64]]:
-    """Return what the loop should have commanded after what was recorded of its sensors.
+    """Return the expected commands for the recorded sensor readings.
 
     Parameters
     ----------
     profile : Profile
     trajectory : Trajectory
-        Gives setpoint, measured angle and deflections, estimated forces and tension setpoint of every tick, and the
-        first row's commands, agonist and memory of the tension controller.
+        Source of setpoint, measured angle and deflections, estimated forces and tension setpoint of every tick, and of
+        the first row's commands, agonist and memory of the tension controller.
     control : {"decentralized", "position-only"}
     late : ndarray of bool, shape (ticks,), optional
-        Control ticks that came too late: the commands are held, and the controllers do not see that time pass.
+        Missed control ticks: the commands are held and the controllers not updated.
 
     Returns
     -------
@@ -226,7 +217,7 @@ def replay_control(
             room = wound < limit and stretch[follower] < sensor_end, wound > -limit and not blind
             pull = tension.update(lack, -estimate, *room)
         else:
-            # Both drives go on from where they are: the tension controller starts anew at no output.
+            # Both drives continue from their angles: the tension controller restarts with output zero.
             pull = 0.0
             tension.restart(lack, -estimate)
             shares = {leader: 1.0, follower: share}
@@ -240,14 +231,9 @@ def replay_control(
 
 
 def replay_setpoint(scenario: Mapping[str, Any], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the setpoint [rad] that a scenario means at times [s]: its moves or its samples, without the wave.
+    """Return the setpoint [rad] of a scenario at times [s], shape (N,): of its moves or samples, without the wave.
 
-    Parameters
-    ----------
-    scenario : mapping
-        As `tasks.scenario.Scenario.model_dump` returns it.
-    times : ndarray, shape (N,)
-        A time that is meant to be a sample's or a move's may be off by rounding.
+    `scenario` is the content of a `tasks.scenario.Scenario`. Times of samples and moves may be off by rounding.
     """
     begun = times[:, None] + 1e-5
     start, angles = scenario["initial_angle_deg"], np.full(times.shape, scenario["initial_angle_deg"])
@@ -291,14 +277,14 @@ class _Pid:
         return self.unit * (self.gains.kp * error + self.gains.kd * self.slope) + self.integral
 
     def restart(self, error: float, minus_measurement: float) -> None:
-        """Forget the past, such that the output is zero at this error."""
+        """Reset the memory so that the output is zero at this error."""
         self.signal = error if self.gains.derivative_on == "error" else minus_measurement
         self.slope = 0.0
         self.integral = -self.unit * self.gains.kp * error
 
 
 def _leader(profile: Profile, leader: str, difference: float, error: float) -> str:
-    """Return the agonist: the more deflected spring's drive, on a tie that of the desired motion (section 2.2)."""
+    """Return the agonist: the drive of the more deflected spring, on a tie that of the desired motion (section 2.2)."""
     loop = profile.loop
     if loop.agonist != "switching":
         return loop.agonist
@@ -311,7 +297,7 @@ def _leader(profile: Profile, leader: str, difference: float, error: float) -> s
 
 
 def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> float:
-    """Return the sum of the pushes [N m] that act in a tick: those begun at its start and not yet over."""
+    """Return the sum of the pushes [N m] that act in a tick: begun at its start and not yet over."""
     total = 0.0
     for push in range(int(scenario["push_count"])):
         since = tick * period - float(scenario["push_time"][push])

@@ -1,4 +1,4 @@
-"""One device's recorded motion, control tick by control tick, and its CSV file."""
+"""The trajectory of one device: its state at every control tick."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ CSV_COLUMNS = {
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What one device did: every quantity of its state at every control tick, the initial one included.
+    """The recorded state of one device at every control tick, the initial one included.
 
-    Row k holds the state at ``k control_period``. The truth, what was sensed and the setpoint belong to that moment:
-    the next tick acts on them. Agonist, tension setpoint, controller outputs, commands and push are those of the tick
-    that ended there.
+    Row k holds the state at ``k control_period``. True values, sensor readings and setpoint are those of that time: the
+    next tick acts on them. Agonist, tension setpoint, controller outputs, commands and push are those of the tick that
+    ended then.
 
     Attributes
     ----------
@@ -70,13 +70,7 @@ class Trajectory:
     signals: Mapping[str, NDArray[Any]]
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return one signal, shape (ticks + 1,); ``"time"`` [s] is one too.
-
-        Raises
-        ------
-        AmulettError
-            If there is no signal of that name.
-        """
+        """Return one signal or ``"time"`` [s], shape (ticks + 1,); an unknown name raises AmulettError."""
         if name == "time":
             return self.signals["tick"] * self.control_period
         if name not in self.signals:
@@ -90,23 +84,15 @@ class Trajectory:
 def record(
     simulation: Simulation, ticks: int, device: int = 0, before_tick: Callable[[int], None] | None = None
 ) -> Trajectory:
-    """Advance a simulation tick by tick and keep what one of its devices does.
+    """Return the trajectory of one device over a number of control ticks, ``ticks + 1`` rows.
 
     Parameters
     ----------
     simulation : Simulation
         Reset by the caller; all its devices advance.
-    ticks : int
-        Control ticks to simulate.
-    device : int
-        The one to record.
+    ticks, device : int
     before_tick : callable, optional
         Called with 0, 1, ... before each tick, e.g. to command a tension at the caller's own rate.
-
-    Returns
-    -------
-    Trajectory
-        Of ``ticks + 1`` rows.
 
     Raises
     ------
@@ -135,14 +121,14 @@ def record(
 
 
 def write_csv(trajectory: Trajectory | Mapping[str, Trajectory], path: str | Path) -> None:
-    """Write a trajectory as CSV, one row a tick and the units in the header (see `CSV_COLUMNS`).
+    """Write a trajectory as CSV, one row per tick and the units in the header (see `CSV_COLUMNS`).
 
-    Several, by the name of their law, go one below the other, with the name in a first column ``law``.
+    A mapping of laws' names to trajectories is written one below the other, with the name in a first column ``law``.
 
     Raises
     ------
     AmulettError
-        If the file cannot be written; nothing half-written is left.
+        If the file cannot be written.
     """
     several = isinstance(trajectory, Mapping)
     named = trajectory if isinstance(trajectory, Mapping) else {"": trajectory}

@@ -1,7 +1,7 @@
-"""What each suite and split draws, as a SHA-256: a benchmark that changes unnoticed is none.
+"""SHA-256 hashes of the suites' scenarios, so that no suite changes unnoticed.
 
-``python -m amulett_gym.tasks.hashes`` prints the hashes; ``--write`` replaces the frozen file in the package. A suite
-that draws otherwise goes with a new version.
+``python -m amulett_gym.tasks.hashes`` prints the hashes; ``--write`` replaces the frozen file in the package. A changed
+suite needs a new version.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from amulett_gym.storage.writing import write_json
 from amulett_gym.tasks.suites import SPLITS, episode_keys, sample, suite_names
 
 VERSION = 3
-"""Of what the suites draw, and of how it is packed."""
+"""Version of the suites' draws and of their packing."""
 
 PROFILE = "testbed"
 SCENARIOS = 1000
 
 
 def suite_hash(suite: str, split: str, profile: Profile) -> str:
-    """Return the SHA-256 of the packed scenarios that a suite draws from the keys of seeds 0 to 999, in hexadecimal."""
+    """Return the SHA-256 of the packed scenarios that a suite draws for seeds 0 to 999, in hexadecimal."""
     seeds = np.arange(SCENARIOS, dtype=np.uint64)
     keys = episode_keys(seeds, np.zeros_like(seeds), split)
     return hashlib.sha256(sample(suite, keys, profile, split=split).tobytes()).hexdigest()

@@ -40,6 +40,8 @@ from amulett_gym.storage.table import parse_columns
 
 P = TypeVar("P", bound=Group)
 
+MAX_BYTES = 20_000_000
+"""Size of the largest scenario file accepted: some hundred thousand samples or moves."""
 _MAX_TABLE_BYTES = 40_000_000
 
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing

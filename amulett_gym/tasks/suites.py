@@ -1,13 +1,13 @@
 """Suites: families of scenarios, sampled for many devices at once from one 64-bit key each.
 
-Angles stay in 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. Whatever acts on the
-arm is measured by the torque that the drives have to spare at the nominal tension, (f_max - sigma) R_2 less what the
-weight takes: 0.467 N m on the shipped devices. More than that, and every law fails alike by winding up its integrators.
+Angles are within 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. External torques
+are scaled by the spare torque, which the drives have left at the nominal tension: (f_max - sigma) R_2 minus the
+weight's torque, 0.467 N m on the shipped devices. With more than that every law fails by winding up its integrators.
 
-The split `shifted` draws from outside the ranges of the other three. What a suite draws is versioned: `tasks.hashes`.
+The split `shifted` draws from outside the ranges of the other three. The draws are versioned: see `tasks.hashes`.
 
-Nothing happens, and nothing is counted, in the first half second: an arm starts at the nominal tension, and a law that
-wants another one is not charged for getting there.
+In the first half second nothing happens and metrics do not count: an arm starts at the nominal tension, and a law with
+another tension has time to reach it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from amulett_gym.simulation.random import derive_keys, uniform
 from amulett_gym.tasks.scenario import empty_rows, most_damping, most_stiffness
 
 SPLITS = {"train": 1, "validation": 2, "held-out": 3, "shifted": 4}
-"""Disjoint families of seeds: to train on, to choose a policy by, to report, and to report outside these ranges."""
+"""Disjoint sets of seeds: for training, for the choice of a policy, for reports, and for reports outside the ranges."""
 
 SUITES = {
     "paper-step": "One setpoint step from 0 to 45 deg at 0.5 s, from rest (the paper's protocol).",
@@ -41,22 +41,22 @@ SUITES = {
     "payload": "Reaches with an unknown payload, in the horizontal or the vertical plane.",
     "mixed": "Each of the above but the paper's step equally often, on devices that all differ from the profile.",
 }
-"""Name and one line of each suite; how each draws, and why so, is with its function."""
+"""Name and one line of each suite; its function documents ranges and reasons."""
 
 WORKSPACE_DEG = (0.0, 90.0)
 
 START = 0.5
-"""When the task begins and metrics start to count [s]."""
+"""Begin of task and metrics [s]."""
 
 CONTACT_SUITES = ("contact", "mixed")
-"""Suites in which something is touched."""
+"""Suites with obstacles."""
 
 _SCENARIO_STREAM, _NOISE_STREAM = 0, 1
 _PAPER_STEP, _STEPS, _REACH, _TRACK, _PICK_PLACE, _CONTACT, _HOLD_PUSH, _PAYLOAD, _MIXED = range(len(SUITES))
 _FIRST_FAMILY = FAMILIES.index("paper-step")
 _HORIZONTAL, _VERTICAL = (ORIENTATIONS.index(plane) for plane in ("horizontal", "vertical"))
 
-# Which draw is for what: the first ones, then four of each move or push, then the device.
+# Index of each draw: single ones, then four of each move or push, then the device.
 _ANGLE, _FAMILY, _WHICH, _HOW_MUCH, _REPEATED = 0, 1, 2, 3, 4
 _DEVICE = _REPEATED + 4 * max(MAX_MOVES, MAX_PUSHES)
 _DRAWS = _DEVICE + 16
@@ -70,21 +70,20 @@ Rows = NDArray[np.void]
 def sample(
     suite: str, keys: NDArray[np.uint64], profile: Profile, max_force: float | None = None, split: str = "train"
 ) -> Rows:
-    """Draw one scenario for each key.
+    """Return one scenario for each key.
 
     Parameters
     ----------
     suite : str
         A name from `SUITES`.
     keys : ndarray of uint64, shape (N,)
-        The episodes' keys; the same key gives the same scenario in any batch.
+        The episodes' keys (`episode_keys`); the same key gives the same scenario in any batch.
     profile : Profile
-        Scales what acts on the arm and gives the nominal tension and inertia.
+        Scales external torques and gives the nominal tension and inertia.
     max_force : float, optional
-        Force at which the profile's springs saturate [N], if it is known already: finding it takes most of the time.
+        Force at which the profile's springs saturate [N], if already known: its calculation takes most of the time.
     split : str
-        ``"shifted"`` draws from outside the ranges that all other splits share. The keys are as given in any case (see
-        `episode_keys`).
+        ``"shifted"`` draws from outside the ranges that all other splits share.
 
     Returns
     -------
@@ -116,13 +115,7 @@ def sample(
 
 
 def check_names(suite: str, split: str) -> None:
-    """Refuse names that no suite or split has.
-
-    Raises
-    ------
-    AmulettError
-        If one of them is unknown.
-    """
+    """Raise an AmulettError if the name of the suite or split is unknown."""
     if suite not in SUITES:
         raise unknown("suite", suite, SUITES)
     if split not in SPLITS:
@@ -130,7 +123,7 @@ def check_names(suite: str, split: str) -> None:
 
 
 def episode_keys(device_keys: NDArray[np.uint64], episodes: NDArray[np.uint64], split: str) -> NDArray[np.uint64]:
-    """Return the keys of the devices' present episodes in a split.
+    """Return the keys of the devices' episodes in a split.
 
     Raises
     ------
@@ -148,7 +141,7 @@ def suite_names() -> list[str]:
 
 
 def families_of(suite: str) -> list[str]:
-    """Return the families that a suite draws from: itself, or those that are mixed."""
+    """Return the families that a suite draws from: itself, or those of the mixed suite."""
     return list(SUITES)[_STEPS:_MIXED] if suite == "mixed" else [suite]
 
 
@@ -170,9 +163,10 @@ def _fill(
             row.move_time[0] = START
             row.move_angle[0] = np.radians(45.0)
         elif family == _STEPS:
-            _steps(row, draw, shifted)
+            # The testbed needs 1.1 to 2.4 s for the paper's step (Table 2).
+            _random_moves(row, draw, (1.0, 2.5), (0.0, 0.0), shifted, WORKSPACE_DEG[1])
         elif family == _REACH:
-            _reach(row, draw, shifted)
+            _random_moves(row, draw, (0.3, 1.0), (0.5, 1.5), shifted, WORKSPACE_DEG[1])
         elif family == _TRACK:
             _track(row, draw, shifted)
         elif family == _PICK_PLACE:
@@ -186,41 +180,25 @@ def _fill(
 
 
 @compiled
-def _steps(row: Any, draw: Any, shifted: bool) -> None:
-    """Step by 10 to 60 deg, about the paper's 45 deg, for which the testbed takes 1.1 to 2.4 s (Table 2).
-
-    Shifted: 3 to 8 deg, or 65 to 85 deg.
-    """
-    _random_moves(row, draw, (1.0, 2.5), (0.0, 0.0), shifted, WORKSPACE_DEG[1])
-
-
-@compiled
-def _reach(row: Any, draw: Any, shifted: bool) -> None:
-    """Minimum-jerk reaches (Flash and Hogan, 1985) of 10 to 60 deg in 0.5 to 1.5 s.
-
-    Shifted: 3 to 8 deg, or 65 to 85 deg.
-    """
-    _random_moves(row, draw, (0.3, 1.0), (0.5, 1.5), shifted, WORKSPACE_DEG[1])
-
-
-@compiled
 def _random_moves(
     row: Any, draw: Any, dwell: tuple[float, float], duration: tuple[float, float], shifted: bool, high: float
 ) -> None:
+    """Move by 10 to 60 deg, with ranges of pauses and durations [s]: steps, or minimum-jerk reaches.
+
+    Shifted: 3 to 8 deg, or 65 to 85 deg.
+    """
     low = WORKSPACE_DEG[0]
     angle = _between(draw[_ANGLE], low, high, 2)
     row.initial_angle = np.radians(angle)
     row.move_count = MAX_MOVES
     time = START
     for k in range(MAX_MOVES):
-        how_far, direction, how_long, pause = _four(draw, k)
-        far = _between(how_far, 10.0, 60.0, 2)
+        size, direction, how_long, pause = _four(draw, k)
+        far = _between(size, 10.0, 60.0, 2)
         if shifted:
-            far = (
-                _between(2.0 * how_far, 3.0, 8.0, 2) if how_far < 0.5 else _between(2.0 * how_far - 1.0, 65.0, 85.0, 2)
-            )
+            far = _between(2.0 * size, 3.0, 8.0, 2) if size < 0.5 else _between(2.0 * size - 1.0, 65.0, 85.0, 2)
         flex = angle + far <= high if direction < 0.5 else angle - far < low
-        # A move that would leave the workspace one way goes the other; one that fits neither way goes to an end.
+        # A move that would leave the workspace goes the other way, or to an end if it fits neither way.
         angle = _rounded(min(max(angle + far if flex else angle - far, low), high), 2)
         length = _between(how_long, duration[0], duration[1], 3)
         row.move_time[k] = time
@@ -231,7 +209,7 @@ def _random_moves(
 
 @compiled
 def _track(row: Any, draw: Any, shifted: bool) -> None:
-    """Sinusoids, and chirps in half the episodes, about the loop's corner frequency.
+    """Sinusoids, and chirps in half the episodes, around the loop's corner frequency.
 
     With the testbed's gains of Table 1 the integral dominates: K_i R_1 / R_2 is 2.0 1/s, a time constant of 0.5 s or
     0.3 Hz. Shifted: 0.6 to 1 Hz.
@@ -242,9 +220,8 @@ def _track(row: Any, draw: Any, shifted: bool) -> None:
     low, high = (0.6, 1.0) if shifted else (0.1, 0.5)
     first = _between(how_fast, low, high, 3)
     last = _between(changes, low, high, 3)
-    row.wave_frequency = first
+    row.wave_frequency, row.wave_time = first, START
     row.wave_chirp = _rounded((last - first) / 9.5, 4) if which < 0.5 else 0.0
-    row.wave_time = START
     row.wave_duration = 12.0 if which < 0.5 else _LASTS
 
 
@@ -252,8 +229,8 @@ def _track(row: Any, draw: Any, shifted: bool) -> None:
 def _pick_place(row: Any, draw: Any, shifted: bool, spare: float) -> None:
     """Reach out 20 to 60 deg, hold a second against a push of 20 to 50 % of the spare torque, reach back, dwell; again.
 
-    Each element takes 0.5 to 1.2 s, as predetermined motion times (MTM) of light assembly have it. The push is slow (it
-    rises for 0.2 to 0.4 s): a part that is joined or lifted. Shifted: 60 to 80 %, and reaches of 0.35 to 0.5 s.
+    Each element takes 0.5 to 1.2 s, as in predetermined motion times (MTM) of light assembly. The push is slow (ramps
+    of 0.2 to 0.4 s): a part that is joined or lifted. Shifted: 60 to 80 %, and reaches of 0.35 to 0.5 s.
     """
     out, way, how_long, hold = _four(draw, 0)
     strength, pause, ramp, against = _four(draw, 1)
@@ -279,12 +256,12 @@ def _pick_place(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 
 @compiled
 def _contact(row: Any, draw: Any, shifted: bool, spare: float) -> None:
-    """Reach 25 to 60 deg out in 0.4 to 1 s and back: an obstacle begins where half to 95 % of the way are done.
+    """Reach 25 to 60 deg out in 0.4 to 1 s and back, with an obstacle at 50 to 95 % of the way.
 
     It yields by 1.5 to 10 deg under the spare torque (2.7 to 17.8 N m/rad on the shipped devices: at a hand's distance
-    of 0.25 m 43 to 286 N/m, foam and soft tissue). In a quarter of the episodes there is none, so that a law that is
-    always careful is charged for it. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: what
-    counts is the bump and the press that follows, not an integrator that winds up for good. Shifted: 0.3 to 0.8 deg.
+    of 0.25 m 43 to 286 N/m, foam and soft tissue). A quarter of the episodes have none, so that constant caution has a
+    cost. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: the task is the impact and the press
+    that follows, without long integrator windup. Shifted: 0.3 to 0.8 deg.
     """
     out, way, how_long, stay = _four(draw, 0)
     where, softness, viscosity, pause = _four(draw, 1)
@@ -311,8 +288,8 @@ def _contact(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 def _hold_push(row: Any, draw: Any, shifted: bool, spare: float) -> None:
     """Pulses of 0.1 to 0.5 s and slow pushes of 1 to 1.6 s, of 20 to 70 % of the spare torque, either way; shaking.
 
-    Two of three pushes are pulses; a slow one rises for 0.3 to 0.5 s. Shaking has 3 to 12 % rms of the spare torque at
-    0.5 to 4 Hz: what a body that walks or a tool passes on. Shifted: pushes of 80 to 100 %, shaking of 15 to 25 %.
+    Two of three pushes are pulses; a slow one has ramps of 0.3 to 0.5 s. Shaking has 3 to 12 % rms of the spare torque
+    at 0.5 to 4 Hz, as from walking or a tool. Shifted: pushes of 80 to 100 %, shaking of 15 to 25 %.
     """
     posture = _between(draw[_ANGLE], 15.0, 75.0, 2)
     row.initial_angle = np.radians(posture)
@@ -341,10 +318,10 @@ def _hold_push(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 
 @compiled
 def _payload(row: Any, draw: Any, shifted: bool, spare: float, weight: float) -> None:
-    """Reaches with a payload at 0.1 to 0.25 m whose weight would take 10 to 50 % of the torque to spare.
+    """Reaches with a payload at 0.1 to 0.25 m whose weight needs 10 to 50 % of the spare torque.
 
-    Half the arms swing vertically, in the lower 60 deg: there the arm's own weight takes up to 62 % of the spare
-    torque, and the payload is measured by what remains at the top. Shifted: 60 to 80 %.
+    Half the arms swing vertically, in the lower 60 deg: there the arm's own weight needs up to 62 % of the spare
+    torque, and the payload is scaled by the rest at the top. Shifted: 60 to 80 %.
     """
     vertical = draw[_WHICH] < 0.5
     row.orientation = _VERTICAL if vertical else _HORIZONTAL
@@ -359,13 +336,13 @@ def _payload(row: Any, draw: Any, shifted: bool, spare: float, weight: float) ->
 
 @compiled
 def _vary_device(row: Any, draw: Any, shifted: bool) -> None:
-    """Let a device differ from its profile as two that are built alike do, and start at 8 to 12 N.
+    """Vary a device within manufacturing tolerances of its profile, with an initial tension of 8 to 12 N.
 
     Assumed: springs differ by 10 % in rate, a usual tolerance of catalogue springs, and the two of a device by 3 %;
-    pulleys of 28 mm by 2 %, 0.3 mm of printing and what the string's thickness adds; damping by 30 %; the inertia of
-    motor, cuff and cable by 10 %. The encoder's magnet is off by up to 0.3 deg and the sliders by 0.05 mm, two to three
-    bits; noise is half to one and a half times that of the profile, and a busy microcontroller misses up to a tenth of
-    its ticks. Shifted: springs of 75 to 85 %, and more than the above of everything else.
+    pulleys of 28 mm by 2 % (0.3 mm of printing and the string's thickness); damping by 30 %; the inertia of motor, cuff
+    and cable by 10 %. The encoder's magnet is off by up to 0.3 deg, the sliders by 0.05 mm, two to three bits; noise is
+    0.5 to 1.5 times the profile's, and a busy microcontroller misses up to a tenth of its ticks. Shifted: springs of 75
+    to 85 %, and larger deviations of everything else.
     """
     low, high = (0.75, 0.85) if shifted else (0.9, 1.1)
     spring = _between(draw[0], low, high, 3)
@@ -392,7 +369,7 @@ def _four(draw: Any, k: int) -> tuple[float, float, float, float]:
 
 @compiled
 def _ends(draw: float, far: float, way: float) -> tuple[float, float]:
-    """Return where a move of `far` begins and ends [deg], anywhere in the workspace, either way."""
+    """Return begin and end of a move of `far` [deg], anywhere in the workspace, either way."""
     low = _between(draw, WORKSPACE_DEG[0], WORKSPACE_DEG[1] - far, 2)
     high = _rounded(low + far, 2)
     return (low, high) if way < 0.5 else (high, low)
@@ -400,13 +377,13 @@ def _ends(draw: float, far: float, way: float) -> tuple[float, float]:
 
 @compiled
 def _spare_at(row: Any, angle: float, spare: float) -> float:
-    """Return what the weight leaves of the spare torque [N m] at a posture [deg]."""
+    """Return the spare torque minus the weight's [N m] at a posture [deg]."""
     return max(spare - abs(row.static_torque * math.sin(math.radians(angle))), 0.0)
 
 
 @compiled
 def _around(draw: float, near: float, far: float, shifted: bool, digits: int) -> float:
-    """Return a deviation from nothing of up to `near`; if shifted, one from `near` to `far`, either way."""
+    """Return a deviation of up to `near`; if shifted, of `near` to `far`, either way."""
     if not shifted:
         return _between(draw, -near, near, digits)
     size = _between(abs(2.0 * draw - 1.0), near, far, digits)
@@ -414,7 +391,7 @@ def _around(draw: float, near: float, far: float, shifted: bool, digits: int) ->
 
 
 def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
-    """Start with less tension where the agonist needs its force to hold the arm up (0.5 N below saturation)."""
+    """Lower the initial tension where the agonist needs its force for the weight (0.5 N below saturation)."""
     load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / joint_radius
     weakest = np.minimum(rows["spring_biceps_factor"], rows["spring_triceps_factor"]).astype(float)
     room = max_force * weakest - load - 0.5
@@ -423,7 +400,7 @@ def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> 
 
 @compiled
 def _between(draw: float, low: float, high: float, digits: int) -> float:
-    """Scale a uniform draw to [low, high], rounded: scenarios are data that people read, and replay exactly."""
+    """Return a uniform draw scaled to [low, high] and rounded, so that scenarios are readable and replay exactly."""
     return _rounded(low + draw * (high - low), digits)
 
 

@@ -104,7 +104,7 @@ def test_positive_tension_output_pulls_the_antagonist_tighter(agonist, sign):
 
 @pytest.mark.parametrize("tension", [np.nan, -np.inf, 1.1e6, -1.1e6])
 def test_a_tension_beyond_all_strings_is_refused(tension):
-    with pytest.raises(AmulettError, match="at most 1,000,000 N can be asked for"):
+    with pytest.raises(AmulettError, match="at most 1,000,000 N are allowed"):
         start(device()).command_tension(tension)
 
 

@@ -217,7 +217,7 @@ def test_packing_keeps_every_scenario(angle, times, mass, blocks, rise):
     [
         ({"intial_angle_deg": 3.0}, "unknown key 'intial_angle_deg'; did you mean 'initial_angle_deg'"),
         ({"moves": [{"time": -1.0, "angle_deg": 0.0}]}, r"'moves.0.time' is -1.0.*greater than or equal to 0"),
-        ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duration": 1e-9}]}, "shorter than a millisecond; 0 stands for"),
+        ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duration": 1e-9}]}, "shorter than a millisecond; 0 is a"),
         ({"moves": [{"time": 1.0, "angle_deg": 0.0, "duraton": 1.0}]}, "'moves.0.duraton'; did you mean 'duration'"),
         (
             {"moves": [{"time": 1.0, "angle_deg": 9.0, "duration": 1.0}, {"time": 1.5, "angle_deg": 0.0}]},
@@ -286,7 +286,7 @@ def test_figures_in_the_docstrings_are_those_of_the_shipped_devices():
         profile = load_profile(name)
         plant, sigma = profile.plant, profile.variable_stiffness.nominal_tension
         spare = (build_tables(profile.spring).max_force - sigma) * plant.joint_pulley_radius
-        assert f"weight takes: {spare:.3f} N m on the shipped devices" in suites.__doc__
+        assert f"weight's torque, {spare:.3f} N m on the shipped devices" in suites.__doc__
         soft, hard = (spare / np.radians(deg) for deg in (10.0, 1.5))
         contact = suites._contact.py_func.__doc__
         assert f"{soft:.1f} to {hard:.1f} N m/rad on the shipped devices" in contact
