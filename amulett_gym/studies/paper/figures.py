@@ -44,17 +44,19 @@ if TYPE_CHECKING:
 Values = NDArray[np.float64]
 
 CAPTIONS = {
-    "figure_3_damping": "Decay rate over preload, clipped at zero: the form that is used, and the other one. Points: "
-    "the tension setpoints of 5 and 10 N.",
+    "figure_3_damping": "Decay rate over preload, clipped at zero, by the formula that the text describes and as it is "
+    "printed. Points: the tension setpoints of 5 and 10 N.",
     "figure_5b_force_estimation": "True string force, and the force estimated from single readings of the testbed's "
-    "potentiometers, before filter and floor; right, their error over the true force.",
+    "potentiometers, before filter and floor. Right: root mean square of estimate minus true force as a function "
+    "of the true force.",
     "figure_6_scaling_factor": "String tension scaling factor of eq. 6, as its text describes it and as it is printed.",
     "figure_7_position_only": "The first three steps without tension control, on the testbed. Force: the estimate for "
     "the antagonist's string; its setpoint is its mean over the first two seconds. Dashed: error margins.",
     "figure_8_variable_stiffness": "Step response with variable stiffness: (a) simulation, (b) testbed. Force, of "
-    "the antagonist's string: the estimate that is fed back, and thin what is true. Dashed: error margins.",
+    "the antagonist's string: thick the estimate that is fed back, thin the true force. Dashed: error margins.",
     "figure_9_switching": "Steps with tension control and a switching agonist, on the testbed. The force fed back "
-    "(thick) switches between the strings. Right: around one switch, and the angle had each switch not happened.",
+    "(thick) switches between the strings. Right: around one switch, with the angle that each switch omitted would "
+    "give.",
 }
 """Name -> caption of the figures of `paper_figures`, in its order; `remarks` add the results on given devices."""
 
@@ -188,10 +190,11 @@ def estimation_in_words(profile: Profile) -> str:
     low, high = error[below].mean(), error[~below].mean()
     end = data.force[-1]
     grows = (
-        f"So does ours: {low:.2g} N below the floor, {high:.2g} N above"
+        f"So does the model's: {low:.2g} N below the floor, {high:.2g} N above"
         if low > high
-        else f"Ours does not: it is {low:.2g} N below the floor and {high:.2g} N above, and grows only relative to the "
-        f"force, from {100.0 * error[-1] / end:.2g} % at {end:.3g} N to {100.0 * at_floor / floor:.2g} % at {floor:g} N"
+        else f"The model's does not: it is {low:.2g} N below the floor and {high:.2g} N above, and grows only "
+        f"relative to the force, from {100.0 * error[-1] / end:.2g} % at {end:.3g} N "
+        f"to {100.0 * at_floor / floor:.2g} % at {floor:g} N"
     )
     return (
         f"Estimates below the floor of {floor:g} N (shaded) are {BELOW_FLOOR[profile.sensors.below_floor]}. The "

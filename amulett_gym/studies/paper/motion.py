@@ -385,7 +385,7 @@ def _position_only_ise(testbed: Profile) -> dict[str, float]:
     force, at_rest = antagonist_force(simulation, MOVES_FROM + MEASUREMENT_TIME, estimated=True)
     first = round(MOVES_FROM / simulation.control_period)
     mean = force[:first].mean(axis=0)
-    setpoints = {"true force at rest (as in Table 4 here)": at_rest[0], "mean of the signal before the step": mean}
+    setpoints = {"true force at rest (as in Table 4)": at_rest[0], "mean of the signal before the step": mean}
     return {
         name: float(np.mean(np.sum((force[first:] - setpoint) ** 2, axis=0)) * simulation.control_period)
         for name, setpoint in setpoints.items()

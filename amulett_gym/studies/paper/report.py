@@ -159,7 +159,7 @@ def block(evidence: Evidence) -> str:
     parts = [
         *([] if evidence.folder is None else [status(evidence)]),
         f"### Tables 2-5\n\n{counts_in_words(evidence)} {bounds_in_words()}",
-        "In the table: paper / ours (ratio); **bold**: not explained.",
+        "In the table: paper / this model (ratio); **bold**: not explained.",
         overview(evidence.reproduction).markdown(),
         *(table.markdown() for table in tables),
         "### Hypotheses of section 1.2",

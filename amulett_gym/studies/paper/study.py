@@ -502,7 +502,15 @@ def spread_table(content: Mapping[str, Any]) -> Table:
     weight = PROTOCOL.damping_mass * PROTOCOL.damping_arm**2
     return Table(
         "What the tables determine",
-        ("parameter", "value", "unit", "as good", "searched", "determined", "source of the search range"),
+        (
+            "parameter",
+            "value",
+            "unit",
+            "equally good range",
+            "searched range",
+            "determined",
+            "source of the search range",
+        ),
         [
             [
                 *(f"`{item['name']}`", f"{item['value']:.4g}", item["unit"], f"{item['low']:g} to {item['high']:g}"),
@@ -510,11 +518,11 @@ def spread_table(content: Mapping[str, Any]) -> Table:
             ]
             for item in content["spread"]
         ],
-        f"As good: sets of parameters whose cost is within {content['ensemble']['equal_cost']:g} of "
-        f"the least one. Determined: those sets cover at most {100.0 * DETERMINED:g} % of the range that was searched, "
-        "and touch none of its bounds; a parameter that is not may be anywhere in its range. For comparison with the "
-        f"inertia: the weight of the damping experiment alone, {1000.0 * PROTOCOL.damping_mass:g} g at "
-        f"{1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
+        f"Equally good: parameter sets whose cost is within {content['ensemble']['equal_cost']:g} of the lowest one. "
+        f"Determined: those sets cover at most {100.0 * DETERMINED:g} % of the searched range, which is logarithmic "
+        "but for `length_ratio`, and stay clear of its bounds; for the control period, which has five choices, they "
+        "are at most two neighbouring ones. For comparison with the inertia: the weight of the damping experiment "
+        f"alone, {1000.0 * PROTOCOL.damping_mass:g} g at {1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
         left=(0, 2, 6),
     )
 

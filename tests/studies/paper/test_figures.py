@@ -230,8 +230,8 @@ def test_the_remark_on_figure_5b_says_whether_the_error_grows_at_low_forces_as_t
     for name, free_length in (("linear", 0.0), ("cubic", 0.01)):
         testbed = device("testbed", spring={**shape, "free_length": free_length}, sensors={"force_floor": 1.0})
         said[name] = estimation_in_words(testbed)
-    assert "So does ours" in said["linear"]
-    assert "Ours does not" in said["cubic"]
+    assert "So does the model's" in said["linear"]
+    assert "The model's does not" in said["cubic"]
 
 
 def test_a_device_that_fails_is_followed_up_to_there():
