@@ -1,4 +1,4 @@
-"""Which parameter sets fit as well as the best: what the data does not determine shows in how far they differ."""
+"""The ensemble of parameter sets that fit as well as the best one; its spread shows what the data determines."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from amulett_gym.identification.parameters import PARAMETERS, Values, pack, unpa
 from amulett_gym.identification.search import Cost
 
 DETERMINED = 0.2
-"""A parameter is determined if the sets as good as the best cover at most this part of its search range, within it."""
+"""Largest part of its search range that equally good sets may cover for a parameter to count as determined."""
 
 AT_BOUND = 0.01
-"""Sets that come this near to a bound, as a part of the search range, may go on beyond it."""
+"""Distance from a bound, as a part of the search range, below which sets count as limited by it."""
 
 
 def ensemble(
     cost: Cost, seed: int, candidates: Values, *, limit: float, walkers: int, steps: int
 ) -> list[dict[str, float]]:
-    """Return parameter sets that are as good as the best: a random walk of many walkers where the cost is low enough.
+    """Return equally good parameter sets: all places of a random walk of many walkers below a limit of the cost.
 
     Each walker moves along the line through another one (the affine-invariant "stretch move" of Goodman and Weare,
-    2010); a move is accepted if the cost stays within the limit.
+    2010); a move is accepted if the cost stays within the limit. The list is empty if no candidate is within it.
 
     Parameters
     ----------
@@ -30,15 +30,8 @@ def ensemble(
         Search vectors; the walkers start from some of those within the limit.
     limit : float
         Largest cost.
-    walkers : int
-        At most so many.
-    steps : int
-        Moves that each walker tries.
-
-    Returns
-    -------
-    list of dict of str to float
-        Every place at which a walker was; empty if no candidate is within the limit.
+    walkers, steps : int
+        Largest number of walkers; moves that each tries.
     """
     rng = np.random.default_rng(seed)
     within = [vector for vector in candidates[rng.permutation(len(candidates))] if cost(vector) <= limit]
@@ -58,18 +51,10 @@ def ensemble(
 
 
 def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, float, bool]]:
-    """Return what the data determines of each parameter, by its name.
+    """Return the smallest and largest value of each parameter in equally good sets, and whether it is determined.
 
-    Parameters
-    ----------
-    members : sequence of mapping
-        Parameter sets that are as good as the best.
-
-    Returns
-    -------
-    dict of str to tuple
-        Smallest and largest value, three digits, and whether that determines it: the values cover at most
-        `DETERMINED` of the search range, and none is at a bound, beyond which they might go on.
+    Values have three digits. A parameter is determined if its values cover at most `DETERMINED` of the search range,
+    and none is at a bound.
     """
     places = np.array([pack(member) for member in members])
     begin, end = places.min(axis=0), places.max(axis=0)

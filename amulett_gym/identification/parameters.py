@@ -1,7 +1,7 @@
-"""The device parameters that a search may vary, as a vector of numbers from 0 to 1 and as profiles of both devices.
+"""The device parameters that a search may vary.
 
 R_2 is not among them. The equations stay the same when R_1, R_2, all lengths of the spring and J are scaled together at
-the same forces, so no recorded motion or force shows it; it is set, and the others are identified for it.
+the same forces, so that no recorded motion or force determines it; it is fixed, and the others are identified for it.
 """
 
 from __future__ import annotations
@@ -29,35 +29,20 @@ SWITCH_FILTER = 0.03
 """Time constant of the testbed's low-pass over the difference of both springs' readings [s]; not identified."""
 
 CERTAIN = 5.0
-"""Standard deviations of its noise by which that difference has to differ from zero before the agonist switches."""
+"""The hysteresis of the agonist's switch in standard deviations of that difference's noise."""
 
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter to identify.
-
-    Attributes
-    ----------
-    name : str
-    low, high : float
-        Bounds of the search.
-    unit : str
-        Empty if dimensionless.
-    source : str
-        Where the bounds come from.
-    logarithmic : bool
-        Whether the search moves in its logarithm.
-    choices : tuple of float
-        If not empty, the only values between the bounds that are allowed.
-    """
+    """A parameter to identify."""
 
     name: str
-    low: float
+    low: float  # bound of the search
     high: float
-    unit: str
-    source: str
-    logarithmic: bool = True
-    choices: tuple[float, ...] = ()
+    unit: str  # empty if dimensionless
+    source: str  # of the bounds
+    logarithmic: bool = True  # scale of the search
+    choices: tuple[float, ...] = ()  # if not empty, the only values allowed
 
     def value(self, place: float) -> float:
         """Return the parameter at a place from 0 (lower bound) to 1 (upper bound)."""
@@ -124,7 +109,7 @@ PARAMETERS = (
         choices=(0.002, 0.0025, 0.004, 0.005, 0.01),
     ),
 )
-"""What the paper does not print and data might determine."""
+"""Parameters that the paper does not print and data might determine."""
 
 
 def unpack(vector: Values) -> dict[str, float]:
@@ -137,7 +122,7 @@ def unpack(vector: Values) -> dict[str, float]:
 
 
 def allowed(vector: Values) -> bool:
-    """Return whether `unpack` takes a vector as it is; one that it changes is no candidate of a search."""
+    """Return whether `unpack` leaves a vector unchanged, as every candidate of a search has to be."""
     parameters = _between_bounds(vector)
     return parameters["testbed.lag"] >= _least_lag(parameters)
 
@@ -157,9 +142,9 @@ def _least_lag(parameters: Mapping[str, float]) -> float:
 
 
 def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Return what a set of parameters changes in each device's profile, in the profile's own keys.
+    """Return the changes of each device's profile by a set of parameters, in the profile's own keys.
 
-    Numbers have five significant digits, in the search too: what is written is what was found.
+    Numbers have five significant digits, in the search too, so that a written profile is the one that was found.
     """
     p = parameters
     deflection, force = p["max_deflection"], p["max_force"]
@@ -219,7 +204,7 @@ def same_device(profile: Profile, other: Profile) -> bool:
 
 
 def bare(value: Any) -> Any:
-    """Return a profile's content without what only explains it: name, base, description, sources."""
+    """Return a profile's content without its name, base, description and sources."""
     if isinstance(value, dict):
         words = ("name", "base", "description", "sources")
         return {key: bare(item) for key, item in value.items() if key not in words}

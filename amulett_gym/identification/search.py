@@ -16,20 +16,11 @@ Cost = Callable[[Values], float]
 
 @dataclass(frozen=True)
 class Fit:
-    """The outcome of one search.
-
-    Attributes
-    ----------
-    cost : float
-    parameters : dict of str to float
-        By the names of `PARAMETERS`.
-    population : ndarray, shape (candidates, parameters)
-        Search vectors of the last generation, from which another search can go on.
-    """
+    """The outcome of one search."""
 
     cost: float
-    parameters: dict[str, float]
-    population: Values
+    parameters: dict[str, float]  # by the names of `PARAMETERS`
+    population: Values  # last generation, shape (candidates, parameters): the start of a further search
 
 
 def search(
@@ -42,9 +33,9 @@ def search(
     seed : int
         Of the first generation and of the search.
     population : int or ndarray, shape (candidates, parameters)
-        Candidates in a generation, which then begins anywhere between the bounds; or the search vectors to begin with.
+        Number of candidates, drawn between the bounds; or the search vectors of the first generation.
     fixed : mapping of str to float, optional
-        Parameters that stay as they are.
+        Parameters that are not varied.
     """
     rng = np.random.default_rng(seed)
     if isinstance(population, int):

@@ -153,5 +153,6 @@ def test_race_counts_agent_steps_and_ticks():
     speeds = race(entrants, turns=1, seconds=0.01)
     assert [speed.name for speed in speeds] == [entrant.name for entrant in entrants]
     for entrant, speed in zip(entrants, speeds, strict=True):
-        assert 0 < speed.slowest <= speed.steps_per_second <= speed.fastest
+        numbers = speed.numbers()
+        assert 0 < numbers["slowest"] <= numbers["steps_per_s"] <= numbers["fastest"]
         assert speed.ticks_per_second == pytest.approx(speed.steps_per_second * entrant.ticks)

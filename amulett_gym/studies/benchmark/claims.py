@@ -12,15 +12,15 @@ from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_EQ6, TUNED_LAW, Content
 
 COST_SHARE = 0.65
-"""Of eq. 6's cost that the learned policy may have at most, held-out."""
+"""Largest share of eq. 6's cost that the learned policy may have, held-out."""
 
 TRADE = 1.02
-"""How much worse than eq. 6 a metric of Tables 2-5 may be."""
+"""Largest ratio to eq. 6's value of a metric of Tables 2-5."""
 
 HALF = 0.5
 SEED_SHARE = 0.9
 MOST_SECONDS = 300.0
-"""Of one training."""
+"""Duration of one training run."""
 
 PAPER_METRICS = ("settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps")
 """Metrics of the paper's Tables 2-5, as the reproduction reads them."""
@@ -28,29 +28,14 @@ PAPER_METRICS = ("settling_time", "position_ise", "tension_ise", "isav_biceps", 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim and what was measured.
+    """A claim with the measured number, None if there is none, and its 95 % interval, if any."""
 
-    Attributes
-    ----------
-    about : str
-        Suite and split, or another heading.
-    claim : str
-        What is to hold.
-    measured : float or None
-        None where this benchmark did not measure it.
-    low, high : float or None
-        Its 95 % interval, if it has one.
-    holds : bool or None
-        None where it was not measured, or is reported without a claim.
-    note : str
-    """
-
-    about: str
+    about: str  # suite and split, or another heading
     claim: str
     measured: float | None
     low: float | None
     high: float | None
-    holds: bool | None
+    holds: bool | None  # None: not measured, or reported without a claim
     note: str = ""
 
 
@@ -204,7 +189,7 @@ def _at_most(most: float) -> Judge:
 
 
 def _claim(about: str, claim: str, number: Number | None, judge: Judge | None, note: str = "") -> Claim:
-    """Judge a number with its interval; one that does not exist shows nothing."""
+    """Return a claim judged by a number with its interval; None if there is no number."""
     if number is None or number["mean"] is None:
         return Claim(about, claim, None, None, None, None, note)
     mean, low, high = number["mean"], number["low"], number["high"]

@@ -1,4 +1,4 @@
-"""What a benchmark consists of, as data; the defaults are those of ``configs/benchmark.yaml``."""
+"""The description of a benchmark as data; the defaults are those of ``configs/benchmark.yaml``."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ Split = Literal["held-out", "shifted"]
 class Learned(Group):
     """Training runs of one recipe, which differ by their seeds."""
 
-    recipe: str | None = Field(default=None, description="YAML file, beside the description; null: the default recipe")
+    recipe: str | None = Field(
+        default=None, description="YAML file in the description's folder; null: the default recipe"
+    )
     set: list[str] = Field(default=[], description="changes of the recipe, like 'env.suite=mixed'")
-    seeds: list[int] = Field(min_length=1, max_length=1000, description="one run each")
-    reference: bool = Field(default=False, description="sees what no device can: a yardstick, and no contender")
+    seeds: list[int] = Field(min_length=1, max_length=1000, description="training seeds, one run each")
+    reference: bool = Field(default=False, description="observes what no device can measure: a reference, no contender")
 
     @field_validator("seeds")
     @classmethod
@@ -46,16 +48,18 @@ class Clairvoyant(Group):
 
     scenarios: dict[str, int] = Field(
         default={"mixed": 50, "steps": 10, "reach": 10, "track": 10, "contact": 10, "hold-push": 10},
-        description="suite -> number of its held-out scenarios, from the first on",
+        description="suite -> number of its first held-out scenarios that are searched",
     )
     check: int = Field(
-        default=10, ge=0, le=MOST_EPISODES, description="of the headline suite's, searched again at length [scenarios]"
+        default=10, ge=0, le=MOST_EPISODES, description="headline scenarios that are searched again, longer [scenarios]"
     )
     draws: int = Field(
-        default=8, ge=0, le=64, description="of the noise, for the headline suite's foresight reference; 0: none [1]"
+        default=8, ge=0, le=64, description="noise draws of the headline suite's foresight reference; 0: none [1]"
     )
-    effort: Positive = Field(default=1.0, le=10, description="factor of the search's rounds [1]")
-    starts: list[str] = Field(default=["eq6-tuned", "parametric"], description="laws that it starts from, too")
+    effort: Positive = Field(default=1.0, le=10, description="factor of the number of search rounds [1]")
+    starts: list[str] = Field(
+        default=["eq6-tuned", "parametric"], description="laws from which the search starts as well"
+    )
 
     @field_validator("scenarios")
     @classmethod
@@ -69,33 +73,36 @@ class Clairvoyant(Group):
 
 
 class Bootstrap(Group):
-    """How intervals are made."""
+    """Settings of the bootstrap intervals."""
 
-    resamples: int = Field(default=4000, ge=100, le=100_000, description="draws [1]")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="of the draws [1]")
+    resamples: int = Field(default=4000, ge=100, le=100_000, description="number of bootstrap draws [1]")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="seed of the bootstrap draws [1]")
 
 
 class Benchmark(Group):
     """A benchmark."""
 
-    profile: str = Field(default="testbed", description="a shipped profile, or a YAML file beside the description")
+    profile: str = Field(default="testbed", description="a shipped profile, or a YAML file in the description's folder")
     suites: list[str] = Field(
         default=["mixed", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload", PAPER_STEP],
         min_length=1,
-        description="on which all are judged",
+        description="suites on which all contenders are evaluated",
     )
     headline: str = Field(default="mixed", description="suite by which constants are chosen and claims are judged")
-    splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1, description="of each suite")
-    episodes: int = Field(default=500, ge=2, le=MOST_EPISODES, description="of a suite and split [scenarios]")
-    seed: int = Field(default=20_000, ge=0, lt=2**63, description="of the first scenario [1]")
-    duration: Positive = Field(default=10.0, le=1000, description="of an episode [s]")
+    splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1, description="splits of each suite")
+    episodes: int = Field(
+        default=500, ge=2, le=MOST_EPISODES, description="scenarios of each suite and split [scenarios]"
+    )
+    seed: int = Field(default=20_000, ge=0, lt=2**63, description="seed of the first scenario [1]")
+    duration: Positive = Field(default=10.0, le=1000, description="duration of an episode [s]")
     contenders: list[str] = Field(
-        default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"], description="laws, or bundles"
+        default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"],
+        description="laws or policy bundles to compare",
     )
     constants: list[float] = Field(
         default=[4.0, 4.5, 5.0, 5.25, 5.5, 6.0, 6.5, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0],
         min_length=1,
-        description="tensions; the best of them are chosen on the split train [N]",
+        description="constant tensions; the best are chosen on the split train [N]",
     )
     learned: dict[str, Learned] = Field(
         default={
@@ -104,14 +111,14 @@ class Benchmark(Group):
             "ppo-history": Learned(recipe="ppo-history.yaml", seeds=[0, 1, 2]),
             "causal": Learned(recipe="causal.yaml", seeds=[0, 1, 2], reference=True),
         },
-        description="training runs by the name of their entry",
+        description="name of a learned entry -> its training runs",
     )
     best_learned: str = Field(default="ppo", description="the entry that the claims are about")
     ablations: list[str] = Field(
-        default=list(COST_TERMS), description="reward terms without which that entry is trained once more, one a time"
+        default=list(COST_TERMS), description="reward terms left out, one at a time, in further trainings of that entry"
     )
-    clairvoyant: Clairvoyant = Field(default=Clairvoyant(), description="the reference that knows the future")
-    bootstrap: Bootstrap = Field(default=Bootstrap(), description="of intervals")
+    clairvoyant: Clairvoyant = Field(default=Clairvoyant(), description="search for schedules with the future known")
+    bootstrap: Bootstrap = Field(default=Bootstrap(), description="bootstrap of the intervals")
 
     @model_validator(mode="after")
     def _check(self) -> Benchmark:
@@ -123,7 +130,7 @@ class Benchmark(Group):
             if len(set(values)) < len(values):
                 raise ValueError(f"'{key}' names something twice")
         if "held-out" not in self.splits:
-            raise ValueError("'splits' has to hold held-out, by which all is judged")
+            raise ValueError("'splits' has to hold held-out, on which claims are judged")
         if self.headline not in self.suites:
             raise ValueError(f"headline is '{self.headline}', which is none of the suites")
         for tension in self.constants:
@@ -153,7 +160,7 @@ class Benchmark(Group):
         return [pair for pair in pairs if pair != (PAPER_STEP, "shifted")]
 
     def constant_names(self) -> list[str]:
-        """Return the constants as contenders are named."""
+        """Return the constants' names as contenders."""
         return [f"{CONSTANT}{tension:g}" for tension in self.constants]
 
 
@@ -161,7 +168,7 @@ QUICK_EPISODES, QUICK_SEEDS, QUICK_STEPS = 20, 2, 131_072
 
 
 def quick(description: Benchmark) -> Benchmark:
-    """Return a small benchmark of the same parts, about a minute of CPU time: it shows that all works, and no more.
+    """Return a small benchmark of the same parts, about a minute of CPU time, as a test of the installation.
 
     The headline suite, `contact`, `hold-push` and `paper-step`, few scenarios, every fourth constant, two seeds of
     short training of the entry that the claims are about, no ablations, a shallow search. Claims are not judged by it.
@@ -194,17 +201,9 @@ def quick(description: Benchmark) -> Benchmark:
 
 
 def load_benchmark(path: str | Path | None = None) -> Benchmark:
-    """Read a description.
+    """Read a description from a YAML file with the keys that differ from the defaults; None: the defaults alone.
 
-    Parameters
-    ----------
-    path : str or Path, optional
-        A YAML file with the keys of `Benchmark` that differ from its defaults; the defaults alone if None.
-
-    Raises
-    ------
-    AmulettError
-        If the file cannot be read, a key is unknown, or a value is wrong.
+    Raises AmulettError if the file cannot be read, a key is unknown, or a value is wrong.
     """
     try:
         return Benchmark.model_validate({} if path is None else read_yaml(find_config(path, "benchmark"), "benchmark"))
@@ -213,7 +212,7 @@ def load_benchmark(path: str | Path | None = None) -> Benchmark:
 
 
 def recipe_folder(path: str | Path | None) -> Path:
-    """Return where a description's files are: beside it, or with the package for the defaults."""
+    """Return the folder of a description's files: its own, or that of the package for the defaults."""
     return configs_folder() if path is None else find_config(path, "benchmark").parent
 
 

@@ -1,4 +1,4 @@
-"""The generated part of ``docs/benchmark.md``: numbers and figures come from the command, the judgement from us."""
+"""The generated part of ``docs/benchmark.md``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHOWN = ("score", "pareto", "law", "law_by_velocity", "learning", "families")
 
 
 def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure], path: str | Path) -> None:
-    """Renew the generated part of a document, and its figures in ``images/`` beside it.
+    """Renew the generated part of a document, and its figures in the folder ``images`` next to it.
 
     Raises
     ------

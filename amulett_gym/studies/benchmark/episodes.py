@@ -1,4 +1,4 @@
-"""Episodes of a benchmark: each contender plays each suite and split once; what it did is kept in a file of its own."""
+"""Cache of a benchmark's episodes: one file for each contender, suite, split."""
 
 from __future__ import annotations
 
@@ -21,40 +21,30 @@ from amulett_gym.laws.parametric import is_tuned, tuned_vector
 from amulett_gym.storage.kept import digest, kept
 
 VERSION = 1
-"""Of what a file holds and how it came about; the compiled code's own fingerprint counts besides."""
+"""Version of the files' content; the fingerprint of the compiled code counts as well."""
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Played:
-    """What an entry did on a suite's split; of a law, one member, of what was learned one a training seed.
+    """Episodes of an entry's members (one for a law, else one for each training seed) on a suite's split."""
 
-    Attributes
-    ----------
-    values : dict of str to ndarray, shape (members, scenarios)
-        Metric -> value; NaN where not reached.
-    families : ndarray of int, shape (scenarios,)
-        Indices into `simulation.layout.FAMILIES`.
-    reasons : list of list of str
-        Why devices failed, empty strings where they did not.
-    """
-
-    values: dict[str, Values]
-    families: NDArray[np.int64]
-    reasons: list[list[str]]
+    values: dict[str, Values]  # metric -> values, shape (members, scenarios); NaN where not reached
+    families: NDArray[np.int64]  # indices into `simulation.layout.FAMILIES`, shape (scenarios,)
+    reasons: list[list[str]]  # of failures, by member and scenario; empty where none
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Played:
-        """Put the members' runs together."""
+        """Combine the members' runs."""
         values = {metric: np.array([run.values[metric] for run in runs]) for metric in UNITS}
         return cls(values, runs[0].families, [run.failures for run in runs])
 
 
 def played(folder: Path, label: str, protocol: Protocol, contender: Contender, keep_schedule: bool = False) -> Run:
-    """Return what a contender does under a protocol: read from its file, or played and kept.
+    """Return a contender's run under a protocol: read from its file, or played and kept.
 
-    A policy of one's own is played anew each time: a callable has no content to compare.
+    A user's callable is played each time: it has no content to compare.
     """
     if isinstance(contender, Own):
         return play_alone(protocol, contender)
@@ -65,12 +55,12 @@ def played(folder: Path, label: str, protocol: Protocol, contender: Contender, k
 
 
 def file_label(name: str) -> str:
-    """Return a contender's name as a file can be called."""
+    """Return a contender's name as a file name."""
     return "".join(character if character.isalnum() or character in "._-" else "-" for character in name)
 
 
 def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> str:
-    """Return a digest of all that a run depends on: scenarios, device, prices, code, and what acts."""
+    """Return a digest of everything that a run depends on: scenarios, device, prices, code, policy."""
     settings = [
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
         *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
@@ -88,7 +78,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
 
 @cache
 def _code() -> str:
-    """Return the fingerprint of the code that this process runs, whatever happens to its files meanwhile."""
+    """Return the fingerprint of the code that this process runs, even if its files change later."""
     return fingerprint()
 
 

@@ -44,11 +44,11 @@ SPEED_LIMIT = 120.0
 """Largest joint rate that the law is drawn for [deg/s]."""
 
 MOST_MEMBERS = 4
-"""Learned entries whose law or response is drawn."""
+"""Largest number of learned entries whose law or response is drawn."""
 
 
 def draw(evidence: Evidence, found: Content) -> dict[str, Figure]:
-    """Return all figures by name; those that nothing was measured for are left out."""
+    """Return all figures by name, without those that have no data."""
     made = {
         "ratios": ratio_figure(found),
         "pareto": pareto_figure(found),
@@ -303,7 +303,7 @@ def _median_map(
 
 
 def responses_figure(evidence: Evidence, found: Content) -> Figure:
-    """Draw what the main contenders do in the paper's step, or else in the headline suite's first scenario."""
+    """Draw the main contenders' responses to the paper's step, or else in the headline suite's first scenario."""
     suite = PAPER_STEP if PAPER_STEP in evidence.description.suites else evidence.description.headline
     protocol = replace(evidence.protocol, suite=suite, duration=4.0 if suite == PAPER_STEP else 10.0)
     paths = _trajectories(evidence, _main(evidence), protocol)
@@ -327,7 +327,7 @@ def _main(evidence: Evidence) -> list[str]:
 
 
 def _trajectories(evidence: Evidence, names: list[str], protocol: Protocol) -> dict[str, Trajectory]:
-    """Return what entries do in a protocol's first scenario, of what was learned the chosen member."""
+    """Return the entries' trajectories in a protocol's first scenario, of trained entries the chosen member's."""
     entries = evidence.entries
     return {name: record_episode(entries[name].members[_member(evidence, name)], protocol).trajectory for name in names}
 

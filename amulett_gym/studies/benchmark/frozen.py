@@ -1,4 +1,4 @@
-"""What must not change between training and judging: suites, divisors, weights; and which seeds are whose."""
+"""Checks of the separation of training from evaluation: frozen suites, frozen prices, disjoint seeds."""
 
 from __future__ import annotations
 
@@ -17,14 +17,11 @@ from amulett_gym.tasks.hashes import PROFILE, frozen, suite_hash
 from amulett_gym.tasks.suites import SPLITS, episode_keys, families_of, suite_names
 
 PRICES_SHA256 = "e5e4393edbb6a45a15900136442047d3e4d33a07c43eb787462b31f6dd4bed46"
-"""Of the divisors and weights of all suites on the shipped testbed; ``price_hash`` measures it again."""
+"""SHA-256 of the divisors and weights of all suites on the shipped testbed, from `price_hash`."""
 
 
 def check_frozen(suites: Sequence[str]) -> None:
-    """Refuse suites, divisors or weights that are not those that were frozen.
-
-    Raises AmulettError if a suite draws otherwise than its committed hash says, or a price is another one.
-    """
+    """Raise AmulettError if a suite, a divisor or a weight differs from the frozen one."""
     profile, committed = load_profile(PROFILE), frozen()["hashes"]
     changed = [
         f"{suite} ({split})"
@@ -64,21 +61,12 @@ def hashes(profile: Profile, suites: Iterable[str]) -> dict[str, Any]:
 
 
 def seed_overlap(configs: Sequence[Any], seed: int, episodes: int) -> dict[str, int]:
-    """Count the episodes that were trained on, chosen by and judged on, and those that are two of these.
+    """Count the different episodes of training, of validation and of the evaluation, and those in two of these.
 
-    An episode is its 64-bit key: everything that is drawn for it, scenario and noise, is a function of that.
-
-    Parameters
-    ----------
-    configs : sequence of amulett_agents.TrainConfig
-        Of all training runs.
-    seed, episodes : int
-        First seed and number of the scenarios that are judged on, in `held-out` and in `shifted`.
-
-    Returns
-    -------
-    dict
-        ``train``, ``validation`` and ``judged``, the numbers of different keys, and ``overlap``.
+    An episode is its 64-bit key: everything that is drawn for it, scenario and noise, is a function of that. `configs`
+    are the recipes of all training runs (`amulett_agents.TrainConfig`), `seed` and `episodes` the first seed and the
+    number of the scenarios evaluated, in `held-out` and in `shifted`. The keys of the counts are ``train``,
+    ``validation``, ``judged`` and ``overlap``.
     """
     train, validation = [], []
     for config in configs:

@@ -1,4 +1,4 @@
-"""The files of a benchmark: numbers, tables, figures, scenarios, and one page that needs nothing else."""
+"""The output files of a benchmark."""
 
 from __future__ import annotations
 
@@ -58,18 +58,9 @@ CAPTIONS = {
 
 
 def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], folder: str | Path) -> dict[str, Figure]:
-    """Write ``benchmark.json``, tables, the scenarios that the learned policy loses, figures and ``benchmark.html``.
+    """Write ``benchmark.json``, tables, lost scenarios, figures, then ``benchmark.html``; return the figures.
 
-    Nothing is drawn before all numbers are written.
-
-    Returns
-    -------
-    dict of str to Figure
-
-    Raises
-    ------
-    AmulettError
-        If the folder cannot be written.
+    All numbers are written before anything is drawn. Raises AmulettError if the folder cannot be written.
     """
     folder = Path(folder)
     write_csv(found, claims, folder / TABLES)
@@ -86,7 +77,7 @@ def write_benchmark(evidence: Evidence, found: Content, claims: list[Claim], fol
 
 
 def judged(found: Content, claims: list[Claim]) -> Content:
-    """Return the content of ``benchmark.json``: what was measured, with claims and verdict."""
+    """Return the content of ``benchmark.json``: measurements, claims, verdict."""
     return {**found, "claims": as_plain(claims), "verdict": verdict(found, claims)}
 
 
@@ -143,7 +134,7 @@ def not_met(claims: Sequence[Claim]) -> list[str]:
 
 
 def in_words(found: Content, claims: Sequence[Claim]) -> str:
-    """Return the benchmark for the terminal: claims, ranking, verdict."""
+    """Return the text for the terminal: claims, ranking, verdict."""
     made = tables(found, claims)
     shown = [made["ranking"]]
     if claims:

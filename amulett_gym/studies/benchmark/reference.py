@@ -1,4 +1,4 @@
-"""What foresight gives: schedules that are searched once, kept, judged as contenders are, and doubted once more."""
+"""The benchmark's searched references: the best schedules with the future known, kept once found."""
 
 from __future__ import annotations
 
@@ -23,25 +23,20 @@ CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"
 MOST_THREADS = 4
 
 BLOCK = 10
-"""Scenarios that are searched at once: what a kill can lose."""
+"""Scenarios that are searched at once; an interruption loses at most these."""
 
 REDRAWS, FIRST_REDRAW = 40, 1000
-"""Draws of the noise by which schedules are judged once more; none that any was found by."""
+"""Number and first key of the noise draws by which schedules are judged again; no search uses them."""
 
 
 @dataclass(frozen=True)
 class Searched:
-    """What the search found on a suite.
+    """The result of the search on a suite.
 
-    Attributes
-    ----------
-    run : Run
-        What the best schedules do, by physical metrics as contenders are judged.
-    evidence : dict
-        Plain data: how the mean cost fell with the episodes tried, what each start alone came to, what the schedules
-        cost with other noise, and what a search of twice as many rounds from another seed still found.
-    foresight : Searched or None
-        The same for schedules that were found without the scenarios' own noise.
+    `run` has the metrics of the best schedules, as contenders have. `evidence` is plain data: the mean cost by episodes
+    tried, the cost of each start alone, the cost of the schedules with other noise, and the gain of a second search
+    with twice as many rounds and another seed. `foresight` is the same for schedules found without the scenarios' own
+    noise.
     """
 
     run: Run
@@ -50,16 +45,14 @@ class Searched:
 
 
 def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]:
-    """Return by suite under which protocol its first held-out scenarios are searched."""
+    """Return by suite the protocol under which its first held-out scenarios are searched."""
+    there = replace(protocol, split="held-out", env_id=ENV_IDS[1])
     counts = description.clairvoyant.scenarios
-    return {
-        suite: replace(protocol, suite=suite, split="held-out", episodes=count, env_id=ENV_IDS[1])
-        for suite, count in counts.items()
-    }
+    return {suite: replace(there, suite=suite, episodes=count) for suite, count in counts.items()}
 
 
 def check_starts(description: Benchmark) -> None:
-    """Refuse starts that have no schedule, before anything is done.
+    """Refuse starts that have no schedule.
 
     Raises AmulettError if one is unknown, or acts inside the loop.
     """
@@ -83,7 +76,7 @@ def search(
     folder: Path,
     report: Callable[[int, str], object] = lambda rounds, what: None,
 ) -> Searched:
-    """Search for the best schedules of a suite's first held-out scenarios, or read what was found.
+    """Search for the best schedules of a suite's first held-out scenarios, or read those found before.
 
     Parameters
     ----------
@@ -92,7 +85,7 @@ def search(
     folder : Path
         Of the benchmark.
     report : callable
-        Called with a number of rounds when they are done, and with what is searched for.
+        Called with a number of finished rounds, and the label of the search.
 
     Raises
     ------

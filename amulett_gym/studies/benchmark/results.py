@@ -1,4 +1,4 @@
-"""What a benchmark measured, as numbers with intervals: the content of ``benchmark.json``."""
+"""The content of ``benchmark.json``: all numbers of a benchmark, with intervals."""
 
 from __future__ import annotations
 
@@ -46,27 +46,25 @@ Content = dict[str, Any]
 Values = NDArray[np.float64]
 
 SEARCHED = ("clairvoyant", "foresight")
-"""References that are schedules, which a search finds."""
+"""References that are schedules found by a search."""
 
 REPORTED = (
-    "position_ise",
-    "effort",
-    "isav_biceps",
-    "isav_triceps",
-    "tension_ise",
-    "rise_time",
-    "settling_time",
-    "overshoot",
-    "contact_peak",
-    "contact_ise",
-    "push_deflection",
-    "resting_stiffness",
-    "agonist_switches",
+    *(
+        "position_ise",
+        "effort",
+        "isav_biceps",
+        "isav_triceps",
+        "tension_ise",
+        "rise_time",
+        "settling_time",
+        "overshoot",
+    ),
+    *("contact_peak", "contact_ise", "push_deflection", "resting_stiffness", "agonist_switches"),
 )
 """Physical metrics that are reported of every entry."""
 
 PROFILE_COSTS = tuple(round(0.05 * k, 2) for k in range(61))
-"""Costs at which performance profiles are taken."""
+"""Costs at which performance profiles are evaluated."""
 
 WORST = 10
 """Number of scenarios that are reported: the learned policy's worst."""
@@ -74,18 +72,13 @@ WORST = 10
 WORST_FOLDER = "worst"
 
 TUNED_EQ6, TUNED_LAW, POSITION_ONLY = "eq6-tuned", "parametric", "position-only"
-"""Contenders that claims are about."""
+"""Contenders that claims name."""
 
 
 def content(evidence: Evidence, command: str | None = None, machine: str | None = None, quick: bool = False) -> Content:
-    """Turn what was measured into the content of ``benchmark.json``; a number that does not exist is None.
+    """Return the content of ``benchmark.json``; a number that does not exist is None.
 
-    Parameters
-    ----------
-    command, machine : str, optional
-        What made it, and on what; to be reported.
-    quick : bool
-        Whether it is the small benchmark that shows that all works: claims are not judged by it.
+    `command` and `machine` are reported as they are; `quick` marks the small benchmark, on which no claim is judged.
     """
     description = evidence.description
     best = description.best_learned if description.learned else None
@@ -135,7 +128,7 @@ def best_by_hand(evidence: Evidence) -> str:
 
 
 def opponents(evidence: Evidence, suite: str) -> list[str]:
-    """Return the entries with which all others are compared on a suite."""
+    """Return the names of the entries with which all others are compared on a suite."""
     constants = evidence.best_constant(), evidence.best_constant(suite)
     asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, POSITION_ONLY)
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
@@ -260,7 +253,7 @@ def _references(evidence: Evidence, hand: str) -> Content:
 
 
 def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Content:
-    """Return what was found on a suite, and where all entries stand between it and what is there without it."""
+    """Return the search's result on a suite, with each entry's score and share of the way."""
     goal, results = searched.run.values["cost"], evidence.played[suite, "held-out"]
     costs = {name: results[name].values["cost"][:, : goal.size] for name in shown(evidence)}
     start, by_hand, eq6 = (
@@ -280,7 +273,7 @@ def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Cont
 
 
 def _ratio(costs: Values, others: Values, evidence: Evidence) -> Estimate:
-    """Return the ratio of what an entry's seeds cost in some scenarios to what another entry does."""
+    """Return the ratio of the costs of an entry's seeds to those of another entry in the same scenarios."""
     return nested_ratio(costs, others, _draws(evidence, *costs.shape))
 
 

@@ -1,4 +1,4 @@
-"""The training runs of a benchmark: which there have to be, which are there, and what they say of themselves."""
+"""The training runs of a benchmark."""
 
 from __future__ import annotations
 
@@ -24,40 +24,30 @@ _CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.
 
 @dataclass(frozen=True)
 class TrainingRun:
-    """One training run of a benchmark.
+    """One training run of a benchmark."""
 
-    Attributes
-    ----------
-    entry : str
-        The learned entry, or ``<entry>-without-<term>`` of an ablation.
-    seed : int
-    config : amulett_agents.TrainConfig
-        Its resolved recipe.
-    folder : Path
-    """
-
-    entry: str
+    entry: str  # the learned entry, or ``<entry>-without-<term>`` of an ablation
     seed: int
-    config: Any
+    config: Any  # its resolved recipe, `amulett_agents.TrainConfig`
     folder: Path
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Entry and seed."""
         return f"{self.entry}, seed {self.seed}"
 
     def is_finished(self) -> bool:
-        """Tell whether it has come to its end."""
+        """Return whether the run is complete."""
         return (self.folder / _FINISHED).is_file()
 
 
 def ablation_name(entry: str, term: str) -> str:
-    """Return what an entry is called that was trained without a reward term."""
+    """Return the name of an entry trained without a reward term."""
     return f"{entry}-without-{term}"
 
 
 def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[TrainingRun]:
-    """Return the runs that a description asks for, each with its checked recipe and its place in `folder`.
+    """Return the runs of a description, each with its checked recipe and its place in `folder`.
 
     Raises AmulettError if a recipe cannot be read or is wrong.
     """
@@ -77,7 +67,7 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
 
 
 def _check_period(description: Benchmark, name: str, config: Any) -> None:
-    """Refuse, before it is trained, a policy that could not be judged."""
+    """Refuse a recipe whose policy could not be evaluated because of its agent period."""
     steps = description.duration / config.env.agent_period
     if abs(steps - round(steps)) > 1e-9 * steps:
         raise AmulettError(
@@ -87,9 +77,9 @@ def _check_period(description: Benchmark, name: str, config: Any) -> None:
 
 
 def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
-    """Return the runs that are not finished, after checking that those that are there have the recipes asked for.
+    """Return the runs that are not finished, after checking the recipes of the stored ones.
 
-    Raises AmulettError if a run was trained by another recipe, or runs are missing and what learns is not installed.
+    Raises AmulettError if a run was trained by another recipe, or runs are missing and the training extra is.
     """
     for run in runs:
         if (run.folder / _CONFIG).is_file():
@@ -99,16 +89,13 @@ def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
         names = ", ".join(run.name for run in missing[:5]) + (", ..." if len(missing) > 5 else "")
         raise AmulettError(
             f"{len(missing)} of {len(runs)} training runs are missing ({names}); give the folder of runs, or "
-            f"install what trains them. {advice(absent)}"
+            f"install the training extra. {advice(absent)}"
         )
     return missing
 
 
 def train_run(run: TrainingRun, progress: bool = False) -> None:
-    """Train a run, or go on with it where it was stopped.
-
-    Raises KeyboardInterrupt if Ctrl-C or SIGTERM ended it; what was learned is kept.
-    """
+    """Train a run, or resume it. Raises KeyboardInterrupt if Ctrl-C or SIGTERM ended it; its checkpoint is kept."""
     training = load_learning("training")
     if (run.folder / _CONFIG).is_file():
         result = training.resume(run.folder, progress=progress)
@@ -119,7 +106,7 @@ def train_run(run: TrainingRun, progress: bool = False) -> None:
 
 
 def train_missing(runs: Sequence[TrainingRun], advance: Callable[[TrainingRun], Any], progress: bool = False) -> None:
-    """Train what is missing, one run after the other; `advance` is called with each that is finished."""
+    """Train missing runs one after the other; `advance` is called with each finished run."""
     for run in runs:
         if not run.is_finished():
             train_run(run, progress)
@@ -129,7 +116,7 @@ def train_missing(runs: Sequence[TrainingRun], advance: Callable[[TrainingRun], 
 def outcome(run: TrainingRun) -> dict[str, Any]:
     """Return ``steps``, ``seconds``, ``best_steps`` and ``best_cost`` (capped, on validation) of a finished run.
 
-    Raises AmulettError if the file that says so is damaged.
+    Raises AmulettError if its file is damaged.
     """
     path = run.folder / _FINISHED
     content = read_json(path, "a run's result")
@@ -153,9 +140,9 @@ def learning_curve(run: TrainingRun) -> NDArray[np.float64]:
 
 
 def _check_recipe(run: TrainingRun) -> None:
-    """Refuse a stored run whose recipe is another one; how often it keeps itself does not matter.
+    """Refuse a stored run of another recipe; the interval of checkpoints does not matter.
 
-    The file is compared as it is: a key that was not there when the run was trained had no value of today's.
+    The file is compared as it is: a key that did not exist when the run was trained does not get today's default.
     """
     stored, wanted = read_yaml(run.folder / _CONFIG, "recipe"), run.config.model_dump(mode="json")
     unread = "sac" if wanted["algorithm"] == "ppo" else "ppo"
@@ -168,5 +155,5 @@ def _check_recipe(run: TrainingRun) -> None:
     if changed:
         raise AmulettError(
             f"the run in '{run.folder}' was trained by another recipe than {run.name} of this benchmark: "
-            f"{'; '.join(changed)}; choose another folder for the runs, or mend the description"
+            f"{'; '.join(changed)}; choose another folder for the runs, or correct the description"
         )

@@ -1,4 +1,4 @@
-"""The benchmark's work, stage by stage; what is finished stays in its folder, and is never done twice."""
+"""The stages of a benchmark; the results of finished ones are kept in its folder, not computed again."""
 
 from __future__ import annotations
 
@@ -49,15 +49,8 @@ Kind = Literal["law", "constant", "own", "learned", "reference", "ablation"]
 class Entry:
     """One line of the results.
 
-    Attributes
-    ----------
-    name : str
-    kind : str
-        ``law``, ``constant`` and ``own`` have one member; ``learned``, ``reference`` (causal: it sees what no device
-        can) and ``ablation`` one for each training seed.
-    members : tuple of Contender
-    seeds : tuple of int
-        Of the training, one for each member; empty where nothing was trained.
+    The kinds ``law``, ``constant`` and ``own`` have one member, and no seeds; ``learned``, ``reference`` (causal: it
+    observes what no device can measure) and ``ablation`` have one member for each training seed.
     """
 
     name: str
@@ -66,51 +59,27 @@ class Entry:
     seeds: tuple[int, ...] = ()
 
     def file_labels(self) -> list[str]:
-        """Return what the members' files are called."""
+        """Return the names of the members' files."""
         name = file_label(self.name)
         return [f"{name}-seed-{seed}" for seed in self.seeds] or [name]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Everything that was measured.
-
-    Attributes
-    ----------
-    description : Benchmark
-    profile : Profile
-    hashes : dict
-        Of suites, prices and profile.
-    protocol : Protocol
-        Of the headline suite, held-out.
-    entries : dict of str to Entry
-    played : dict of (suite, split) to dict of str to Played
-        By entry.
-    tried : dict of str to dict of str to float
-        Mean cost of each constant on the split `train`, suite by suite.
-    validation : dict of str to float
-        Mean capped cost of some laws on the scenarios by which the headline entry's policies were chosen; may be empty.
-    schedules : dict of str to list of Schedule
-        Of each entry's members on the headline suite, held-out; without those that act inside the loop.
-    searched : dict of str to Searched
-        The clairvoyant reference, and with it the foresight one, by suite.
-    runs : list of TrainingRun
-    overlap : dict of str to int
-        From `frozen.seed_overlap`.
-    """
+    """All measurements of a benchmark."""
 
     description: Benchmark
     profile: Profile
-    hashes: dict[str, Any]
-    protocol: Protocol
+    hashes: dict[str, Any]  # of suites, prices, profile
+    protocol: Protocol  # of the headline suite, held-out
     entries: dict[str, Entry]
-    played: dict[tuple[str, str], dict[str, Played]]
-    tried: dict[str, dict[str, float]]
-    validation: dict[str, float]
-    schedules: dict[str, list[Schedule]]
-    searched: dict[str, Searched]
+    played: dict[tuple[str, str], dict[str, Played]]  # suite, split -> entry -> episodes
+    tried: dict[str, dict[str, float]]  # suite -> constant -> mean cost on the split `train`
+    validation: dict[str, float]  # mean capped cost of some laws on the headline entry's validation scenarios, or empty
+    schedules: dict[str, list[Schedule]]  # of each entry's members on the headline suite; none of laws inside the loop
+    searched: dict[str, Searched]  # by suite: the clairvoyant reference, which holds the foresight one
     runs: list[TrainingRun]
-    overlap: dict[str, int]
+    overlap: dict[str, int]  # from `frozen.seed_overlap`
 
     def best_constant(self, suite: str | None = None) -> str:
         """Return the constant of the lowest cost on a suite's split `train`; overall if None: on the headline suite."""
@@ -118,11 +87,11 @@ class Evidence:
         return min(tried, key=lambda name: tried[name])
 
     def headline(self, split: str = "held-out") -> dict[str, Played]:
-        """Return what all did on the headline suite."""
+        """Return all entries' episodes on the headline suite."""
         return self.played[self.description.headline, split]
 
     def chosen_member(self, name: str) -> int:
-        """Return the member of a learned entry with the lowest cost on its validation scenarios: the one to show."""
+        """Return the index of a learned entry's member with the lowest validation cost: the one to show."""
         costs = [outcome(run)["best_cost"] for run in self.runs if run.entry == name]
         return int(np.argmin(costs)) if costs else 0
 
@@ -140,24 +109,22 @@ def run_benchmark(
     say: Say = lambda message: None,
     progress: bool = False,
 ) -> Evidence:
-    """Do what is not done yet, and return all that was measured.
+    """Run the stages that are missing, and return all measurements.
 
     Parameters
     ----------
     out : str or Path
-        Folder; what is finished in it is not done again. It is kept to this process.
+        Folder; stages finished in it are not repeated. It is locked for other processes.
     recipes : Path
         Folder of the recipes and profiles that the description names.
     runs : str or Path, optional
-        Folder of the training runs, ``<entry>/seed-<k>``; what is missing is trained there. ``out/runs`` if None.
+        Folder of the training runs, ``<entry>/seed-<k>``; missing ones are trained there. ``out/runs`` if None.
     own : sequence of Contender
         Further contenders, such as :class:`amulett_gym.laws.contenders.Own`.
     command : sequence of str, optional
         The words of the command, for ``command.json``.
     say : callable
-        Called with a line when something has happened.
-    progress : bool
-        Show progress on stderr.
+        Called with a line after each stage.
 
     Raises
     ------
@@ -273,7 +240,7 @@ def _work(
 
 
 def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
-    """Return the entries that nobody has to train: laws, constants, and what the caller brings."""
+    """Return the entries without training: laws, constants, the caller's contenders."""
     names = list(dict.fromkeys([YARDSTICK, *description.contenders]))
     contenders = [parse_contender(name) for name in names]
     label = labels([contender.name for contender in contenders])
@@ -327,10 +294,7 @@ def _remove_leftovers(out: Path) -> None:
 
 
 def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: dict[str, Any]) -> None:
-    """Write down what a folder is about, or check that it is about the same.
-
-    Raises AmulettError if it is about something else: the error names what has changed.
-    """
+    """Store the benchmark's description in its folder, or refuse a folder of another one, naming the differences."""
     files = {
         name: {} if entry.recipe is None else read_yaml(find_config(entry.recipe, "recipe", recipes), "recipe")
         for name, entry in description.learned.items()

@@ -1,4 +1,4 @@
-"""The benchmark's numbers as tables: for the terminal, the page and the document, and as CSV for everything else."""
+"""The tables of a benchmark, which are also written as CSV."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Estimate = Mapping[str, float | None]
 
 
 def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
-    """Return all tables by name; those that nothing was measured for are left out."""
+    """Return all tables by name, without empty ones."""
     made = {
         "claims": claims_table(claims),
         "ranking": ranking(found),
@@ -44,7 +44,7 @@ def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:
-    """Return what is claimed, what was measured, and whether it holds."""
+    """Return the claims, the measured numbers, and whether they hold."""
     rows = [[c.about, c.claim, number(c.measured), interval(c.low, c.high), HOLDS[c.holds], c.note] for c in claims]
     held, judged = sum(claim.holds is True for claim in claims), sum(claim.holds is not None for claim in claims)
     note = f"{held} of {judged} claims are met. A dash: not measured here, or reported only."
@@ -167,7 +167,7 @@ def by_seed(found: Content) -> Table:
 
 
 def ablations(found: Content) -> Table:
-    """Return what the learned entry becomes without each reward term."""
+    """Return the costs of the learned entry trained without each reward term."""
     place = _headline(found)
     ratios, keys = _to_eq6(found["results"][place]), ("position_ise", "effort", "contact_ise")
     names = [name for name, entry in found["entries"].items() if entry["kind"] == "ablation"]
@@ -191,12 +191,9 @@ def references(found: Content) -> Table:
             second = goal.get("second_search")
             rows.append(
                 [
-                    f"{kind}, {suite} ({goal['scenarios']})",
-                    number(goal["cost"], 4),
-                    with_interval(goal["ratio_to_eq6"]),
-                    with_interval(goal["share_from_hand"].get(best)),
-                    number(goal["with_other_noise"], 4),
-                    f"{goal['last_quarter']:.2%}",
+                    *(f"{kind}, {suite} ({goal['scenarios']})", number(goal["cost"], 4)),
+                    *map(with_interval, (goal["ratio_to_eq6"], goal["share_from_hand"].get(best))),
+                    *(number(goal["with_other_noise"], 4), f"{goal['last_quarter']:.2%}"),
                     " and ".join(number(cost, 4) for cost in goal["searches_alone"]),
                     "-" if second is None else f"{second['either'] - 1:+.2%} ({second['scenarios']})",
                     f"{goal['cost_more_than_an_entry']} of {goal['scenarios']}",
@@ -265,11 +262,7 @@ def write_csv(found: Content, claims: Sequence[Claim], folder: Path) -> list[Pat
         "seeds": (("suite", "split", "entry", "seed", "cost"), _seeds(found)),
         "constants": (
             ("suite", "constant", "train_cost"),
-            (
-                (suite, name, cost)
-                for suite, costs in found["constants"]["tried"].items()
-                for name, cost in costs.items()
-            ),
+            ((suite, *item) for suite, costs in found["constants"]["tried"].items() for item in costs.items()),
         ),
         "claims": (
             ("about", "claim", "measured", "low", "high", "holds", "note"),
@@ -335,7 +328,7 @@ def _metric_cells(numbers: Content, keys: Iterable[str]) -> list[str]:
 
 
 def _reported(found: Content, place: str) -> Content:
-    """Return what all but the ablations did on a suite and split, of which there is more than the cost."""
+    """Return the results on a suite and split of all entries but ablations that have more than a cost."""
     return {
         name: numbers
         for name, numbers in found["results"].get(place, {}).items()
@@ -360,13 +353,13 @@ def _tension(constant: str) -> str:
 
 
 def is_main(found: Content, name: str) -> bool:
-    """Return whether an entry is compared everywhere: no ablation, and of the constants only the best overall."""
+    """Return whether an entry is shown everywhere: all but ablations, and but constants other than the best overall."""
     kind = found["entries"][name]["kind"]
     return kind not in ("constant", "ablation") or name == found["constants"]["overall"]
 
 
 def label(found: Content, name: str) -> str:
-    """Return what a table calls an entry: constants by their tension, what was learned with its number of seeds."""
+    """Return an entry's label: constants by their tension, trained entries with the number of their seeds."""
     if name.startswith(CONSTANT):
         return f"constant {_tension(name)}"
     count = len(found["entries"][name]["seeds"])

@@ -1,4 +1,4 @@
-"""What `amulett bench` measured, as tables: for the terminal, and between the marks of ``docs/performance.md``.
+"""The tables of `amulett bench`, for the terminal or for ``docs/performance.md``.
 
 Every table is a function of the plain data that ``--json`` writes.
 """

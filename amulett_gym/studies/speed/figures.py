@@ -1,4 +1,4 @@
-"""Figures of `amulett bench`: cost by number of devices, an hour's speed, learning curves by wall clock."""
+"""Figures of `amulett bench`."""
 
 from __future__ import annotations
 
@@ -23,18 +23,7 @@ Data = Mapping[str, Any]
 
 
 def draw(data: Data, folder: str | Path) -> list[Path]:
-    """Draw what was measured into a folder, as PNG.
-
-    Parameters
-    ----------
-    data : mapping
-        What ``--json`` writes.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
+    """Draw the data of ``--json`` as PNG files into a folder, and return their paths."""
     figures = {}
     if "device_step_ns" in data.get("scale", {}):
         figures["scale"] = scale_figure(data["scale"]["device_step_ns"])
@@ -47,7 +36,7 @@ def draw(data: Data, folder: str | Path) -> list[Path]:
 
 @styled
 def scale_figure(costs: Mapping[Any, Data]) -> Figure:
-    """Draw what a device's step costs, by the number of devices; the spread of the turns is shaded."""
+    """Draw the cost of a device's step by the number of devices; the spread of the turns is shaded."""
     sizes = [int(size) for size in costs]
     figure, panel = one_panel(3.0, PRINT_WIDTH)
     least, median, most = ([row[key] for row in costs.values()] for key in ("least", "median", "most"))

@@ -1,18 +1,16 @@
-"""Measure what the environments take beside the kernel's own time, and what memory a device takes.
+"""Measure the overhead of the environments over the kernel: time of a step, memory of a device.
 
 ::
 
     python -m amulett_gym.studies.speed.overhead
     python -m amulett_gym.studies.speed.overhead --devices 1024 --turns 21 --json overhead.json
 
-Environment and kernel play the same seconds of the same episodes in turns, each from the same state.
+Environment and kernel simulate the same seconds of the same episodes in turns, from the same state.
 """
 
 from __future__ import annotations
 
-import argparse
 import gc
-import json
 import statistics
 import time
 import tracemalloc
@@ -26,21 +24,22 @@ import numpy as np
 import amulett_gym  # registers the environments
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.layout import RUNNING
-from amulett_gym.storage.writing import atomic_path
+from amulett_gym.storage.writing import write_json
+from amulett_gym.studies.speed.command import command
 
 PROFILES = ("simulation", "testbed")
 DEVICES = (1024, 16384)
 TURNS = 15
 CALLS = 300
-"""Agent steps in a turn of the single environment: they end before its scenario does."""
+"""Agent steps in a turn of the single environment, fewer than its scenario has."""
 DEVICE_STEPS = 100_000
-"""In a turn of the vector environment, at most `CALLS` steps."""
+"""Steps of all devices in a turn of the vector environment, in at most `CALLS` calls."""
 SETTLED = 50
-"""Agent steps before what is measured begins: every scenario is in full swing."""
+"""Agent steps before measurements begin: every scenario is in motion then."""
 ENV_ID = amulett_gym.ENV_IDS[0]
 
 Turn = Callable[[], float]
-"""Plays a turn; returns the time of a call [s]."""
+"""A function that runs a turn and returns the mean time of a call [s]."""
 
 
 @dataclass(frozen=True)
@@ -55,14 +54,14 @@ class Overhead:
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes that a device takes: what the environment holds, and what one `step` returns, which is its caller's."""
+    """Bytes of a device: those that the environment holds, and those that one `step` returns to its caller."""
 
     held: float
     returned: float
 
 
 def race(contestants: dict[str, Turn], turns: int) -> dict[str, list[float]]:
-    """Let all play in turns; return each turn's time of a call [us]."""
+    """Run all contestants in turns; return the mean time of a call in each turn [us]."""
     times: dict[str, list[float]] = {name: [] for name in contestants}
     for play in contestants.values():
         play()  # compile
@@ -73,7 +72,7 @@ def race(contestants: dict[str, Turn], turns: int) -> dict[str, list[float]]:
 
 
 def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Overhead:
-    """Measure `step`, without Gymnasium's wrappers, beside the kernel's ticks in it.
+    """Measure `step`, without Gymnasium's wrappers, against the kernel's ticks in it.
 
     Parameters
     ----------
@@ -107,7 +106,7 @@ def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Ove
 
     times = race({"kernel": turn(lambda: advance(*arrays, ticks)), "step": turn(lambda: env.step(action))}, turns)
     if (simulation.read("failure") != RUNNING).any():
-        raise AssertionError("a device has failed: it would count as a fast one")
+        raise AssertionError("a device has failed, which makes its ticks too fast")
     pairs = list(zip(times["kernel"], times["step"], strict=True))
     return Overhead(
         statistics.median(times["kernel"]),
@@ -118,7 +117,7 @@ def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Ove
 
 
 def reset_us(num_envs: int | None, seed: int | None, turns: int = TURNS) -> float:
-    """Return the median time of `reset` [us], of all devices, to the next episode or to that of a seed."""
+    """Return the median time of `reset` of all devices [us], to the next episode or to that of a seed."""
     env: Any = gym.make(ENV_ID).unwrapped if num_envs is None else gym.make_vec(ENV_ID, num_envs=num_envs)
     calls = CALLS if num_envs is None else 1
 
@@ -132,10 +131,7 @@ def reset_us(num_envs: int | None, seed: int | None, turns: int = TURNS) -> floa
 
 
 def memory(few: int = 1024, many: int = 16384) -> Memory:
-    """Measure a device's memory, as the difference of a vector environment of many and one of few.
-
-    All that Python and numpy allocate counts: state, scenario, keys, flags, spaces.
-    """
+    """Measure a device's memory, all that Python and numpy allocate, by vector environments of two sizes."""
     few_held, few_returned = _traced(few)
     many_held, many_returned = _traced(many)
     return Memory((many_held - few_held) / (many - few), (many_returned - few_returned) / (many - few))
@@ -182,17 +178,10 @@ def report(sizes: Sequence[int], turns: int, write: Callable[[str], object] = pr
 
 def main() -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m amulett_gym.studies.speed.overhead", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--devices", type=int, nargs="+", default=list(DEVICES), help="numbers of devices")
-    parser.add_argument("--turns", type=int, default=TURNS, help=f"interleaved turns (default: {TURNS})")
-    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, too")
-    arguments = parser.parse_args()
+    arguments = command(__doc__, "overhead", TURNS, DEVICES).parse_args()
     found = report(arguments.devices, arguments.turns)
     if arguments.json:
-        with atomic_path(arguments.json) as path:
-            path.write_text(json.dumps(found, indent=2) + "\n")
+        write_json(arguments.json, found)
     return 0
 
 

@@ -1,6 +1,6 @@
-"""Other packages' environments to compare speeds with, where they are installed (extra ``peers``).
+"""Comparison of speed with other packages' environments, where they are installed (extra ``peers``).
 
-A step of theirs is an agent's step as ours is; the inner ticks of simulation that it takes differ: both are reported.
+A step is an agent's step in all of them; the number of inner simulation ticks differs: both rates are reported.
 """
 
 from __future__ import annotations
@@ -21,20 +21,11 @@ from amulett_gym.studies.speed.rates import Contestant, Speed, ratios, spread, s
 
 @dataclass(frozen=True)
 class Peer:
-    """Another package's environment.
+    """Another package's environment."""
 
-    Attributes
-    ----------
-    name : str
-        As it is called in tables.
-    env_id : str
-    modules : tuple of str
-        What has to be installed, and imported for the id to be known.
-    """
-
-    name: str
+    name: str  # in tables
     env_id: str
-    modules: tuple[str, ...]
+    modules: tuple[str, ...]  # to be installed, and imported to register the id
 
 
 PEERS = (
@@ -46,14 +37,7 @@ PEERS = (
 
 
 def enter(peers: Sequence[Peer] = PEERS, seed: int = 0) -> tuple[list[Contestant], dict[str, str]]:
-    """Return the peers that can step here, and why each of the others cannot.
-
-    Returns
-    -------
-    list of Contestant
-    dict of str to str
-        Name of a peer -> one line.
-    """
+    """Return the peers that can step here, and a one-line reason for each of the others, by name."""
     entrants, absent = [], {}
     for peer in peers:
         try:
@@ -63,7 +47,7 @@ def enter(peers: Sequence[Peer] = PEERS, seed: int = 0) -> tuple[list[Contestant
                 step()
         except ImportError as error:
             absent[peer.name] = f"{error.name or peer.modules[0]} is not installed ({install_extra('peers')})"
-        except Exception as error:  # whatever another package raises is not ours to foresee
+        except Exception as error:  # other packages may raise anything
             absent[peer.name] = f"does not run here: {type(error).__name__}: {' '.join(str(error).split())[:200]}"
         else:
             entrants.append(Contestant(peer.name, step, 1, inner_ticks(env)))
@@ -86,14 +70,9 @@ def inner_ticks(env: gym.Env[Any, Any]) -> int:
 
 
 def compare(ours: Sequence[Speed], theirs: Sequence[Speed], absent: dict[str, str]) -> dict[str, Any]:
-    """Return plain data: speeds of ours and of the peers, ratios to each peer turn by turn, and who was skipped.
+    """Return plain data: our speeds, the peers', ratios to each peer turn by turn, and the skipped ones.
 
-    Parameters
-    ----------
-    ours, theirs : sequence of Speed
-        Of one race.
-    absent : dict of str to str
-        From `enter`.
+    `ours` and `theirs` are from one race, `absent` is from `enter`.
     """
     found: dict[str, Any] = {speed.name: {"ours": True, **speed.numbers()} for speed in ours}
     for peer in theirs:
@@ -110,7 +89,7 @@ def compare(ours: Sequence[Speed], theirs: Sequence[Speed], absent: dict[str, st
 
 @contextlib.contextmanager
 def _hushed() -> Iterator[None]:
-    """Keep greetings and warnings of other packages off the table."""
+    """Suppress greetings and warnings of other packages."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         yield

@@ -1,6 +1,6 @@
-"""How fast the kernel and the environments are, beside Gymnasium's own in the same run.
+"""The speed of the environments in comparison with Gymnasium's own.
 
-The machine is noisy, so contestants take turns and the median of their turns counts; a ratio under 1.3 is a tie.
+Timings are noisy, so contestants take turns and the median of their turns counts; a ratio under 1.3 is a tie.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ TURN_SECONDS = 0.25
 AGENT_PERIOD = 0.02
 """Simulated time of a kernel's call [s], as an environment makes it."""
 EPISODE = 10.0
-"""Simulated time after which a kernel alone starts its scenarios again [s]."""
+"""Simulated time after which the kernel alone restarts its scenarios [s]."""
 
 Step = Callable[[], object]
 
 
 @dataclass(frozen=True)
 class Contestant:
-    """Something that steps: `devices` agent steps a call, each of `ticks` control ticks."""
+    """A function to measure: a call of `step` makes `devices` agent steps, each of `ticks` control ticks."""
 
     name: str
     step: Step
@@ -41,16 +41,7 @@ class Contestant:
 
 @dataclass(frozen=True)
 class Speed:
-    """A contestant's speeds, turn by turn.
-
-    Attributes
-    ----------
-    name : str
-    rates : tuple of float
-        Agent steps a second in each turn.
-    ticks : int
-        Control ticks of an agent step.
-    """
+    """A contestant's agent steps a second in each turn, and the control ticks of such a step."""
 
     name: str
     rates: tuple[float, ...]
@@ -62,34 +53,20 @@ class Speed:
         return statistics.median(self.rates)
 
     @property
-    def slowest(self) -> float:
-        """Agent steps a second of the slowest turn."""
-        return min(self.rates)
-
-    @property
-    def fastest(self) -> float:
-        """Agent steps a second of the fastest turn."""
-        return max(self.rates)
-
-    @property
     def ticks_per_second(self) -> float:
         """Median of the turns."""
         return self.steps_per_second * self.ticks
 
     def numbers(self) -> dict[str, float]:
-        """Return the median, its spread, and ticks a second, by name."""
-        return {
-            "steps_per_s": self.steps_per_second,
-            "slowest": self.slowest,
-            "fastest": self.fastest,
-            "ticks_per_s": self.ticks_per_second,
-        }
+        """Return the median, the slowest and the fastest turn, and ticks a second, by name."""
+        steps = {"steps_per_s": self.steps_per_second, "slowest": min(self.rates), "fastest": max(self.rates)}
+        return {**steps, "ticks_per_s": self.ticks_per_second}
 
 
 def contestants(devices: int = 1024, seed: int = 0) -> list[Contestant]:
     """Return kernel and environments on both profiles, and Gymnasium's Pendulum and CartPole.
 
-    Each environment holds an action that is drawn once, with `seed`; its episodes are drawn with `seed`, too.
+    Each environment repeats one action, drawn with `seed`, as its episodes are.
     """
     return [
         *(kernel(profile, devices, seed) for profile in PROFILES),
@@ -149,17 +126,7 @@ def kernel(profile: str, devices: int, seed: int = 0) -> Contestant:
 def race(
     entrants: Sequence[Contestant], turns: int = TURNS, seconds: float = TURN_SECONDS, watch: Callable[[], object] = int
 ) -> list[Speed]:
-    """Let all step in turns and return their speeds.
-
-    Parameters
-    ----------
-    turns : int
-        Turns each of them takes.
-    seconds : float
-        Length of a turn [s].
-    watch : callable
-        Called after each turn, for a progress bar.
-    """
+    """Return the speeds of all entrants, which step in turns of `seconds` [s]; `watch` is called after each turn."""
     for entrant in entrants:
         entrant.step()  # compile
     rates: dict[str, list[float]] = {entrant.name: [] for entrant in entrants}
@@ -171,17 +138,17 @@ def race(
 
 
 def spread(numbers: Sequence[float]) -> dict[str, float]:
-    """Return the median, the least and the most of some numbers, by name."""
+    """Return the median, the least and the largest of some numbers, by name."""
     return {"median": statistics.median(numbers), "least": min(numbers), "most": max(numbers)}
 
 
 def ratios(ours: Speed, theirs: Speed) -> list[float]:
-    """Return how many times as fast `ours` was, turn by turn: neighbours in time share the machine's mood."""
+    """Return the ratios of `ours` to `theirs` turn by turn: neighbouring turns run under similar load."""
     return [mine / other for mine, other in zip(ours.rates, theirs.rates, strict=True)]
 
 
 def step_single(env: gym.Env[Any, Any], seed: int) -> Step:
-    """Return a function that steps an environment and resets it when its episode ends, as any user's loop does."""
+    """Return a function that steps an environment and resets it when its episode ends."""
     env.reset(seed=seed)
     env.action_space.seed(seed)
     action = env.action_space.sample()

@@ -1,4 +1,4 @@
-"""From one arm to a hundred thousand: cost of a device's step, memory of a device, and an hour of simulated time."""
+"""Scaling of the vector environment: cost of a device's step, memory of a device, long runs."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ THREADED_SIZES = (1024, 8192, 65536)
 HOUR = 3600.0  # [s]
 EPISODE_STEPS = 500
 SLICES = 60
-"""Parts of the long run in which speed and memory are looked at."""
+"""Parts of the long run in which speed and memory are measured."""
 LONE_DEVICES = 8
-"""Arms whose one episode lasts as long as the whole long run: a block of the kernel."""
+"""Devices whose one episode lasts as long as the whole long run: a block of the kernel."""
 
 Watch = Callable[[], object]
+Floats = NDArray[np.float32]
 
 
 def cost_by_size(
     profile: str = "testbed", sizes: Sequence[int] = SIZES, seed: int = 0, turns: int = 3, watch: Watch = int
 ) -> dict[int, dict[str, float]]:
-    """Return what a step of one device costs in a vector environment of each size [ns]: median, least, most."""
+    """Return the time of one device's step in a vector environment of each size [ns]: median, least, most."""
     entrants = [vector(profile, size, seed) for size in sizes]
     speeds = race(entrants, turns, watch=watch)
     return {size: spread([1e9 / rate for rate in speed.rates]) for size, speed in zip(sizes, speeds, strict=True)}
@@ -42,7 +43,7 @@ def cost_by_size(
 def two_threads(
     profile: str = "testbed", sizes: Sequence[int] = THREADED_SIZES, seed: int = 0, turns: int = 7, watch: Watch = int
 ) -> dict[int, dict[str, float]]:
-    """Return how many times as fast two threads are as one at each size, turn by turn: median, least, most."""
+    """Return the speed-up by a second thread at each size, turn by turn: median, least, most."""
     entrants = [vector(profile, size, seed, threads) for size in sizes for threads in (1, 2)]
     speeds = race(entrants, turns, watch=watch)
     pairs = zip(speeds[::2], speeds[1::2], strict=True)
@@ -50,19 +51,15 @@ def two_threads(
 
 
 def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int = 0) -> dict[str, float | None]:
-    """Return how many bytes a device of a vector environment takes.
+    """Return the bytes of a device in a vector environment.
 
-    Returns
-    -------
-    dict
-        ``"simulation"``: of the simulated devices' arrays. ``"arrays"``: of all arrays that the environment holds,
-        Gymnasium's batched spaces included. ``"resident"``: growth of the process's resident memory while the
-        environment was made, reset and stepped twice, room for what a step returns included; None where the system
-        does not tell.
+    ``"simulation"`` are those of the simulated devices' arrays, ``"arrays"`` those of all arrays that the environment
+    holds, Gymnasium's batched spaces included. ``"resident"`` is the growth of the process's resident memory while the
+    environment was made, reset and stepped twice, room for the results of a step included; None without ``/proc``.
     """
     small = _made(profile, 1)
     small.reset(seed=seed)
-    small.step(np.zeros((1, 1), dtype=np.float32))  # what is loaded and compiled is no device's
+    small.step(np.zeros((1, 1), dtype=np.float32))  # loads and compiles: memory of no device
     before = resident_bytes()
     env = _made(profile, devices)
     env.reset(seed=seed)
@@ -78,7 +75,7 @@ def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int 
 
 
 def held_bytes(thing: Any) -> int:
-    """Return the bytes of all different arrays that an object holds, directly or in objects of its own."""
+    """Return the bytes of all different arrays that an object holds, directly or indirectly."""
     arrays: dict[int, int] = {}
     seen: set[int] = set()
 
@@ -115,24 +112,17 @@ def resident_bytes() -> int | None:
 def long_run(
     profile: str = "testbed", devices: int = 1024, seconds: float = HOUR, seed: int = 0, watch: Watch = int
 ) -> dict[str, Any]:
-    """Simulate for long, and look for drift and for growth of memory or of the time that a step takes.
+    """Return the drift, the growth of memory and the slow-down in a long run of about `seconds` of simulated time.
 
-    Two environments run side by side. In one each arm plays episode after episode; the last one must be, bit for bit,
-    what a new environment plays in it. In the other eight arms play one single episode.
-
-    Parameters
-    ----------
-    seconds : float
-        Simulated time [s]; rounded up to whole episodes in whole slices.
-    watch : callable
-        Called `SLICES` times, for a progress bar.
+    In one environment each device plays episode after episode; the last one must be, bit for bit, that of a new
+    environment. In another one `LONE_DEVICES` devices play one single episode. `watch` is called `SLICES` times.
 
     Returns
     -------
     dict
         ``steps_per_s`` and ``resident_bytes`` of each slice, the ``speed_ratio`` of the last third to the first, the
         growth ``resident_growth_bytes_per_device`` from the end of the first slice, ``failures``,
-        ``last_episode_is_exact``, and for the uninterrupted episode ``lone_clock_error_s``, and the
+        ``last_episode_is_exact``, and for the single episode ``lone_clock_error_s``, and the changes
         ``lone_angle_change_deg`` and ``lone_tension_change_n`` between its middle and its end.
     """
     rng = np.random.default_rng(seed)
@@ -144,7 +134,7 @@ def long_run(
     lone.reset(seed=seed)
     held = np.zeros((LONE_DEVICES, 1), dtype=np.float32)
     speeds, memory, lone_means, failures = [], [], [], 0
-    observations: NDArray[np.float32] = np.empty(0, dtype=np.float32)
+    observations: Floats = np.empty(0, dtype=np.float32)
     for _ in range(SLICES):
         actions = rng.uniform(-1, 1, (devices, 1)).astype(np.float32)
         passed = 0.0
@@ -180,14 +170,9 @@ def long_run(
 
 
 def _replays(
-    env: TensionVectorEnv,
-    profile: str,
-    seed: int,
-    episode: int,
-    observations: NDArray[np.float32],
-    actions: NDArray[np.float32],
+    env: TensionVectorEnv, profile: str, seed: int, episode: int, observations: Floats, actions: Floats
 ) -> bool:
-    """Tell whether the environment goes on as a new one does that was reset until the same episode."""
+    """Return whether the environment continues as a new one that was reset until the same episode."""
     new = _made(profile, env.num_envs)
     first, _ = new.reset(seed=seed)
     for _ in range(episode):

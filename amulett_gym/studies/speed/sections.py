@@ -1,4 +1,4 @@
-"""Measures the sections of `amulett bench`: each adds plain numbers to what ``bench.json`` holds."""
+"""Measurements of `amulett bench`, one for each section of ``bench.json``."""
 
 from __future__ import annotations
 
@@ -20,40 +20,20 @@ Data = dict[str, Any]
 
 @dataclass(frozen=True)
 class Settings:
-    """How to measure.
+    """Settings of the measurements."""
 
-    Attributes
-    ----------
-    devices : int
-        In the vector environments.
-    turns : int
-        That each contestant takes.
-    seed : int
-        Of scenarios and actions.
-    seeds : int
-        Training runs of time-to-beat.
-    limit : float
-        Longest of these runs [s].
-    simulated : float
-        Time that the long run of `scale` simulates [s].
-    config : str or None
-        Recipe of ppo and time-to-beat; None: each one's own.
-    overrides : sequence of str
-        Changes of that recipe.
-    """
-
-    devices: int = 1024
-    turns: int = 7
-    seed: int = 0
-    seeds: int = 10
-    limit: float = 120.0
-    simulated: float = 3600.0
-    config: str | None = None
-    overrides: Sequence[str] = ()
+    devices: int = 1024  # in the vector environments
+    turns: int = 7  # of each contestant
+    seed: int = 0  # of scenarios and actions
+    seeds: int = 10  # training runs of time-to-beat
+    limit: float = 120.0  # longest of these runs [s]
+    simulated: float = 3600.0  # simulated time of the long run of `scale` [s]
+    config: str | None = None  # recipe of ppo and time-to-beat; None: each one's own
+    overrides: Sequence[str] = ()  # changes of that recipe
 
 
 def prepare(section: str, settings: Settings) -> Any:
-    """Return what a section needs beside the settings, before anything is measured: the checked recipe, or None.
+    """Check a section's requirements, and return its recipe, None if it needs none.
 
     Raises AmulettError if the recipe is wrong, or something is not installed.
     """
@@ -163,4 +143,4 @@ MEASURE: dict[str, Callable[[Settings, Data, Any], None]] = {
     "scale": _scale,
     "peers": _peers,
 }
-"""Section -> what measures it: reads settings and recipe, and adds its numbers to the data."""
+"""Section -> function that measures by settings and recipe, and adds its numbers to the data."""

@@ -1,18 +1,16 @@
-"""Measure how long it takes to begin: the help, the import and the first step, each in fresh processes.
+"""Measure the start-up time of help, import, first step, each in fresh processes.
 
 ::
 
     python -m amulett_gym.studies.speed.startup
     python -m amulett_gym.studies.speed.startup --turns 9 --cold-turns 3 --json startup.json
 
-The whole process counts, Python's own start too. Processes take turns, so that a busy machine slows all alike: see the
-ratios. A cold first step compiles everything into an empty cache folder; a warm one finds what a cold one left.
+The time of the whole process counts, with Python's own start. Processes take turns, so that a busy machine slows all
+alike: see the ratios. A cold first step compiles everything into an empty cache folder; a warm one uses that cache.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import statistics
 import subprocess
@@ -21,9 +19,9 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-from amulett_gym.storage.writing import atomic_path
+from amulett_gym.storage.writing import write_json
+from amulett_gym.studies.speed.command import command
 
 TURNS = 7
 COLD_TURNS = 3
@@ -45,7 +43,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 }
 
 LIMITS = {"import amulett_gym": 0.6, "amulett --help": 0.3, "first step, warm": 1.0, COLD: 12.0}
-"""What each should stay below [s]."""
+"""Upper limit of each [s]."""
 
 
 def measure(turns: int, cold_turns: int) -> dict[str, list[float]]:
@@ -69,7 +67,7 @@ def measure(turns: int, cold_turns: int) -> dict[str, list[float]]:
         for turn in range(turns + 1):
             for name in others:
                 passed = _seconds(COMMANDS[name], Path(folder) / "cold-0")
-                if turn > 0:  # the first has Python compile its own files and the system read them
+                if turn > 0:  # in the first, Python compiles its files and the system reads them
                     seconds[name].append(passed)
     return seconds
 
@@ -96,24 +94,19 @@ def _seconds(arguments: Sequence[str], cache: Path) -> float:
 
 def main() -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m amulett_gym.studies.speed.startup", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--turns", type=int, default=TURNS, help=f"processes of each kind (default: {TURNS})")
-    parser.add_argument("--cold-turns", type=int, default=COLD_TURNS, help=f"cold ones (default: {COLD_TURNS})")
-    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, too")
+    parser = command(__doc__, "startup", TURNS)
+    parser.add_argument("--cold-turns", type=int, default=COLD_TURNS, help=f"cold first steps (default: {COLD_TURNS})")
     arguments = parser.parse_args()
     if arguments.turns < 1 or arguments.cold_turns < 1:
         parser.error("at least one process of each kind is needed")
     seconds = measure(arguments.turns, arguments.cold_turns)
     print(table(seconds))
+    found = {
+        name: {"seconds": values, "median_s": statistics.median(values), "limit_s": LIMITS.get(name)}
+        for name, values in seconds.items()
+    }
     if arguments.json:
-        found: dict[str, Any] = {
-            name: {"seconds": values, "median_s": statistics.median(values), "limit_s": LIMITS.get(name)}
-            for name, values in seconds.items()
-        }
-        with atomic_path(arguments.json) as path:
-            path.write_text(json.dumps(found, indent=2) + "\n")
+        write_json(arguments.json, found)
     return 0
 
 

@@ -1,7 +1,7 @@
-"""Count the work of a tick by running the kernel itself, uncompiled, on numbers that count what is done to them.
+"""Count of the operations of a tick, by running the uncompiled kernel on numbers that count their operations.
 
-Python runs the same text that numba compiles, so the count cannot drift away from it. Only operations on the devices'
-numbers count: what a compiler can do once for all devices and ticks, such as ``h / 2``, it is assumed to do once.
+Python runs the same text that numba compiles, so the count always matches it. Only operations on the devices' numbers
+count: what a compiler can compute once for all devices and ticks, such as ``h / 2``, is assumed to be computed once.
 """
 
 from __future__ import annotations
@@ -23,34 +23,21 @@ from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 
 COUNTED = ("add", "multiply", "divide", "compare", "exp", "sin", "sqrt", "floor", "table row")
 FUNCTION_COST = 20
-"""Additions and multiplications that an exp or a sin is taken for (a reduction of the argument and a polynomial)."""
+"""Additions and multiplications for which an exp or a sin counts (argument reduction, polynomial)."""
 
 
 def count_work(simulation: Simulation, ticks: int = 20) -> dict[str, float]:
-    """Return the mean number of operations of a device's tick.
+    """Return the mean numbers of operations of a device's tick.
 
-    Parameters
-    ----------
-    simulation : Simulation
-        Devices in the middle of their scenarios; it does not advance. Keep it small: this is plain Python.
-
-    Returns
-    -------
-    dict
-        Of each operation of `COUNTED`, ``"loads"`` and ``"stores"`` of states and scenarios, and the bytes of
-        different fields that these touch, ``"bytes read"`` and ``"bytes written"``.
+    The keys are `COUNTED`, ``"loads"`` and ``"stores"`` of states and scenarios, and ``"bytes read"`` and ``"bytes
+    written"`` of the different fields in them. The simulation, in the middle of its scenarios, does not advance. It
+    should be small, as this is plain Python.
     """
     with tempfile.TemporaryDirectory() as folder:
         for name in ("parameters", "scenarios", "states"):
             np.save(Path(folder) / f"{name}.npy", getattr(simulation, name))
-        command = [
-            sys.executable,
-            "-m",
-            "amulett_gym.studies.speed.work",
-            folder,
-            str(simulation.num_devices),
-            str(ticks),
-        ]
+        sizes = str(simulation.num_devices), str(ticks)
+        command = [sys.executable, "-m", "amulett_gym.studies.speed.work", folder, *sizes]
         environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
         result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     counts: dict[str, float] = json.loads(result.stdout)
@@ -68,7 +55,7 @@ _touched: dict[str, set[str]] = {"read": set(), "written": set()}
 
 
 class Number(float):
-    """A float that counts what is done to it."""
+    """A float that counts its operations."""
 
 
 def _counting(method: str, what: str, times: int = 1) -> Any:
@@ -96,7 +83,7 @@ Number.__hash__ = float.__hash__  # type: ignore[method-assign]
 
 
 class _Lanes:
-    """A field of a block: counts what is read and written."""
+    """A field of a block that counts reads and writes."""
 
     def __init__(self, name: str, values: np.ndarray[Any, Any]) -> None:
         self.name, self.values = name, values
@@ -154,7 +141,7 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
         value = parameters[name][0]
         setattr(p, name, _Table(value) if value.ndim else value.item())
     tick: Any = kernel.tick  # it has no types
-    # What moves within a tick is not counted as read and written: a compiler may keep it in registers.
+    # Values within a tick do not count as read and written: a compiler may keep them in registers.
     m = SimpleNamespace(**{name: [0.0] * LANES for name in MOTION_BLOCK.names or ()})
     blocks = (*(scenarios.dtype.fields or {}).items(), *(states.dtype.fields or {}).items())
     width = {name: kind.base.itemsize for name, (kind, *_) in blocks}

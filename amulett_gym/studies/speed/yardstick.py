@@ -1,4 +1,4 @@
-"""Measure the kernel beside the same tick in C, and both beside what the machine can do.
+"""Measure the kernel's speed against the same tick in C, with the machine's limits (roofline).
 
 ::
 
@@ -10,9 +10,7 @@ Every build is first checked against the kernel: a second of a mixed suite from 
 
 from __future__ import annotations
 
-import argparse
 import ctypes
-import json
 import platform
 import statistics
 import tempfile
@@ -30,23 +28,24 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import RUNNING, STATE_NAMES, Paths
-from amulett_gym.storage.writing import atomic_path
+from amulett_gym.simulation.layout import RUNNING, STATE_NAMES
+from amulett_gym.storage.writing import write_json
+from amulett_gym.studies.speed.command import command
 from amulett_gym.studies.speed.work import FUNCTION_COST, count_work, flops
 from amulett_gym.tasks.suites import sample
 
 PROFILES = ("simulation", "testbed")
 SUITES = ("steps", "reach", "hold-push")
-"""What is raced: as many pushes and moves as ever."""
+"""Suites whose speed is measured."""
 CHECKED_SUITES = (*SUITES, "mixed")
-"""What is compared: with everything that a scenario can have."""
+"""Suites whose states are compared; together they have everything that a scenario can have."""
 DEVICES = (1024, 8192, 65536)
 TURNS = 5
 TURN_SECONDS = 0.15
 AGENT_PERIOD = 0.02
 """Simulated time of a call [s], as an environment makes it."""
 START = 1.0
-"""What is measured begins here [s]: every scenario is in full swing."""
+"""Simulated time at which measurements begin [s]: every scenario is in motion then."""
 CHECKED_DEVICES = 203
 """Not a multiple of the lanes: the last block is padded."""
 CONSTANT_TENSION = 7.0  # [N]
@@ -56,10 +55,7 @@ KERNEL = "kernel"
 def mixed_simulation(
     profile: str, num_devices: int, tension_law: str = "eq6", suites: Sequence[str] = SUITES
 ) -> Simulation:
-    """Return devices at the start of the suites in turn, noise as the profile has it.
-
-    Under ``"agent"`` the tension is a constant.
-    """
+    """Return devices at the start of the suites in turn; under ``"agent"`` the tension is a constant."""
     device = load_profile(profile)
     simulation = Simulation(device, num_devices, tension_law=tension_law)
     keys = np.arange(1, num_devices + 1, dtype=np.uint64)
@@ -73,10 +69,7 @@ def mixed_simulation(
 
 
 def deviations(expected: NDArray[np.void], states: NDArray[np.void]) -> dict[str, float]:
-    """Return each field's largest deviation, relative where the expected value is above 1, absolute below.
-
-    Not-a-number agrees with itself only.
-    """
+    """Return each field's largest deviation, relative where the expected value is above 1; NaN equals only NaN."""
     largest = {}
     for name in STATE_NAMES:
         should, is_ = expected[name].astype(float), states[name].astype(float)
@@ -107,9 +100,9 @@ class Speed:
 
 
 def agree(builds: Mapping[str, Advance], write: Callable[[str], object] = lambda line: None) -> dict[str, float]:
-    """Return how far each build's states are from the kernel's, at most over both profiles and two laws.
+    """Return the largest deviation of each build's states from the kernel's, over both profiles and two laws.
 
-    Raises AmulettError if one is farther than its tolerance: it would not do the same work.
+    Raises AmulettError if one exceeds its tolerance.
     """
     found, wrong = {}, []
     for name, advance in builds.items():
@@ -133,46 +126,31 @@ def race(
     seconds: float = TURN_SECONDS,
     reference: str = "scalar",
 ) -> dict[str, Speed]:
-    """Let all advance the same devices in turns, an agent's period a call.
+    """Return the speeds of all contestants, which advance the same devices in turns of `seconds`, a period a call.
 
-    Parameters
-    ----------
-    seconds : float
-        Length of a turn [s], at least one call.
-    reference : str
-        Whose rate of the same turn a ratio is to.
+    A ratio is to the rate of `reference` in the same turn.
     """
     simulation = mixed_simulation(profile, num_devices)
     simulation.advance(round(START / simulation.control_period))
     if (simulation.read("failure") != RUNNING).any():
-        raise AssertionError("a device has failed: it would count as a fast one")
+        raise AssertionError("a device has failed, which makes its ticks too fast")
     ticks = round(AGENT_PERIOD / simulation.control_period)
     rates: dict[str, list[float]] = {name: [] for name in contestants}
     for _ in range(turns):
         for name, advance in contestants.items():
             scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
-            rates[name].append(
-                _rate(advance, simulation.parameters, scenarios, states, simulation.paths, num_devices, ticks, seconds)
-            )
+            arrays = simulation.parameters, scenarios, states, simulation.paths, num_devices
+            rates[name].append(_rate(advance, arrays, ticks, seconds))
     ratios = {name: [r / c for r, c in zip(found, rates[reference], strict=True)] for name, found in rates.items()}
     return {name: Speed(_spread(rates[name]), _spread(ratios[name])) for name in contestants}
 
 
-def _rate(
-    advance: Advance,
-    parameters: NDArray[np.void],
-    scenarios: NDArray[np.void],
-    states: NDArray[np.void],
-    paths: Paths | None,
-    num_devices: int,
-    ticks: int,
-    seconds: float,
-) -> float:
-    advance(parameters, scenarios, states, paths, num_devices, 1)  # warm the caches
+def _rate(advance: Advance, arrays: tuple[Any, Any, Any, Any, int], ticks: int, seconds: float) -> float:
+    advance(*arrays, 1)  # warm the caches
     done, start = 0, time.perf_counter()
     while True:
-        advance(parameters, scenarios, states, paths, num_devices, ticks)
-        done += num_devices * ticks
+        advance(*arrays, ticks)
+        done += arrays[-1] * ticks
         passed = time.perf_counter() - start
         if passed >= seconds:
             return done / passed / 1e6
@@ -186,7 +164,7 @@ LIMITS = ("scalar_pairs", "vector_pairs", "scalar_divisions", "vector_divisions"
 
 
 def measure_limits(folder: Path, turns: int = 3) -> dict[str, float]:
-    """Return what a core can do at most a second: pairs of a multiplication and an addition, divisions, bytes."""
+    """Return the limits of a core per second: pairs of a multiplication and an addition, divisions, bytes."""
     scalar = compile_library("limits.c", BUILDS["scalar"].flags, folder, "limits_scalar")
     simd = compile_library("limits.c", BUILDS["simd"].flags, folder, "limits_simd")
     limits = {}
@@ -198,18 +176,10 @@ def measure_limits(folder: Path, turns: int = 3) -> dict[str, float]:
 
 
 def roofline(work: Mapping[str, float], limits: Mapping[str, float], ticks: int, rates: Mapping[str, float]) -> str:
-    """State the limits of a tick [ns] and which of them binds.
+    """Return the limits of a tick [ns] in words, and the one that binds.
 
-    Parameters
-    ----------
-    work : mapping
-        From `count_work`.
-    limits : mapping
-        From `measure_limits`.
-    ticks : int
-        Ticks a call: a block comes from memory once a call and stays in the first cache for the rest of it.
-    rates : mapping of str to float
-        Million ticks a second of ``"scalar"`` and ``"simd"``.
+    `work` is from `count_work`, `limits` from `measure_limits`; `rates` has the million ticks a second of ``"scalar"``
+    and ``"simd"``. A block is loaded from memory once a call of `ticks` ticks, and then stays in the first cache.
     """
     traffic = (work["bytes read"] + work["bytes written"]) / ticks
     operations = flops(dict(work))
@@ -243,7 +213,7 @@ def roofline(work: Mapping[str, float], limits: Mapping[str, float], ticks: int,
 def report(sizes: Sequence[int], turns: int, write: Callable[[str], object] = print) -> dict[str, Any]:
     """Build, check and measure everything; write it as text and return it as plain data.
 
-    Raises AmulettError if there is no compiler, it refuses, or what it built deviates from the kernel.
+    Raises AmulettError if there is no compiler, it fails, or a build deviates from the kernel.
     """
     with tempfile.TemporaryDirectory(prefix="amulett-yardstick-") as folder:
         builds = {name: build(name, Path(folder)) for name in BUILDS}
@@ -256,9 +226,8 @@ def report(sizes: Sequence[int], turns: int, write: Callable[[str], object] = pr
         for profile in PROFILES:
             by_size = {size: race(contestants, profile, size, turns) for size in sizes}
             for size, speeds in by_size.items():
-                write(
-                    f"\n{profile}, {size} devices: million ticks/s on one core (least-most), ratio to strict scalar C"
-                )
+                head = "million ticks/s on one core (least-most), ratio to strict scalar C"
+                write(f"\n{profile}, {size} devices: {head}")
                 for name, speed in speeds.items():
                     label = BUILDS[name].label if name in BUILDS else "kernel (numba)"
                     write(f"  {label:40}{_line(speed.rate, 2)}   {_line(speed.ratio, 2)}")
@@ -292,20 +261,13 @@ def _work(profile: str) -> dict[str, float]:
 
 def main() -> int:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        prog="python -m amulett_gym.studies.speed.yardstick", description=__doc__.split("\n")[0]
-    )
-    parser.add_argument("--devices", type=int, nargs="+", default=list(DEVICES), help="numbers of devices")
-    parser.add_argument("--turns", type=int, default=TURNS, help=f"interleaved turns (default: {TURNS})")
-    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON, too")
-    arguments = parser.parse_args()
+    arguments = command(__doc__, "yardstick", TURNS, DEVICES).parse_args()
     if find_compiler() is None:
         print(NO_COMPILER)
         return 0
     found = report(arguments.devices, arguments.turns)
     if arguments.json:
-        with atomic_path(arguments.json) as path:
-            path.write_text(json.dumps(found, indent=2) + "\n")
+        write_json(arguments.json, found)
     return 0
 
 
