@@ -1,1 +1,1 @@
-"""The benchmark: every contender on every suite, references, statistics, claims, and the page that shows them."""
+"""The benchmark of all contenders on all suites."""
