@@ -1,4 +1,4 @@
-"""The console script `amulett`. Each command is a module here; what is heavy it imports when it runs."""
+"""The console script `amulett`. Each command is a module, which imports large packages only when it runs."""
 
 from __future__ import annotations
 
@@ -17,27 +17,15 @@ from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.jit.notice import announce_compilation
 
 COMMANDS = (
-    "quickstart",
-    "train",
-    "tune",
-    "evaluate",
-    "benchmark",
-    "rerun",
-    "simulate",
-    "play",
-    "reproduce",
-    "identify",
-    "config",
-    "check",
-    "list",
-    "bench",
+    *("quickstart", "train", "tune", "evaluate", "benchmark", "rerun", "simulate"),
+    *("play", "reproduce", "identify", "config", "check", "list", "bench"),
 )
 
 _EXAMPLES = "examples:"
 
 
 class Formatter(argparse.HelpFormatter):
-    """Wraps all text; an example that is too long goes on in the next line, as a shell reads it."""
+    """Wraps all text; a long example continues on the next line after a backslash."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         if not text.startswith(_EXAMPLES):
@@ -50,7 +38,7 @@ class Formatter(argparse.HelpFormatter):
 
 
 def _wrap(text: str, width: int, indent: str = "") -> list[str]:
-    """Return lines that break at spaces alone; names stay whole."""
+    """Return lines that break only at spaces; names stay whole."""
     return textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
@@ -63,7 +51,7 @@ class Parser(argparse.ArgumentParser):
     _words: Sequence[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, and remember the words: an error may have to name one that argparse did not get to."""
+        """Parse, and store the words: an error may name one that argparse did not reach."""
         self._words = sys.argv[1:] if args is None else args
         return super().parse_known_args(args, namespace)
 
@@ -86,12 +74,12 @@ class Parser(argparse.ArgumentParser):
         return ""
 
     def _nearest_option(self, word: str) -> str:
-        """Suggest an option only where it is hardly another one: all of them share their dashes."""
+        """Suggest only an option that is very similar: all of them share their dashes."""
         close = difflib.get_close_matches(word.split("=")[0], self._option_string_actions, n=1, cutoff=0.7)
         return f"; did you mean '{close[0]}'?" if close else ""
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse, and let the command's own parser complain about what it does not know."""
+        """Parse; the command's own parser reports unknown words."""
         arguments, unknown = self.parse_known_args(args, namespace)
         if unknown:
             getattr(arguments, "parser", self).error(f"unrecognized arguments: {' '.join(unknown)}")
@@ -122,18 +110,10 @@ def build_parser() -> Parser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run the command in `argv`, the words after ``amulett`` (those of the process if None), and return its exit code.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The words after ``amulett``; those of the process if None.
-
-    Returns
-    -------
-    int
-        Exit code: 0 success, 1 a check failed or training diverged, 2 wrong input, 130 interrupted, 141 the reader of
-        the output is gone.
+    It is 0 for success, 1 if a check failed or training diverged, 2 for wrong input, 130 if interrupted, and 141 if the
+    reader of the output is gone.
     """
     try:
         return _run(argv)
@@ -143,19 +123,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("amulett: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # `| head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains as it exits
+    except BrokenPipeError:  # of `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python reports it at its exit
         return 141
-    except OSError as error:  # what no reader or writer of ours has put into its own words
+    except OSError as error:  # one that no reader or writer of ours describes
         where = "" if error.filename is None else f" '{error.filename}'"
         print(f"amulett: error: the system refuses{where}: {error.strerror or error}", file=sys.stderr)
-        with contextlib.suppress(OSError):  # else Python tries, and complains, once more as it exits
+        with contextlib.suppress(OSError):  # else Python tries again at its exit
             sys.stdout.close()
         return 2
 
 
 def _home(word: str) -> str:
-    """Return a word of the command line with the ``~`` of ``~/x`` and ``--out=~/x`` as a shell would expand it."""
+    """Return a word of the command line with the ``~`` of ``~/x`` and ``--out=~/x`` expanded."""
     option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
     return option + equals + os.path.expanduser(value)  # noqa: PTH111  (text stays text)
 

@@ -1,13 +1,14 @@
-"""`amulett benchmark`: every contender on every suite, references, claims, and one page that shows them."""
+"""`amulett benchmark`: every contender on every suite, with references and claims, on one page."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.output import print_json, printer
 
-HELP = "run the benchmark: train what is missing, judge all on all suites, and check the claims; resumes by itself"
+HELP = "run the benchmark: train missing policies, compare all on all suites, and check the claims; resumes by itself"
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
   amulett benchmark --config configs/benchmark.yaml --out runs/benchmark
   amulett benchmark --config configs/benchmark.yaml --runs runs/stored --out runs/benchmark --doc docs/benchmark.md
@@ -16,36 +17,23 @@ EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    from amulett_gym.cli.own_policies import add_trust
-
-    parser.add_argument("--out", metavar="DIR", required=True, help="folder; what is finished in it is not done again")
-    parser.add_argument(
-        "--config", metavar="FILE", help="description in YAML (default: that of configs/benchmark.yaml, in code)"
-    )
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="show that all works, in a few minutes: few suites, scenarios and seeds, short training, no claim judged",
-    )
-    parser.add_argument(
-        "--runs",
-        metavar="DIR",
-        help="folder of training runs, <entry>/seed-<k>; what is missing is trained there (default: DIR/runs in --out)",
-    )
-    parser.add_argument(
-        "--policies", nargs="+", default=[], metavar="NAME", help="further contenders: laws, bundles, or trusted zips"
-    )
-    add_trust(parser)
-    parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder; finished stages in it are not repeated")
+    parser.add_argument("--config", metavar="FILE", help="description in YAML (default: as configs/benchmark.yaml)")
+    quick = "a test of a few minutes: few suites, scenarios and seeds, short training, claims are not judged"
+    parser.add_argument("--quick", action="store_true", help=quick)
+    runs = "folder of training runs, <entry>/seed-<k>; missing ones are trained there (default: DIR/runs in --out)"
+    parser.add_argument("--runs", metavar="DIR", help=runs)
+    further = "further contenders: laws, bundles, or trusted zips"
+    parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
+    add_options(parser, "--trust-pickle", "--doc")
     add_json(parser, "the content of benchmark.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what is not done yet, print claims and ranking, and write the files."""
+    """Run the stages that are not finished, print claims and ranking, and write the files."""
     from amulett_gym import ENV_IDS
     from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
-    from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
@@ -61,25 +49,18 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
     profile = load_profile_of(description, recipes)
-    named = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
-    own = [name if isinstance(name, Contender) else parse_contender(name) for name in named]
+    own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
     print_remarks(device_remarks(profile))
-    words = _command(arguments)
+    options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
+    words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)
     evidence = run_benchmark(
-        description,
-        arguments.out,
-        recipes,
-        arguments.runs,
-        own,
-        [*words, "--out", arguments.out],
-        say=show,
-        progress=True,
+        description, out, recipes, arguments.runs, own, [*words, "--out", out], say=show, progress=True
     )
     show("Drawing intervals and figures ...")
     found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
-    figures = write_benchmark(evidence, found, claims, arguments.out)
+    figures = write_benchmark(evidence, found, claims, out)
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
         show(f"Renewed: {arguments.doc}")
@@ -87,17 +68,6 @@ def run(arguments: argparse.Namespace) -> int:
         print_json(judged(found, claims))
         return 0
     show(f"\n{in_words(found, claims)}\n")
-    lost = ", and the scenarios that are lost most clearly" if found["worst"] else ""
-    show(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{lost}.")
+    lost = ", and the scenarios with the largest losses" if found["worst"] else ""
+    show(f"Written to {out}: {PAGE}, benchmark.json, tables, figures{lost}.")
     return 0
-
-
-def _command(arguments: argparse.Namespace) -> list[str]:
-    """Return the command that makes the same again; where it writes to is nobody else's business."""
-    words = ["amulett", "benchmark"]
-    if arguments.config is not None:
-        words += ["--config", arguments.config]
-    words += ["--quick"] * arguments.quick
-    if arguments.policies:
-        words += ["--policies", *arguments.policies, *(["--trust-pickle"] * arguments.trust_pickle)]
-    return words

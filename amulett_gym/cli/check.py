@@ -1,4 +1,4 @@
-"""`amulett check`: conformance of the environments, a line for each promise."""
+"""`amulett check`: conformance of the environments, one line for each promise."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import argparse
 from collections import Counter
 from itertools import product
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json
+from amulett_gym.cli.output import print_json, printer
 
 HELP = "check that an environment keeps its promises"
 EXAMPLES = """  amulett check
@@ -16,9 +17,9 @@ EXAMPLES = """  amulett check
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("env_id", nargs="?", metavar="ENV_ID", help="environment to check (default: all of them)")
-    parser.add_argument("--profile", help="device profile (default: every shipped one)")
-    parser.add_argument("--suite", help="suite of scenarios (default: every one)")
+    parser.add_argument("env_id", nargs="?", metavar="ENV_ID", help="environment to check (default: all)")
+    parser.add_argument("--profile", help="device profile (default: all shipped ones)")
+    parser.add_argument("--suite", help="suite of scenarios (default: all)")
     add_json(parser, "every check and its result")
 
 
@@ -38,13 +39,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise unknown("suite", arguments.suite, suite_names())
     if arguments.profile:
         load_profile(arguments.profile)
-    subjects = list(
-        product(
-            [env_id] if env_id else ENV_IDS,
-            [arguments.profile] if arguments.profile else profile_names(),
-            [arguments.suite] if arguments.suite else suite_names(),
-        )
-    )
+    profiles = [arguments.profile] if arguments.profile else profile_names()
+    suites = [arguments.suite] if arguments.suite else suite_names()
+    subjects = list(product([env_id] if env_id else ENV_IDS, profiles, suites))
     checks, show = [], printer(arguments)
     with Progress(len(subjects) * len(CHECKS), "check", "promises") as bar:
         for name, profile, suite in subjects:

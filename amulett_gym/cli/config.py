@@ -1,4 +1,4 @@
-"""`amulett config`: check a configuration file, and show its resolved values."""
+"""`amulett config`: check a configuration file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from amulett_gym.cli.output import add_json
+from amulett_gym.cli.options import add_json
 from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ EXAMPLES = """  amulett config validate configs/my_device.yaml
 
 
 class Found(NamedTuple):
-    """What a file turned out to be: its kind in words, its name, and its resolved content."""
+    """A file's kind in words, its name, and its resolved content."""
 
     kind: str
     name: str
@@ -31,14 +31,16 @@ class Found(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("action", choices=("validate",), help="validate: refuse what is wrong, say what is right")
+    parser.add_argument(
+        "action", choices=("validate",), help="validate: report the kind of a valid file, or its first errors"
+    )
     parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or a policy bundle's folder")
     parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
     add_json(parser, "kind and resolved values")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Validate; whatever is wrong is an error that names the key."""
+    """Validate; an error names the key."""
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import Profile
 
@@ -57,12 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def validate(path: str | Path) -> Found:
-    """Find out by its keys what a file is, and validate it as that.
+    """Recognise the kind of a file by its keys, and validate it.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read, is nothing that is known, or is not valid.
+        If the file cannot be read, is of no known kind, or is not valid.
     """
     from amulett_gym.settings import find_config
     from amulett_gym.storage.reading import user_path
@@ -78,9 +80,8 @@ def validate(path: str | Path) -> Found:
     if path.suffix.lower() == ".json":
         return Found("a scenario", path.stem, load_scenario(path))
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise AmulettError(
-            f"'{path}' is neither .yaml (device, recipe, benchmark, scenario), .json (scenario) nor a bundle"
-        )
+        allowed = ".yaml (device, recipe, benchmark, scenario), .json (scenario) nor a bundle"
+        raise AmulettError(f"'{path}' is neither {allowed}")
 
     from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, load_profile
@@ -96,7 +97,7 @@ def validate(path: str | Path) -> Found:
     }
     keys = set(read_yaml(path, "file"))
     if keys and all("." in str(key) for key in keys):
-        return Found("what `amulett tune` may change", path.stem, _load_space(path))
+        return Found("a search space of `amulett tune`", path.stem, _load_space(path))
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
     kind = max(known, key=lambda kind: known[kind])
     if not known[kind]:
@@ -111,7 +112,7 @@ def validate(path: str | Path) -> Found:
 
 
 def _check_recipe(config: Any) -> None:
-    """Refuse a recipe that starts from a bundle that cannot be read; its device was read with it."""
+    """Refuse a recipe that starts from a bundle that cannot be read; its device has been read."""
     from amulett_gym.laws.bundle import read_bundle
     from amulett_gym.laws.contenders import bundle_folder
 
@@ -120,7 +121,7 @@ def _check_recipe(config: Any) -> None:
 
 
 def _check_benchmark(benchmark: Any, path: Path) -> None:
-    """Refuse a description that names a device, a recipe or a start that the command would refuse."""
+    """Refuse a description with a device, recipe or start that the command would refuse."""
     from amulett_gym.studies.benchmark.description import load_profile_of, recipe_folder, training_recipe
     from amulett_gym.studies.benchmark.reference import check_starts
 
@@ -132,7 +133,7 @@ def _check_benchmark(benchmark: Any, path: Path) -> None:
 
 
 def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[str]:
-    """Return resolved values as lines of YAML, each with what its field's description says."""
+    """Return resolved values as lines of YAML, each with its field's description."""
     from pydantic import BaseModel
 
     if not isinstance(model, BaseModel):

@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
-from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
+from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.output import print_json, printer
+from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
 
@@ -23,31 +24,16 @@ EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "--policies",
-        nargs="+",
-        required=True,
-        metavar="NAME",
-        help="laws by name (see: amulett list), folders of policy bundles, functions of your own (mylaw.py:function; "
-        "the file is run), zips of Stable-Baselines3 that you trust (--trust-pickle); eq6 always runs as the yardstick",
-    )
-    add_trust(parser)
-    parser.add_argument("--suite", default="steps", help="suite of scenarios (default: steps)")
-    parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
-    parser.add_argument(
-        "--scenario",
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="own scenarios (JSON or YAML), played in turn instead of the suite's",
-    )
-    parser.add_argument(
-        "--episodes", type=int, metavar="N", help="number of scenarios (default: 100, or one of each own scenario)"
-    )
-    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="of an episode [s] (default: 10)")
+    names = f"{POLICIES}; eq6 always runs as the yardstick"
+    parser.add_argument("--policies", nargs="+", required=True, metavar="NAME", help=names)
+    add_options(parser, "--trust-pickle", "--suite", "--profile", "--split")
+    own = "own scenarios (JSON or YAML), played in turn instead of the suite's"
+    add_options(parser, "--scenario", nargs="+", default=[], help=own)
+    episodes = "number of scenarios (default: 100, or one of each own scenario)"
+    parser.add_argument("--episodes", type=int, metavar="N", help=episodes)
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="episode length [s] (default: 10)")
     parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i (default: 0)")
     parser.add_argument("--env-id", default="Amulett/Scaling-v0", help="environment (default: Amulett/Scaling-v0)")
-    parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
     parser.add_argument("--out", metavar="DIR", help="folder for results.json, scenarios.csv, report.html and figures")
     add_json(parser, "the content of results.json")
 
@@ -62,50 +48,34 @@ def run(arguments: argparse.Namespace) -> int:
     show = printer(arguments)
     show(in_words(summary))
     if arguments.out is not None:
-        replaced = ", in the place of the comparison that was there" if earlier else ""
+        replaced = ", instead of the earlier comparison" if earlier else ""
         show(f"Written to {arguments.out}: report.html, results.json, scenarios.csv and figures{replaced}.")
     return 0
 
 
 def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return all that a comparison hangs on, as plain data: the profile whole, and the SHA-256 of learned policies."""
+    """Return a comparison's inputs as plain data, with the whole profile and the SHA-256 of learned policies."""
     from amulett_gym.profile import load_profile
     from amulett_gym.tasks.scenario import load_scenario
 
     scenarios = [load_scenario(file).model_dump() for file in arguments.scenario]
     return {
         "policies": list(arguments.policies),
-        "sha256": {name: digest for name in arguments.policies if (digest := policy_digest(name))},
-        "suite": arguments.suite,
-        "split": arguments.split,
+        "sha256": digests(arguments.policies),
+        **{key: getattr(arguments, key) for key in ("suite", "split")},
         "profile": load_profile(arguments.profile).model_dump(),
         "env_id": arguments.env_id.split(":")[-1],
         "scenarios": scenarios,
         "duration": arguments.duration,
         "episodes": (len(scenarios) or 100) if arguments.episodes is None else arguments.episodes,
-        "seed": arguments.seed,
-        "trust_pickle": arguments.trust_pickle,
+        **{key: getattr(arguments, key) for key in ("seed", "trust_pickle")},
     }
 
 
 def compare(config: Mapping[str, Any], out: str | None, words: Sequence[str]) -> tuple[dict[str, Any], bool]:
-    """Run a comparison.
+    """Compare by a `config` of :func:`resolve`; write the report to `out`, if any, with the words of the command.
 
-    Parameters
-    ----------
-    config : mapping
-        From :func:`resolve`.
-    out : str or None
-        Folder for the report.
-    words : sequence of str
-        Of the command.
-
-    Returns
-    -------
-    summary : dict
-        The content of ``results.json``.
-    earlier : bool
-        Whether there was a comparison in `out`, which is replaced.
+    Return the content of ``results.json``, and whether an earlier comparison in `out` was replaced.
     """
     from dataclasses import replace
 
@@ -136,10 +106,5 @@ def compare(config: Mapping[str, Any], out: str | None, words: Sequence[str]) ->
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
-    words = ["amulett", "evaluate", "--policies", *arguments.policies]
-    words += ["--scenario", *arguments.scenario] if arguments.scenario else []
-    for option in ("suite", "profile", "episodes", "duration", "seed", "env_id", "split", "out"):
-        value = getattr(arguments, option)
-        if value is not None:
-            words += [f"--{option.replace('_', '-')}", str(value)]
-    return [*words, *["--trust-pickle"] * arguments.trust_pickle]
+    options = ("policies", "scenario", "suite", "profile", "episodes", "duration", "seed", "env-id", "split", "out")
+    return ["amulett", "evaluate", *command_words(arguments, *options, "trust-pickle")]

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from itertools import count
 from typing import Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json, check_least
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
@@ -21,47 +22,42 @@ EXAMPLES = """  amulett identify --out runs/identify
 _COUNTS = {
     "population": "candidates in a generation",
     "generations": "generations of each start",
-    "refinement": "generations of the search that goes on from all starts",
+    "refinement": "generations of the search that continues from all starts",
     "steps": "moves of each walker of the ensemble",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted study in it is continued")
     parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder of the study; an interrupted one in it is continued"
+        "--seeds", nargs="+", type=int, metavar="N", help="seeds of the independent starts (default: 1 2 3)"
     )
-    parser.add_argument("--seeds", nargs="+", type=int, metavar="N", help="of the independent starts (default: 1 2 3)")
     for name, text in _COUNTS.items():
-        parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: that of the shipped study)")
-    parser.add_argument(
-        "--processes", type=int, default=os.cpu_count() or 1, metavar="N", help="searches at once (default: all cores)"
-    )
-    parser.add_argument("--overwrite", action="store_true", help="replace a study of other sizes in the folder")
+        parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: as the shipped study)")
+    cores = os.cpu_count() or 1
+    parser.add_argument("--processes", type=int, default=cores, metavar="N", help="parallel searches (default: cores)")
+    parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
     add_json(parser, "the content of identification.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Identify, print what was found, and write the files."""
+    """Identify, print the result, and write the files."""
     from amulett_gym.studies.paper.reproduction import Readings
     from amulett_gym.studies.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
 
     chosen: dict[str, Any] = {name: getattr(arguments, name) for name in ("seeds", *_COUNTS)}
-    for name, value in {**chosen, "processes": arguments.processes}.items():
-        if isinstance(value, int) and value < 1:
-            raise AmulettError(f"--{name} is {value}; it has to be at least 1")
+    check_least(arguments, **dict.fromkeys((*_COUNTS, "processes"), 1))
     if arguments.population is not None and arguments.population < 5:
         raise AmulettError(f"--population is {arguments.population}; differential evolution needs at least 5")
     if arguments.seeds and (min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds)):
-        raise AmulettError(f"--seeds are {arguments.seeds}; they have to differ and to be at least 0")
+        raise AmulettError(f"--seeds are {arguments.seeds}; they have to differ and be at least 0")
     given = {name: value for name, value in chosen.items() if value is not None}
-    if arguments.seeds:
-        given["seeds"] = tuple(arguments.seeds)
-    recipe = Recipe(**given)
+    recipe = Recipe(**given | ({"seeds": tuple(arguments.seeds)} if arguments.seeds else {}))
     total, numbers = stage_count(recipe), count(1)
     progress = Progress(total, "identify", "searches")
     show = printer(arguments)
-    show(f"{total} searches, {min(arguments.processes, total)} at once; a search may take minutes.")
+    show(f"{total} searches, {min(arguments.processes, total)} in parallel; a search may take minutes.")
 
     def report(name: str, stage: Mapping[str, Any]) -> None:
         shown = f"cost {stage['cost']:.3f}, {stage['explained']} rows explained" if "cost" in stage else "walked"

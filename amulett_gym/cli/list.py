@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import argparse
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json
+from amulett_gym.cli.output import print_json, printer
 
 HELP = "list environments, suites, splits, laws and profiles"
 EXAMPLES = """  amulett list
   amulett list --json
 """
+
+_USES = (
+    "for training",
+    "for choosing a policy",
+    "for reports; the default of evaluate",
+    "for reports: outside the ranges of the others",
+)
+"""Uses of the splits."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,18 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
             ENV_IDS[1]: "choose the tension setpoint in N",
         },
         "suites": dict(SUITES),
-        "splits": dict(
-            zip(
-                SPLITS,
-                (
-                    "to train on",
-                    "to choose a policy by",
-                    "to report; the default of evaluate",
-                    "to report: outside the ranges of the others",
-                ),
-                strict=True,
-            )
-        ),
+        "splits": dict(zip(SPLITS, _USES, strict=True)),
         "laws": contender_names(),
         "profiles": {name: load_profile(name).description for name in profile_names()},
     }

@@ -1,4 +1,4 @@
-"""What commands print: lines for people, or one JSON document on stdout and nothing else there."""
+"""Output of commands: lines of text, or one JSON document and nothing else on stdout."""
 
 from __future__ import annotations
 
@@ -9,18 +9,13 @@ from collections.abc import Callable
 from typing import Any
 
 
-def add_json(parser: argparse.ArgumentParser, content: str) -> None:
-    """Add `--json`, which prints `content` instead of what people read."""
-    parser.add_argument("--json", action="store_true", help=f"print {content} as JSON, and nothing else")
-
-
 def print_json(content: Any) -> None:
     """Print plain data as one JSON document; a number that is not finite is null."""
     print(json.dumps(_finite(content), indent=2, allow_nan=False, default=str), flush=True)
 
 
 def printer(arguments: argparse.Namespace) -> Callable[..., None]:
-    """Return what prints text for people, as `reporting.progress.say`; with `--json` it prints nothing."""
+    """Return `reporting.progress.say`, which prints text; with `--json` a function that prints nothing."""
     if arguments.json:
         return lambda text, wrap=True: None
     from amulett_gym.reporting.progress import say

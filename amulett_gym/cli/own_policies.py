@@ -1,8 +1,7 @@
-"""Policies that are no bundles: zips of Stable-Baselines3, if they are trusted, and functions of Python files."""
+"""Policies as commands name them: laws, bundles, trusted zips of Stable-Baselines3, functions of Python files."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,31 +14,29 @@ if TYPE_CHECKING:
     from amulett_gym.profile import Profile
 
 
-def add_trust(parser: argparse.ArgumentParser) -> None:
-    """Add the option by which a user vouches for zips."""
-    parser.add_argument(
-        "--trust-pickle",
-        action="store_true",
-        help="also open zips of Stable-Baselines3: they are pickles, and can run any code of their makers",
-    )
+POLICIES = (
+    "laws by name (see: amulett list), folders of policy bundles, functions of your own (mylaw.py:function; the file "
+    "is run), zips of Stable-Baselines3 that you trust (--trust-pickle)"
+)
+"""The names that commands accept, for their help."""
 
 
 def own_contenders(
     names: Sequence[str], profile: Profile, env_id: str = "Amulett/Scaling-v0", trust_pickle: bool = False
-) -> list[str | Contender]:
-    """Return the names, with a contender instead of each that is a zip of Stable-Baselines3 or ``mylaw.py:function``.
+) -> list[Contender]:
+    """Return the contenders of some names; the same one for equal names.
 
     Raises
     ------
     AmulettError
-        If a zip is not trusted, or a zip or file cannot be loaded, or what it needs is not installed.
+        If a name is unknown, a zip is not trusted, or a zip or file cannot be loaded or needs a missing package.
     """
     found = {name: _own_contender(name, profile, env_id, trust_pickle) for name in dict.fromkeys(names)}
     return [found[name] for name in names]
 
 
-def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool) -> str | Contender:
-    from amulett_gym.laws.contenders import python_file
+def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool) -> Contender:
+    from amulett_gym.laws.contenders import parse_contender, python_file
     from amulett_gym.laws.own import load_own
 
     if python_file(name) is not None:
@@ -49,11 +46,16 @@ def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool)
 
         contender: Contender = load_learning("zips").load_sb3_zip(name, profile, env_id, trust_pickle)
         return contender
-    return name
+    return parse_contender(name)
+
+
+def digests(names: Sequence[str]) -> dict[str, str]:
+    """Return the SHA-256 of each policy that is a file or folder."""
+    return {name: digest for name in names if (digest := policy_digest(name))}
 
 
 def policy_digest(name: str) -> str | None:
-    """Return the SHA-256 of a bundle's manifest, of a zip or of a function's Python file; None for a law's name."""
+    """Return the SHA-256 of a bundle's manifest, a zip or a function's Python file; None for a law."""
     from amulett_gym.laws.bundle import MANIFEST
     from amulett_gym.laws.contenders import python_file
 

@@ -1,4 +1,4 @@
-"""`amulett play`: watch a law or a policy at work, in a window or as a video."""
+"""`amulett play`: show laws and policies in a window or as a video."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.output import add_json, print_json
-from amulett_gym.cli.own_policies import add_trust
+from amulett_gym.cli.options import add_json, add_options, check_least
+from amulett_gym.cli.output import print_json
 from amulett_gym.errors import AmulettError
 
-HELP = "watch laws and trained policies, in a window or as a video"
+HELP = "show laws and trained policies in a window or as a video"
 EXAMPLES = """  amulett play eq6
   amulett play eq6 pretrained --video side-by-side.gif
   amulett play constant:8 --suite hold-push --video hold-push.gif
@@ -22,7 +22,7 @@ EXAMPLES = """  amulett play eq6
 
 
 class _Names:
-    """The names of all laws, which are looked up only where the help is printed."""
+    """The names of all laws, which are collected only when the help is printed."""
 
     def __str__(self) -> str:
         from amulett_gym.laws.contenders import contender_names
@@ -39,25 +39,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="%(names)s; a zip of Stable-Baselines3 that you trust. Several play the same scenario side by side",
     )
     setattr(policy, "names", _Names())  # noqa: B010
-    add_trust(parser)
-    parser.add_argument("--suite", default="steps", help="suite of scenarios (default: %(default)s)")
-    parser.add_argument("--profile", default="testbed", help="device: a name or a YAML file (default: %(default)s)")
-    parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
-    parser.add_argument("--seed", type=int, default=0, help="draws scenarios and noise (default: %(default)s)")
-    parser.add_argument("--scenario", metavar="FILE", help="play this scenario (JSON or YAML) instead of drawn ones")
-    parser.add_argument("--episodes", type=int, default=1, metavar="N", help="how many to play (default: %(default)s)")
-    parser.add_argument("--steps", type=int, metavar="N", help="agent steps in an episode (default: 10 s of them)")
-    parser.add_argument(
-        "--video",
-        metavar="FILE",
-        help="write a video instead of opening a window, which needs a display: .gif, .webp, .png (animated) or .mp4",
-    )
-    parser.add_argument("--fps", type=int, default=25, help="most frames a second in the video (default: %(default)s)")
+    add_options(parser, "--trust-pickle", "--suite", "--profile", "--split", "--scenario")
+    parser.add_argument("--seed", type=int, default=0, help="seed of scenarios and noise (default: 0)")
+    parser.add_argument("--episodes", type=int, default=1, metavar="N", help="number of episodes (default: 1)")
+    parser.add_argument("--steps", type=int, metavar="N", help="agent steps in an episode (default: 10 s)")
+    video = "write a video instead of opening a window, which needs a display: .gif, .webp, .png (animated) or .mp4"
+    parser.add_argument("--video", metavar="FILE", help=video)
+    parser.add_argument("--fps", type=int, default=25, help="highest frame rate of the video [Hz] (default: 25)")
     add_json(parser, "metrics and what was written")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Play the episodes, until the last one ends or the window is closed."""
+    """Play the episodes until the last one ends or the window is closed."""
     _check(arguments)
     import gymnasium as gym
 
@@ -66,14 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.envs.rendering.window import Renderer
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
-    from amulett_gym.laws.contenders import Contender, parse_contender
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
 
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
     names = list(dict.fromkeys(arguments.policy))
-    found = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
-    contenders = [one if isinstance(one, Contender) else parse_contender(one) for one in found]
+    contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
     remarks = device_remarks(protocol.profile, names)
     print_remarks(remarks)
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
@@ -121,11 +112,8 @@ def _counted(pictures: Iterator[Any], bar: Any) -> Iterator[Any]:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Refuse what cannot work, before anything heavy is loaded."""
-    for option, smallest in (("episodes", 1), ("steps", 1), ("fps", 1), ("seed", 0)):
-        value = getattr(arguments, option)
-        if value is not None and value < smallest:
-            raise AmulettError(f"--{option} is {value}; it has to be at least {smallest}")
+    """Refuse wrong options before large packages are loaded."""
+    check_least(arguments, episodes=1, steps=1, fps=1, seed=0)
     from amulett_gym.envs.rendering.video import SUFFIXES, check_video
     from amulett_gym.envs.rendering.window import display_answers
 
@@ -141,7 +129,7 @@ class _Stage:
     def __init__(self, contender: Any, env: Any, period: float, most_steps: int) -> None:
         self.contender, self.env, self.period, self.most_steps = contender, env, period, most_steps
         self.played: list[dict[str, Any]] = []
-        """What came of each episode that was played to its end."""
+        """Results of the finished episodes."""
 
     def begin(self, seed: int | None, options: Any) -> None:
         """Begin an episode."""
@@ -152,7 +140,7 @@ class _Stage:
         self.ended, self.steps, self.total = False, 0, 0.0
 
     def advance(self, time: float) -> None:
-        """Take the steps that end by a time [s], unless the episode ends before."""
+        """Take the steps that end by `time` [s], unless the episode ends before."""
         while not self.ended and (self.steps + 1) * self.period <= time * (1.0 + 1e-9):
             action = self.policy(self.observation[None])[0]
             self.observation, reward, terminated, truncated, info = self.env.step(action)

@@ -1,16 +1,15 @@
-"""`amulett quickstart`: the main job, end to end: train, compare, report."""
+"""`amulett quickstart`: train, compare and report, end to end."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
-from amulett_gym.errors import AmulettError
+from amulett_gym.cli.options import add_json, check_least, check_seconds, command_words
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
@@ -24,46 +23,31 @@ EXAMPLES = """  amulett quickstart
 """
 
 LAWS = (
-    "eq6",
-    "eq6-printed",
-    "eq6-held",
-    "eq6-held-printed",
-    "eq6-tuned",
-    "parametric",
-    "constant:4",
-    "constant:5.25",
-    "constant:5.5",
-    "constant:6",
-    "constant:10",
-    "position-only",
+    *("eq6", "eq6-printed", "eq6-held", "eq6-held-printed", "eq6-tuned", "parametric"),
+    *("constant:4", "constant:5.25", "constant:5.5", "constant:6", "constant:10", "position-only"),
 )
 
 STEPS = 2_000_000
-"""Of the training: about a minute on two free cores, and enough to cost less than the best constant tension does."""
+"""Agent steps of the training: about a minute on two free cores, enough for a lower cost than the best constant."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "--steps", type=int, default=STEPS, metavar="N", help=f"agent steps to train (default: {STEPS:,})"
-    )
-    parser.add_argument(
-        "--seconds", type=float, help="most time to train [s]; if it is too short, the policy depends on the machine"
-    )
-    parser.add_argument("--episodes", type=int, default=100, help="fresh scenarios to compare on (default: 100)")
-    parser.add_argument("--seed", type=int, default=0, help="of the training (default: 0)")
+    steps = f"agent steps of the training (default: {STEPS:,})"
+    parser.add_argument("--steps", type=int, default=STEPS, metavar="N", help=steps)
+    limit = "time limit of the training [s]; if it ends the training, the policy depends on the machine"
+    parser.add_argument("--seconds", type=float, help=limit)
+    parser.add_argument("--episodes", type=int, default=100, help="new scenarios of the comparison (default: 100)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the training (default: 0)")
     parser.add_argument("--out", default="runs/quickstart", metavar="DIR", help="folder (default: runs/quickstart)")
     add_json(parser, "the content of results.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Train on the recipe's suite, compare on scenarios that were never trained on, and write the report."""
+    """Train on the recipe's suite, compare on new scenarios, and write the report."""
     check_installed()
-    if arguments.seconds is not None and not 0 < arguments.seconds < math.inf:
-        raise AmulettError(f"--seconds is {arguments.seconds}; it has to be a positive number of seconds")
-    for option, smallest in (("steps", 1), ("seed", 0)):
-        if getattr(arguments, option) < smallest:
-            raise AmulettError(f"--{option} is {getattr(arguments, option)}; it has to be at least {smallest}")
+    check_seconds(arguments, "seconds")
+    check_least(arguments, steps=1, seed=0)
 
     from amulett_gym.evaluation.runner import Protocol
     from amulett_gym.profile import load_profile
@@ -94,30 +78,24 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
 
     policy, show = out / "ppo", printer(arguments)
     show(f"Training PPO on '{protocol.suite}' ({protocol.profile.name}) for {config.total_steps:,} steps ...")
-    command = _command(arguments)
+    # Every option, so that another version's defaults do not change it.
+    command = ["amulett", "quickstart", *command_words(arguments, "steps", "seconds", "episodes", "seed", "out")]
     chosen = {name: getattr(arguments, name) for name in ("steps", "seconds", "episodes", "seed")}
     write_provenance(out, "quickstart", chosen, [arguments.seed, *range(arguments.episodes)], command)
     trained = load_learning("training").train(config, policy, command=command, overwrite=True)
-    remove_comparison(out)  # it was of another policy
+    remove_comparison(out)  # of another policy
     try:
         if trained.interrupted:
             raise KeyboardInterrupt
-        show(f"{trained.steps:,} steps. Comparing on {protocol.episodes} scenarios never trained on ...")
-        results = evaluate(
-            [*LAWS, str(policy)],
-            suite=protocol.suite,
-            profile=protocol.profile,
-            episodes=protocol.episodes,
-            progress=True,
-        )
-        remarks = [*results.remarks, _stands_on(trained), beside_best_constant(results, str(policy))]
+        show(f"{trained.steps:,} steps. Comparing on {protocol.episodes} new scenarios ...")
+        contenders, episodes = [*LAWS, str(policy)], protocol.episodes
+        results = evaluate(contenders, protocol.suite, protocol.profile, episodes, progress=True)
+        remarks = [*results.remarks, _training_length(trained), next_to_best_constant(results, str(policy))]
         summary = write_report(replace(results, remarks=remarks, command=shlex.join(command)), out)
     except KeyboardInterrupt:
-        print(
-            f"amulett: interrupted after {trained.steps:,} steps; the best policy until then is kept in "
-            f"{trained.best}. Compare it with: amulett evaluate --policies {shlex.quote(str(policy))} constant:10",
-            file=sys.stderr,
-        )
+        kept = f"after {trained.steps:,} steps; the best policy until then is kept in {trained.best}"
+        compare = f"amulett evaluate --policies {shlex.quote(str(policy))} constant:10"
+        print(f"amulett: interrupted {kept}. Compare it with: {compare}", file=sys.stderr)
         return 130
     if arguments.json:
         print_json(summary)
@@ -127,8 +105,8 @@ def _train_and_compare(arguments: argparse.Namespace, config: Any, protocol: Any
     return 0
 
 
-def beside_best_constant(results: Results, policy: str) -> str:
-    """Return in words how a policy stands against the constant that costs least on the same scenarios."""
+def next_to_best_constant(results: Results, policy: str) -> str:
+    """Return a policy's cost relative to the best constant's on the same scenarios, in words."""
     from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
     from amulett_gym.laws.contenders import CONSTANT
     from amulett_gym.reporting.words import span
@@ -137,19 +115,14 @@ def beside_best_constant(results: Results, policy: str) -> str:
     best = min((name for name in costs if name.startswith(CONSTANT)), key=lambda name: float(costs[name].sum()))
     ratio = ratio_of_sums(costs[policy], costs[best], draw_weights(len(costs[best])))
     tension = best.removeprefix(CONSTANT)
-    return f"the best constant on these scenarios is {tension} N; the policy costs {span(ratio.plain())} of it"
+    return (
+        f"the best constant on these scenarios is {tension} N; the policy's cost is {span(ratio.plain())} of its cost"
+    )
 
 
-def _stands_on(trained: Any) -> str:
+def _training_length(trained: Any) -> str:
     """Return in words how long a policy was trained, and how long the full recipe trains."""
     full = load_learning("recipes").TrainConfig().total_steps
     fewer = f"; the full recipe (amulett train) takes {full:,}" if trained.steps < full else ""
     broken = "" if trained.diverged is None else ", after which the training diverged"
     return f"the policy was trained for {trained.steps:,} steps{broken}{fewer}"
-
-
-def _command(arguments: argparse.Namespace) -> list[str]:
-    """Return the command with every option, so that another version's defaults do not change it."""
-    options = {name: getattr(arguments, name) for name in ("steps", "seconds", "episodes", "seed", "out")}
-    given = [word for name, value in options.items() if value is not None for word in (f"--{name}", str(value))]
-    return ["amulett", "quickstart", *given]

@@ -1,4 +1,4 @@
-"""`amulett reproduce`: the paper's step responses, and every number of its Tables 2-5 beside ours."""
+"""`amulett reproduce`: the paper's step responses and Tables 2-5 next to ours."""
 
 from __future__ import annotations
 
@@ -6,29 +6,27 @@ import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import output_folder
 
-HELP = "run what the paper measured, and compare Tables 2-5 with ours"
+HELP = "run the paper's experiments, and compare Tables 2-5 with ours"
 EXAMPLES = """  amulett reproduce --out runs/reproduction
   amulett reproduce --json
   amulett reproduce --doc docs/reproduction.md
   amulett reproduce --study runs/identify --out runs/mine
 """
 
-
 STUDY = "study"
-"""Folder of a reproduction for a copy of the study that it shows."""
+"""Subfolder of a reproduction with a copy of its study."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
-    parser.add_argument("--doc", metavar="FILE.md", help="renew the generated part of a document, and its figures")
-    parser.add_argument(
-        "--study", metavar="DIR", help="devices that `amulett identify` wrote to a folder, instead of the shipped ones"
-    )
+    add_options(parser, "--doc")
+    parser.add_argument("--study", metavar="DIR", help="folder of `amulett identify`, instead of the shipped devices")
     add_json(parser, "the content of reproduction.json")
 
 
@@ -56,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
             evidence = gather(study, lambda part: progress.update(note=part))
         result = content(evidence) if out is None else write_numbers(evidence, out)
         if out is not None:
-            _describe(out, arguments.study)
+            _describe(arguments)
             figures = write_pictures(evidence, out)
         elif arguments.doc is not None:
             figures = draw(evidence)
@@ -67,20 +65,20 @@ def run(arguments: argparse.Namespace) -> int:
     show = printer(arguments)
     show(in_words(evidence))
     if out is not None:
-        replaced = ", instead of the reproduction that was there" if earlier else ""
+        replaced = ", instead of the earlier reproduction" if earlier else ""
         show(f"Written to {out}: reproduction.html, reproduction.json, CSV files and figures{replaced}.")
     if arguments.doc is not None:
         show(f"Renewed: {arguments.doc}")
     return 0
 
 
-def _describe(out: str, study: str | None) -> None:
+def _describe(arguments: argparse.Namespace) -> None:
     """Write what `amulett rerun` needs: the command, and a copy of the study."""
     from amulett_gym.storage.provenance import write_provenance
     from amulett_gym.studies.paper.study import copy_study
 
-    words = ["amulett", "reproduce", "--out", out]
+    out, study = arguments.out, arguments.study
     if study is not None:
         copy_study(study, Path(out) / STUDY)
-        words += ["--study", study]
+    words = ["amulett", "reproduce", *command_words(arguments, "out", "study")]
     write_provenance(out, "reproduce", {"study": study}, [], words)

@@ -1,4 +1,4 @@
-"""`amulett rerun`: run again what wrote a folder, and report whether the numbers are the same."""
+"""`amulett rerun`: repeat the command that wrote a folder, and compare the numbers."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
-from amulett_gym.cli.own_policies import add_trust
+from amulett_gym.cli.options import add_json, add_options
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
     from amulett_gym.storage.provenance import Provenance
 
-HELP = "run again what wrote a folder, into a new one, and report whether the numbers are the same"
+HELP = "repeat the command that wrote a folder, into a new one, and compare the numbers"
 EXAMPLES = """  amulett rerun comparison --out comparison-again
   amulett rerun runs/first --out runs/first-again
   amulett rerun runs/first --out runs/first-again --json
@@ -29,39 +29,32 @@ EXAMPLES = """  amulett rerun comparison --out comparison-again
 Numbers = dict[str, Any]
 
 _NOT_NUMBERS = ("command", "machine", "versions", "seconds", "sha256", "status")
-"""Keys, at any depth, that are no results."""
+"""Keys, at any depth, that are not compared."""
 
 _MOST_SHOWN = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "folder",
-        metavar="DIR",
-        help="folder that a command wrote (quickstart, train, tune, evaluate, benchmark, identify, reproduce)",
-    )
-    parser.add_argument("--out", required=True, metavar="NEW", help="folder for what is done again")
-    add_trust(parser)
-    parser.add_argument(
-        "--trust-python",
-        action="store_true",
-        help="also run the Python files whose functions were compared (mylaw.py:function)",
-    )
+    parser.add_argument("folder", metavar="DIR", help=f"folder that a command wrote ({', '.join(_KINDS)})")
+    parser.add_argument("--out", required=True, metavar="NEW", help="folder for the repetition")
+    add_options(parser, "--trust-pickle")
+    trust = "also run the Python files whose functions were compared (mylaw.py:function)"
+    parser.add_argument("--trust-python", action="store_true", help=trust)
     add_json(parser, "what differs")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run it again; exit code 1 if a number differs."""
+    """Repeat the command; return 1 if a number differs."""
     from amulett_gym.laws.contenders import python_file
-    from amulett_gym.storage.provenance import read_provenance, software_changes
+    from amulett_gym.storage.provenance import differences, read_provenance, software_changes
     from amulett_gym.storage.reading import visible
 
     old, new = Path(arguments.folder).resolve(), Path(arguments.out).resolve()
     if old == new or old in new.parents or new in old.parents:
         raise AmulettError(f"--out '{arguments.out}' has to be another folder than '{arguments.folder}', and not in it")
     if new.exists() and (not new.is_dir() or visible(new)):
-        raise AmulettError(f"--out '{arguments.out}' is there already; choose a new folder")
+        raise AmulettError(f"--out '{arguments.out}' exists already; choose a new folder")
     note = read_provenance(old)
     kind = note.kind or "train"
     if kind not in _KINDS:
@@ -69,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.trust_pickle and (note.config.get("trust_pickle") or "--trust-pickle" in (note.command or [])):
         raise AmulettError(
             f"the command behind '{arguments.folder}' opened zips of Stable-Baselines3: they are pickles, which run "
-            "any code of their maker; if you trust that, say so here, too: --trust-pickle"
+            "any code of their maker; if you trust them, give --trust-pickle here, too"
         )
     files = [name for name in note.command or [] if python_file(name) is not None]
     files += [name for name in note.config.get("policies", []) if python_file(str(name)) is not None]
@@ -79,18 +72,18 @@ def run(arguments: argparse.Namespace) -> int:
             "--trust-python here, too"
         )
     again, read = _KINDS[kind]
-    expected = read(old)  # a folder that is not finished is refused before anything is done
-    warnings = [f"the software is another one: {change}" for change in software_changes(note)]
+    expected = read(old)  # an unfinished folder is refused before anything runs
+    warnings = [f"the software differs: {change}" for change in software_changes(note)]
     show = printer(arguments)
     with _working_folder(note) as moved:
         warnings += moved
         warnings += _changed_inputs(note)
         for warning in warnings:
             show(f"Warning: {warning}")
-        show(f"Again: {shlex.join(note.command or ['amulett', kind])}", wrap=False)
+        show(f"Repeating: {shlex.join(note.command or ['amulett', kind])}", wrap=False)
         with contextlib.redirect_stdout(sys.stderr) if arguments.json else contextlib.nullcontext():
             again(note, old, new)
-    changed = _different(expected, read(new))
+    changed = differences(_numbers(expected), _numbers(read(new)))
     if arguments.json:
         result = {"kind": kind, "same": not changed, "differences": changed, "warnings": warnings, "out": str(new)}
         print_json(result)
@@ -101,30 +94,30 @@ def run(arguments: argparse.Namespace) -> int:
         if len(changed) > _MOST_SHOWN:
             show(f"  and {len(changed) - _MOST_SHOWN} more (--json has them all)")
     else:
-        show(f"All {_count(_numbers(expected))} numbers are the same. What was done again is in {arguments.out}.")
+        show(f"All {_count(_numbers(expected))} numbers are the same. The repetition is in {arguments.out}.")
     return 1 if changed else 0
 
 
 @contextlib.contextmanager
 def _working_folder(note: Provenance) -> Any:
-    """Go where the command was given, so that its relative paths mean the same; yield a warning if that is gone."""
+    """Change to the folder in which the command ran, for its relative paths; yield a warning if it is gone."""
     place = note.working_folder
     if place is None or not Path(place).is_dir():
-        yield [] if place is None else [f"the folder where the command was given is gone: {place}"]
+        yield [] if place is None else [f"the folder in which the command ran is gone: {place}"]
         return
     with contextlib.chdir(place):
         yield []
 
 
 def _changed_inputs(note: Provenance) -> list[str]:
-    """Say which learned policies are others than those that were compared."""
+    """Return a warning for each input that differs from the original one."""
     from amulett_gym.cli.own_policies import policy_digest
 
     if note.kind == "benchmark" and note.config.get("runs") is not None:
-        # To take them from there, as a note says, would be to train there what is missing.
-        return [f"the training runs were those in '{note.config['runs']}'; here they are trained again"]
+        # The original folder is not used: missing runs would be trained there.
+        return [f"the training runs in '{note.config['runs']}' are trained again"]
     then = note.config.get("sha256", {}) if note.kind == "evaluate" else {}
-    return [f"the policy '{name}' is another one than then" for name in then if policy_digest(name) != then[name]]
+    return [f"the policy '{name}' has changed" for name in then if policy_digest(name) != then[name]]
 
 
 def _train_again(note: Provenance, old: Path, new: Path) -> None:
@@ -134,7 +127,7 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
     config = load_learning("recipes").load_train_config(old / "config.yaml")
     if config.max_seconds is not None:
         print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
-    if "profile" in note.config:  # as it was, whatever the file that described it says by now
+    if "profile" in note.config:  # the original one, even if its file has changed
         config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
     result = training.train(training.with_start(config, old), new, command=note.command)
     if result.interrupted:
@@ -142,7 +135,7 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
 
 
 def _trained(folder: Path) -> Numbers:
-    """Return a finished run's validations, their times aside, and digests of its weights."""
+    """Return a finished run's validations, without their times, and digests of its weights."""
     from amulett_gym.storage.reading import read_bytes, read_text
 
     if not (folder / "finished.json").is_file():
@@ -166,7 +159,7 @@ def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
 
 
 def _compared(folder: Path) -> Numbers:
-    """Return a comparison's numbers, in each scenario too."""
+    """Return a comparison's numbers, overall and in each scenario."""
     from amulett_gym.storage.reading import read_json, read_text
 
     rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
@@ -175,7 +168,7 @@ def _compared(folder: Path) -> Numbers:
 
 
 def _quickstart(folder: Path) -> Numbers:
-    """Return the numbers of a quickstart: of its training run, and of the comparison, whatever the folder's name is."""
+    """Return the numbers of a quickstart's training run and comparison, independent of the folder's name."""
     trained, compared = _trained(folder / "ppo"), _compared(folder)
     own = next((name for name in compared["policies"] if Path(name).name == "ppo"), "ppo")
     scenarios = {key.replace(own, "ppo"): {**row, "policy": ""} for key, row in compared["scenarios"].items()}
@@ -184,7 +177,7 @@ def _quickstart(folder: Path) -> Numbers:
 
 
 def _command_again(note: Provenance, old: Path, new: Path) -> None:
-    """Give a command's words again; whatever they say, it writes to the new folder and nowhere else."""
+    """Run a command's words again; it writes only to the new folder, even if they name other outputs."""
     from amulett_gym.cli import build_parser
     from amulett_gym.cli.reproduce import STUDY
 
@@ -196,19 +189,19 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
         reason = problem.getvalue().strip().rpartition("error: ")[2]
         raise AmulettError(f"'{old / 'command.json'}' holds no command of this version: {reason}") from error
     if arguments.command != note.kind:
-        raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to be given again")
+        raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to repeat")
     vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
-    if (old / STUDY).is_dir():  # the study that a reproduction shows, as it was
+    if (old / STUDY).is_dir():  # the original study of a reproduction
         arguments.study = str(old / STUDY)
     code = arguments.run(arguments)
     if code == 130:
         raise KeyboardInterrupt
     if code:
-        raise AmulettError(f"doing it again ended with exit code {code}")
+        raise AmulettError(f"the repetition ended with exit code {code}")
 
 
 def _reader(pattern: str) -> Callable[[Path], Numbers]:
-    """Return a reader of the JSON files of a finished folder that match a pattern."""
+    """Return a reader of the JSON files that match a pattern in a finished folder."""
 
     def read(folder: Path) -> Numbers:
         from amulett_gym.storage.reading import read_json, visible
@@ -230,12 +223,6 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "tune": (_command_again, _reader("trials.json")),
     "reproduce": (_command_again, _reader("reproduction.json")),
 }
-
-
-def _different(old: Any, new: Any) -> list[str]:
-    from amulett_gym.storage.provenance import differences
-
-    return differences(_numbers(old), _numbers(new))
 
 
 def _numbers(tree: Any) -> Any:

@@ -1,4 +1,4 @@
-"""`amulett simulate`: one episode with each of some laws, recorded at control rate."""
+"""`amulett simulate`: one episode with each law, recorded at control rate."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
-from amulett_gym.cli.own_policies import add_trust, own_contenders, policy_digest
+from amulett_gym.cli.options import add_json, add_options, check_seconds
+from amulett_gym.cli.output import print_json, printer
+from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable
 
@@ -26,43 +27,28 @@ EXAMPLES = """  amulett simulate --law eq6 --suite paper-step --profile simulati
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument(
-        "--law",
-        nargs="+",
-        default=["eq6"],
-        metavar="LAW",
-        help="laws by name (see: amulett list), folders of policy bundles, functions of your own (mylaw.py:function; "
-        "the file is run); all meet the same scenario (default: eq6)",
-    )
-    add_trust(parser)
-    parser.add_argument("--suite", default="steps", help="suite that the scenario is drawn from (default: steps)")
-    parser.add_argument("--profile", default="testbed", help="device profile, by name or YAML file (default: testbed)")
+    laws = f"{POLICIES}; all get the same scenario (default: eq6)"
+    parser.add_argument("--law", nargs="+", default=["eq6"], metavar="LAW", help=laws)
+    add_options(parser, "--trust-pickle", "--suite", "--profile", "--split", "--scenario")
     parser.add_argument("--seed", type=int, default=0, help="seed of the scenario and the sensor noise (default: 0)")
-    parser.add_argument("--split", default="held-out", help="train, validation, held-out (default) or shifted")
-    parser.add_argument(
-        "--scenario", metavar="FILE", help="a scenario of your own (JSON or YAML) instead of the suite's"
-    )
-    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="seconds to simulate (default: 10)")
-    parser.add_argument(
-        "--out",
-        metavar="FILE.csv",
-        help="trajectory, one row a control tick; of several laws one below the other, with a column 'law'",
-    )
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="simulated time [s] (default: 10)")
+    rows = "trajectory, one row a control tick; several laws one below the other, with a column 'law'"
+    parser.add_argument("--out", metavar="FILE.csv", help=rows)
     parser.add_argument("--plot", metavar="FILE.png", help="figure (.png or .svg); several laws share its panels")
     add_json(parser, "metrics, units and scenario")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, write what was asked for, and print the metrics."""
-    if not 0 < arguments.duration < math.inf:
-        raise AmulettError(f"--duration is {arguments.duration}; it has to be a positive number of seconds")
-    if arguments.out is not None and Path(arguments.out).suffix.lower() != ".csv":
-        raise AmulettError(f"--out '{arguments.out}' has to end in .csv")
-    if arguments.plot is not None and Path(arguments.plot).suffix.lower() not in (".png", ".svg"):
-        raise AmulettError(f"--plot '{arguments.plot}' has to end in .png or .svg")
-    for path in (arguments.out, arguments.plot):
-        if path is not None:
-            check_writable(path)
+    """Simulate, print the metrics, and write the files."""
+    check_seconds(arguments, "duration")
+    files = (("out", (".csv",)), ("plot", (".png", ".svg")))
+    for option, suffixes in files:
+        path = getattr(arguments, option)
+        if path is not None and Path(path).suffix.lower() not in suffixes:
+            raise AmulettError(f"--{option} '{path}' has to end in {' or '.join(suffixes)}")
+    for option, _ in files:
+        if getattr(arguments, option) is not None:
+            check_writable(getattr(arguments, option))
 
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
@@ -109,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _content(
     arguments: argparse.Namespace, names: list[str], played: list[Episode], remarks: list[str]
 ) -> dict[str, Any]:
-    """Return what --json prints: of one law, its name and metrics at the top; of several, by law under ``laws``."""
+    """Return what --json prints: one law's name and metrics at the top level; several laws' under ``laws``."""
     from amulett_gym.evaluation.metrics import UNITS
 
     results = [{"failure": episode.failure, "metrics": episode.metrics} for episode in played]
@@ -118,7 +104,7 @@ def _content(
         found = {"laws": dict(zip(names, results, strict=True))}
     return {
         **found,
-        "sha256": {name: digest for name in names if (digest := policy_digest(name))},
+        "sha256": digests(names),
         "profile": played[0].trajectory.profile,
         **{key: getattr(arguments, key) for key in ("suite", "split", "seed", "duration")},
         "units": {name: UNITS[name] for name in played[0].metrics},
@@ -128,7 +114,7 @@ def _content(
 
 
 def _print(arguments: argparse.Namespace, episodes: Mapping[str, Episode], title: str) -> None:
-    """Print metrics, failures, and where the trajectories are."""
+    """Print metrics, failures, and the trajectories' file."""
     from amulett_gym.evaluation.metrics import UNITS
     from amulett_gym.reporting.table import Table
 

@@ -1,17 +1,17 @@
-"""`amulett train`: train a policy by a recipe, or go on with a run that was interrupted."""
+"""`amulett train`: train a policy with a recipe, or resume an interrupted run."""
 
 from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 
-from amulett_gym.cli.output import add_json, print_json, printer
+from amulett_gym.cli.options import add_json, add_options
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 
 HELP = (
-    "train a policy by a recipe; keeps the best and the last one as bundles; resumes what was interrupted or killed; "
+    "train a policy with a recipe; saves the best and the last one as bundles; resumes interrupted and killed runs; "
     "exit code 1: training diverged, 130: interrupted"
 )
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
@@ -26,28 +26,22 @@ EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--config", metavar="FILE", help="recipe in YAML (default: the tuned recipe, configs/ppo.yaml)")
-    add_overrides(parser, "change keys of the recipe, for example ppo.gamma=0.98")
+    add_options(parser, "--set", help="change keys of the recipe, for example ppo.gamma=0.98")
     parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
-    parser.add_argument("--resume", metavar="DIR", help="go on with the run in DIR by its own recipe")
-    parser.add_argument("--seed", type=int, help="replaces the recipe's")
-    parser.add_argument("--overwrite", action="store_true", help="replace the run that is in DIR already")
+    parser.add_argument("--resume", metavar="DIR", help="continue the run in DIR with its own recipe")
+    parser.add_argument("--seed", type=int, help="seed instead of the recipe's")
+    parser.add_argument("--overwrite", action="store_true", help="replace an earlier run in DIR")
     add_json(parser, "the result")
 
 
-def add_overrides(parser: argparse.ArgumentParser, meaning: str) -> None:
-    """Add `--set`, whose words are `load_train_config`'s overrides."""
-    parser.add_argument(
-        "--set", nargs="+", action="extend", default=[], metavar="KEY=VALUE", dest="overrides", help=meaning
-    )
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Train; exit code 130 if Ctrl-C or SIGTERM ended it, 1 if it diverged (the policies until then are kept)."""
+    """Train; return 130 if Ctrl-C or SIGTERM ended it, 1 if it diverged (the policies until then are kept)."""
     check_installed()
     from dataclasses import asdict
 
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import load_profile
+    from amulett_gym.storage.provenance import process_words
 
     finished, show = False, printer(arguments)
     if arguments.resume is not None:
@@ -57,18 +51,18 @@ def run(arguments: argparse.Namespace) -> int:
         result = training.resume(arguments.resume)
     else:
         if arguments.out is None:
-            raise AmulettError("train needs --out DIR for a new run, or --resume DIR to go on with one")
+            raise AmulettError("train needs --out DIR for a new run, or --resume DIR to continue one")
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
         print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tuple(config.env.tension_range)))
-        command = ["amulett", *sys.argv[1:]]
-        result = load_learning("training").train(config, arguments.out, command=command, overwrite=arguments.overwrite)
+        train = load_learning("training").train
+        result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:
         print_json(asdict(result))
     else:
         if result.interrupted:
-            show("interrupted; what was learned until then is kept. Go on with:")
+            show("interrupted; the policies until then are kept. Continue with:")
             show(f"       amulett train --resume {shlex.quote(str(result.out))}", wrap=False)
         if result.diverged is not None:
             show(f"diverged after {result.diverged:,} steps; earlier policies are kept. Try a lower learning rate")
@@ -83,16 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_alone(arguments: argparse.Namespace) -> None:
-    """Refuse options that would change a run that is resumed."""
-    given = {
-        "--out": arguments.out is not None,
-        "--config": arguments.config is not None,
-        "--set": bool(arguments.overrides),
-        "--seed": arguments.seed is not None,
-        "--overwrite": arguments.overwrite,
-    }
-    wrong = [option for option, is_given in given.items() if is_given]
-    if wrong:
-        raise AmulettError(
-            f"--resume goes on with the run's own recipe, in its own folder; leave out {', '.join(wrong)}"
-        )
+    """Refuse options that would change a resumed run."""
+    options = ("out", "config", "overrides", "seed", "overwrite")
+    given = [name for name in options if getattr(arguments, name) not in (None, False, [])]
+    if wrong := ", ".join(f"--{name}" for name in given).replace("overrides", "set"):
+        raise AmulettError(f"--resume continues with the run's own recipe, in its own folder; leave out {wrong}")

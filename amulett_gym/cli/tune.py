@@ -1,4 +1,4 @@
-"""`amulett tune`: search a recipe's settings with Optuna; go on where it was interrupted or killed."""
+"""`amulett tune`: search a recipe's settings with Optuna."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.output import add_json, print_json, printer
-from amulett_gym.cli.train import add_overrides
+from amulett_gym.cli.options import add_json, add_options
+from amulett_gym.cli.output import print_json, printer
 from amulett_gym.learning import TUNING, check_installed, load_learning
 
-HELP = "search a recipe's settings; given again, the same command goes on where it was interrupted or killed"
+HELP = "search a recipe's settings; the same command continues an interrupted or killed search"
 EXAMPLES = """  amulett tune --config configs/ppo.yaml --space configs/tune.yaml --trials 40 --out runs/study
   amulett tune --space configs/tune.yaml --set total_steps=500000 --seeds 3 --trials 20 --out runs/study
   amulett train --config runs/study/best.yaml --out runs/best
@@ -23,20 +23,22 @@ _MOST_SHOWN = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--config", metavar="FILE", help="recipe in YAML that is changed (default: the default recipe)")
-    add_overrides(parser, "change keys of the recipe before, for example total_steps=500000")
-    parser.add_argument("--space", metavar="FILE", required=True, help="what to try: keys with ranges or choices")
-    parser.add_argument("--trials", type=int, default=40, help="how many, those already done included (default: 40)")
-    parser.add_argument("--seeds", type=int, default=1, help="runs of each trial, whose mean counts (default: 1)")
-    parser.add_argument("--seed", type=int, default=0, help="of what is tried (default: 0)")
+    parser.add_argument("--config", metavar="FILE", help="recipe in YAML (default: the default recipe)")
+    add_options(parser, "--set", help="change keys of the recipe before, for example total_steps=500000")
+    parser.add_argument("--space", metavar="FILE", required=True, help="search space: keys with ranges or choices")
+    parser.add_argument("--trials", type=int, default=40, help="number of trials, with the finished ones (default: 40)")
+    parser.add_argument("--seeds", type=int, default=1, help="runs of each trial; their mean counts (default: 1)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the proposals (default: 0)")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
     add_json(parser, "the trials")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Tune; exit code 130 if Ctrl-C or SIGTERM ended it."""
+    """Tune; return 130 if Ctrl-C or SIGTERM ended it, 1 if all trials failed."""
     check_installed(TUNING)
     from dataclasses import asdict
+
+    from amulett_gym.storage.provenance import process_words
 
     config = load_learning("recipes").load_train_config(arguments.config, arguments.overrides)
     tuning = load_learning("tuning")
@@ -48,20 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
         cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
         show(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}")
 
-    trials = tuning.tune(
-        config,
-        space,
-        arguments.trials,
-        arguments.out,
-        seed=arguments.seed,
-        seeds=arguments.seeds,
-        command=["amulett", *sys.argv[1:]],
-        progress=True,
-        report=report,
-    )
+    words, study = process_words(), (arguments.trials, arguments.out, arguments.seed, arguments.seeds)
+    trials = tuning.tune(config, space, *study, command=words, progress=True, report=report)
     if trials is None:
-        words = shlex.join(["amulett", *sys.argv[1:]])
-        print(f"interrupted; nothing that is finished is lost. Go on with:\n       {words}", file=sys.stderr)
+        print(f"interrupted; finished runs are kept. Continue with:\n       {shlex.join(words)}", file=sys.stderr)
         return 130
     best = tuning.best_of(trials)
     if arguments.json:
@@ -73,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _table(trials: list[Any], keys: list[str]) -> str:
-    """Return the best trials, one a line."""
+    """Return the table of the best trials."""
     from amulett_gym.reporting.table import Table
 
     judged = sorted((trial for trial in trials if trial.costs), key=lambda trial: (trial.cost, trial.number))

@@ -142,7 +142,7 @@ def test_whatever_the_words_say_it_writes_to_the_new_folder_alone(comparison, tm
     monkeypatch.setattr("amulett_gym.cli.benchmark.run", run)
     assert main(["rerun", str(copy), "--out", str(tmp_path / "new")]) == 0
     assert given == [(str(tmp_path / "new"), None, None)]
-    assert "Warning: the training runs were those in 'd'; here they are trained again" in capsys.readouterr().out
+    assert "Warning: the training runs in 'd' are trained again" in capsys.readouterr().out
 
 
 def test_nothing_is_overwritten(comparison, tmp_path, capsys):
@@ -170,4 +170,4 @@ def test_a_python_file_is_run_again_only_if_it_is_trusted(tmp_path, monkeypatch,
     assert main(["rerun", "own", "--out", "again", "--trust-python"]) == 0
     law.write_text("def mine(observations): return [1.0] * len(observations)\n")
     assert main(["rerun", "own", "--out", "other", "--trust-python"]) == 1
-    assert "the policy 'mine.py:mine' is another one than then" in capsys.readouterr().out
+    assert "the policy 'mine.py:mine' has changed" in capsys.readouterr().out

@@ -384,10 +384,10 @@ def test_a_figure_that_fails_loses_no_number(results, tmp_path, monkeypatch):
 
 def test_a_comparison_replaces_an_earlier_one_and_nothing_else(results, tmp_path, capsys):
     assert command("--policies", "eq6-held", "--episodes", "1", "--out", str(tmp_path)) == 0
-    assert "in the place of" not in capsys.readouterr().out
+    assert "instead of the earlier" not in capsys.readouterr().out
     (tmp_path / "notes.txt").write_text("mine")
     assert command("--policies", "eq6", "--episodes", "1", "--out", str(tmp_path)) == 0
-    assert "in the place of the comparison that was there" in " ".join(capsys.readouterr().out.split())
+    assert "instead of the earlier comparison" in " ".join(capsys.readouterr().out.split())
     assert {path.name for path in tmp_path.iterdir()} == FILES - {"schedule.png"} | {COMMAND, "notes.txt"}
 
 
