@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -14,6 +15,12 @@ COMPILING = "Compiling the simulation (about 12 s, once per version) ..."
 STOPPING = "Stopping as soon as it is compiled ..."
 
 _shows: list[Callable[[str], object]] = []
+_spent = 0.0
+
+
+def seconds_compiling() -> float:
+    """Return how long numba has compiled since it is watched [s], so that estimates of remaining time can omit it."""
+    return _spent
 
 
 def announce_compilation(show: Callable[[str], object]) -> None:
@@ -40,6 +47,7 @@ class Watch:
         self._show = show
         self._announced = self._interrupted = False
         self._depth = 0
+        self._begun = 0.0
         self._handler: Any = None
 
     def notify(self, event: Any) -> None:
@@ -55,6 +63,7 @@ class Watch:
         self._depth += 1
         if self._depth > 1:
             return
+        self._begun = time.monotonic()
         self._handler = signal.signal(signal.SIGINT, self._hold)
         if not self._announced:
             self._announced = True
@@ -68,6 +77,8 @@ class Watch:
         self._depth -= 1
         if self._depth:
             return
+        global _spent
+        _spent += time.monotonic() - self._begun
         signal.signal(signal.SIGINT, self._handler)
         if self._interrupted:
             self._interrupted = False

@@ -10,6 +10,7 @@ from typing import Self
 
 from tqdm import tqdm
 
+from amulett_gym.jit.notice import seconds_compiling
 from amulett_gym.reporting.table import fill
 
 FIRST, BETWEEN = 2.0, 10.0
@@ -26,7 +27,7 @@ def say(text: str, wrap: bool = True) -> None:
 
 
 class Progress:
-    """Shows how much of some work is done, with an estimate of the remaining time.
+    """Shows how much of some work is done, with an estimate of the remaining time, which omits compilation.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ class Progress:
             dynamic_ncols=True,
         )
         self._total, self.what, self._unit, self.done, self._before = total, what, unit, done, done
-        self._started = time.monotonic()
+        self._started, self._compiled = time.monotonic(), seconds_compiling()
         self._due = self._started + FIRST if show and not terminal else float("inf")
 
     def update(self, count: int = 1, note: str = "") -> None:
@@ -63,6 +64,11 @@ class Progress:
         self.done += count
         if note:
             self._bar.set_postfix_str(note[-40:], refresh=False)
+        compiled = seconds_compiling() - self._compiled
+        self._started += compiled
+        self._compiled += compiled
+        if not self._bar.disable:
+            self._bar.start_t += compiled
         self._bar.update(count)
         now = time.monotonic()
         if note and not count and now - self._started >= FIRST:

@@ -32,6 +32,16 @@ def test_lines_say_what_is_done_and_how_long_the_rest_takes(clock, capsys):
     ]
 
 
+def test_the_estimate_omits_the_time_of_compilation(clock, capsys, monkeypatch):
+    compiling = [0.0]
+    monkeypatch.setattr(progress, "seconds_compiling", lambda: compiling[0])
+    with Progress(100, "evaluate", "steps") as shown:
+        clock[0] += 30.5
+        compiling[0] += 30.0
+        shown.update()
+    assert capsys.readouterr().err == "evaluate: 1 of 100 steps (1 %) in 0 s, about 50 s left\n"
+
+
 def test_work_of_unknown_length_says_what_is_done(clock, capsys):
     with Progress(None, "seed 0") as shown:
         clock[0] += 3
