@@ -1,1 +1,1 @@
-"""From data to parameters: which devices could have produced what was measured."""
+"""Identification of device parameters from data."""

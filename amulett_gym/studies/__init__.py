@@ -1,1 +1,1 @@
-"""What is built with the environments: each study is a folder that nothing else imports."""
+"""Studies made with the environments: each is a folder that only the command line imports."""

@@ -203,7 +203,7 @@ def without_a_refit(content: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (without_key, "lacks springs; identify anew"),
+        (without_key, "lacks springs; identify again"),
         (without_spring_parameter, "'springs.0.parameters' lacks inertia"),
         (with_one_bound, "each 'bounds' in 'spread' has to hold two numbers"),
         (with_truth_for_a_number, "'cost' is 'True'; it has to be a number"),

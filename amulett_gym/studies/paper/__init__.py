@@ -1,1 +1,1 @@
-"""The paper as data, and its reproduction: published tables and parameters, and ours beside them."""
+"""Reproduction of the paper: its published numbers, compared with ours."""

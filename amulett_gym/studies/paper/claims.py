@@ -1,4 +1,4 @@
-"""Test of the paper's statements (sections 1.2 and 3 to 5) against numbers: our own, or the paper's.
+"""Test of the paper's statements (sections 1.2, 3 to 5) against numbers: our own, or the paper's.
 
 A claim is data: its text (``claims.yaml``), and quantities with bounds between which they have to lie. The same bounds
 are tested on both sets of numbers, so that a sentence is found that the paper's own tables contradict. What a sentence

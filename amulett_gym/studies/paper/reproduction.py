@@ -413,7 +413,7 @@ def step_response(
 
 
 def compare(responses: Mapping[tuple[str, str], Response], readings: Readings) -> tuple[Row, ...]:
-    """Put every number of Tables 2-5 beside ours, measured as `readings` say."""
+    """Return every number of Tables 2-5 with ours, measured according to `readings`."""
     return tuple(_row(cell, responses[cell.profile, cell.configuration], readings) for cell in TABLES_2_TO_5)
 
 

@@ -632,7 +632,7 @@ def _check(found: Any, what: str) -> None:
         if found["readings"].get(name) != choice
     ]
     if other:
-        raise AmulettError(f"{what} was made under other readings: {', '.join(other)}; identify anew")
+        raise AmulettError(f"{what} was made under other readings: {', '.join(other)}; identify again")
     if any(len(entry["bounds"]) != 2 for entry in found["spread"]):
         raise AmulettError(f"{what}: each 'bounds' in 'spread' has to hold two numbers")
     _check_names(f"{what}: 'without'", found["without"], CONFIGURATIONS)
@@ -654,7 +654,7 @@ def _check_kind(given: Any, wanted: Any, what: str, where: str) -> None:
     place = f"{what}: '{where}'" if where else what
     if isinstance(wanted, dict) and isinstance(given, dict):
         if missing := [key for key in wanted if key not in given]:
-            raise AmulettError(f"{place} lacks {', '.join(missing)}; identify anew with this version")
+            raise AmulettError(f"{place} lacks {', '.join(missing)}; identify again with this version")
         for key, item in wanted.items():
             _check_kind(given[key], item, what, f"{where}.{key}".lstrip("."))
     elif isinstance(wanted, list) and isinstance(given, list) and given:
@@ -669,6 +669,6 @@ def _check_kind(given: Any, wanted: Any, what: str, where: str) -> None:
 def _check_names(where: str, given: Iterable[str], names: Sequence[str]) -> None:
     there = set(given)
     if missing := [name for name in names if name not in there]:
-        raise AmulettError(f"{where} lacks {', '.join(missing)}; identify anew with this version")
+        raise AmulettError(f"{where} lacks {', '.join(missing)}; identify again with this version")
     if unknown := sorted(there.difference(names)):
-        raise AmulettError(f"{where} has {', '.join(unknown)}, which this version does not know; identify anew")
+        raise AmulettError(f"{where} has {', '.join(unknown)}, which this version does not know; identify again")

@@ -1,4 +1,4 @@
-"""The paper's published numbers as data: Tables 1-5, the parameters of Figures 3 and 6, and the protocol.
+"""The paper's published numbers as data: Tables 1-5, parameters of figures, protocol.
 
 Units are the paper's where it prints one. For Table 5 it prints none.
 """

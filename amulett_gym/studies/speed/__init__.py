@@ -1,1 +1,1 @@
-"""How fast kernel, environments and learning are."""
+"""Measurements of speed: kernel, environments, learning."""
