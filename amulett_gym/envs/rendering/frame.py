@@ -9,73 +9,50 @@ from amulett_gym.simulation.kernel import joint_stiffness, stretch_biceps, stret
 from amulett_gym.simulation.layout import FAILURES, LANES
 
 STRIP_SECONDS = 5.0
-"""How much of the past the strip below the arm shows [s]."""
+"""Length of the curves below the arm [s]."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a picture shows of one device at one moment: the truth, not what the sensors say.
+    """What a picture shows of one device at one moment: the true state, not the sensors' readings."""
 
-    Parameters
-    ----------
-    time : float
-        Since the start of the episode [s].
-    joint_angle, setpoint : float
-        x_a and its setpoint, flexion is positive [rad].
-    force_biceps, force_triceps : float
-        True string forces [N].
-    tension_setpoint : float or None
-        Of the antagonist [N]; None if the loop has no tension controller.
-    agonist : float or None
-        +1 biceps, -1 triceps; None if the loop has no agonist.
-    drive_biceps, drive_triceps : float
-        x_e1, x_e2 [rad].
-    deflection_biceps, deflection_triceps : float
-        Delta l_1, Delta l_2 [m]; negative if the string is slack.
-    joint_radius, drive_radius : float
-        R_2, R_1 [m].
-    max_force : float
-        Where the springs saturate [N].
-    joint_stiffness, max_stiffness : float
-        Of the strings about the joint, now and at most [N m/rad].
-    obstacle_angle : float or None
-        Where an obstacle begins [rad]; None if there is none.
-    obstacle_side : float
-        +1 if it blocks flexion, -1 if it blocks extension.
-    push_torque, contact_torque : float
-        External torques, positive in flexion [N m].
-    payload_mass : float
-        Carried by the forearm [kg].
-    failure : str
-        Why the device left its limits; empty while it runs.
-    """
-
-    time: float
-    joint_angle: float
-    setpoint: float
-    force_biceps: float
+    time: float  # since the start of the episode [s]
+    joint_angle: float  # x_a, flexion is positive [rad]
+    setpoint: float  # of x_a [rad]
+    force_biceps: float  # true string force [N]
     force_triceps: float
-    tension_setpoint: float | None
-    agonist: float | None
-    drive_biceps: float
-    drive_triceps: float
-    deflection_biceps: float
-    deflection_triceps: float
-    joint_radius: float
-    drive_radius: float
-    max_force: float
-    joint_stiffness: float
-    max_stiffness: float
-    obstacle_angle: float | None
-    obstacle_side: float
-    push_torque: float
+    tension_setpoint: float | None  # of the antagonist [N]; None without a tension controller
+    agonist: float | None  # +1 biceps, -1 triceps; None without a tension controller
+    drive_biceps: float  # x_e1 [rad]
+    drive_triceps: float  # x_e2 [rad]
+    deflection_biceps: float  # Delta l_1 [m], negative if the string is slack
+    deflection_triceps: float  # Delta l_2 [m]
+    joint_radius: float  # R_2 [m]
+    drive_radius: float  # R_1 [m]
+    max_force: float  # where the springs saturate [N]
+    joint_stiffness: float  # of the strings about the joint [N m/rad]
+    max_stiffness: float  # the largest that the springs can give [N m/rad]
+    obstacle_angle: float | None  # where an obstacle begins [rad]; None without one
+    obstacle_side: float  # +1 if it blocks flexion, -1 if it blocks extension
+    push_torque: float  # external torques, positive in flexion [N m]
     contact_torque: float
-    payload_mass: float
-    failure: str
+    payload_mass: float  # carried by the forearm [kg]
+    failure: str  # why the device left its limits; empty while it runs
+
+
+_COPIED = (
+    "setpoint",
+    "force_biceps",
+    "force_triceps",
+    "drive_biceps",
+    "drive_triceps",
+    "push_torque",
+    "contact_torque",
+)
 
 
 def frame_of(episodes: Episodes, device: int) -> Frame:
-    """Return what a picture of one device needs."""
+    """Return the frame of one device's present state."""
     simulation, scenario = episodes.simulation, episodes.scenario(device)
     parameters = simulation.parameters[0]
     block, lane = divmod(int(device), LANES)
@@ -84,19 +61,16 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
     def state(name: str) -> float:
         return float(simulation.states[name][block, lane])
 
-    angle, biceps, triceps = state("angle"), state("drive_biceps"), state("drive_triceps")
+    copied = {name: state(name) for name in _COPIED}
+    angle, biceps, triceps = state("angle"), copied["drive_biceps"], copied["drive_triceps"]
     reach = 1.0 / float(parameters["inverse_max_deflection"])
     controls_tension = bool(parameters["tension_loop"])
     return Frame(
+        **copied,
         time=state("tick") * simulation.control_period,
         joint_angle=angle,
-        setpoint=state("setpoint"),
-        force_biceps=state("force_biceps"),
-        force_triceps=state("force_triceps"),
         tension_setpoint=state("tension_setpoint") if controls_tension else None,
         agonist=state("agonist") if controls_tension else None,
-        drive_biceps=biceps,
-        drive_triceps=triceps,
         deflection_biceps=reach * stretch_biceps(*own, biceps, angle),
         deflection_triceps=reach * stretch_triceps(*own, triceps, angle),
         joint_radius=float(parameters["joint_radius"]),
@@ -106,8 +80,6 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
         max_stiffness=simulation.max_stiffness,
         obstacle_angle=float(scenario["obstacle_angle"]) if scenario["obstacle_stiffness"] > 0 else None,
         obstacle_side=float(scenario["obstacle_side"]),
-        push_torque=state("push_torque"),
-        contact_torque=state("contact_torque"),
         payload_mass=float(scenario["payload_mass"]),
         failure=FAILURES[int(state("failure"))],
     )

@@ -1,16 +1,17 @@
-"""The picture: the arm with its strings above, the last seconds as curves below.
+"""Painting of a frame: the arm with its strings above, curves of the last seconds below.
 
-Shapes are drawn at twice the size and scaled down, which smooths their edges; text is drawn last, at its final size.
-Positions are in pixels of the final picture, y downwards.
+Shapes are drawn at twice the size and scaled down, for smooth edges; text is drawn last, at its final size. Positions
+are in pixels of the final picture, y downwards.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib.util import find_spec
 from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ _BEAM, _FOREARM = (214, 220, 228), (72, 90, 112)
 _BICEPS, _TRICEPS, _SETPOINT, _EXTERNAL = (15, 118, 178), (199, 98, 20), (28, 145, 90), (204, 36, 48)
 
 _TENSION_COLORS = ((250, 207, 155), (250, 150, 100), (228, 85, 95), (176, 52, 122), (112, 31, 128), (52, 16, 92))
-"""From no force to saturation: even steps that grow darker, readable without seeing colours, as matplotlib's magma."""
+"""From no force to saturation, in even steps of brightness (matplotlib's magma): readable without colour vision."""
 
 _ARM_CARD, _STRIP_CARD = (10, 10, 700, 322), (10, 340, 700, 210)
 _PLOT_LEFT, _PLOT_RIGHT = 66, 560
@@ -49,11 +50,11 @@ _ABOVE, _BELOW = -1.0, 1.0  # sides of the upper arm: biceps, triceps
 _SPRING_AT = {_ABOVE: 306.0, _BELOW: 250.0}  # where the springs end when the arm is straight
 _BAR = (556.0, 76.0, 138.0, 9.0)  # colour bar: left, top, width, height
 _GAUGE = (256.0, 314.0, 192.0, 6.0)  # of the joint stiffness: left, top, width, height
-_STRETCH = 2.0  # springs are shown stretched by this much more than the pulleys' scale gives
+_STRETCH = 2.0  # magnification of a spring's stretch, relative to the pulleys' scale
 
 
 def size_of(arms: int) -> tuple[int, int]:
-    """Return width and height of a picture of some arms: side by side, in as many rows as columns or one fewer."""
+    """Return the width and height of a picture of several arms, on a grid that is nearly square."""
     columns = math.ceil(math.sqrt(arms))
     return columns * SIZE[0], math.ceil(arms / columns) * SIZE[1]
 
@@ -72,21 +73,7 @@ def paint_all(histories: Sequence[Sequence[Frame]], titles: Sequence[str]) -> py
 
 
 def paint(frame: Frame, history: Sequence[Frame], title: str) -> pygame.Surface:
-    """Paint a frame.
-
-    Parameters
-    ----------
-    frame : Frame
-        What the arm looks like now.
-    history : sequence of Frame
-        The last seconds for the curves, in rising order of time, `frame` the last of them.
-    title : str
-        Written above the arm.
-
-    Returns
-    -------
-    pygame.Surface of `SIZE`, 32 bit
-    """
+    """Return a picture of `SIZE`, 32 bit: the arm in `frame`, and curves of `history`, which ends with `frame`."""
     canvas = _Canvas(_background().copy())
     x, y, width, height = _ARM_CARD
     canvas.clip((x + 1, y + 1, width - 2, height - 2))
@@ -141,12 +128,10 @@ class _Canvas:
             pygame.draw.lines(self._surface, color, False, pixels, round(width * _OVERSAMPLING))
 
     def dashes(self, start: Point, end: Point, color: Color, width: float, dash: float = 7.0, gap: float = 5.0) -> None:
-        length = math.dist(start, end)
-        at = 0.0
+        length, at = math.dist(start, end), 0.0
         while at < length:
-            self.line(
-                _between(start, end, at / length), _between(start, end, min(at + dash, length) / length), color, width
-            )
+            stop = _between(start, end, min(at + dash, length) / length)
+            self.line(_between(start, end, at / length), stop, color, width)
             at += dash + gap
 
     def polygon(self, points: Sequence[Point], color: Color) -> None:
@@ -164,18 +149,12 @@ class _Canvas:
         rectangle = pygame.Rect([round(_OVERSAMPLING * side) for side in area])
         pygame.draw.rect(self._surface, color, rectangle, border_radius=round(_OVERSAMPLING * radius))
 
-    def text(
-        self,
-        text: str,
-        at: Point,
-        size: int,
-        color: Color = _INK,
-        align: float = 0.0,
-        bold: bool = False,
-        upright: bool = False,
-    ) -> float:
-        """Write text, vertically centred; `align` is 0 left, 0.5 centred, 1 right of `at`. Return its width."""
-        label = _label(text, size, color, bold, upright)
+    def text(self, text: str, at: Point, size: int, color: Color = _INK, align: float = 0.0, **style: bool) -> float:
+        """Write text (`bold`, `upright`), vertically centred on `at`; return its width.
+
+        `align` is 0 if the text begins at `at`, 0.5 if it is centred there, 1 if it ends there.
+        """
+        label = _label(text, size, color, **style)
         self._texts.append((label, at, align))
         return float(label.get_width())
 
@@ -188,7 +167,7 @@ class _Canvas:
 
 @lru_cache(maxsize=1)
 def _background() -> pygame.Surface:
-    """Paint what never changes, enlarged: cards, upper arm, angle scale and colour bar."""
+    """Return the enlarged parts that never change: cards, upper arm, angle scale, colour bar."""
     surface = pygame.Surface((SIZE[0] * _OVERSAMPLING, SIZE[1] * _OVERSAMPLING), depth=32)
     surface.fill(_PAGE)
     canvas = _Canvas(surface)
@@ -246,7 +225,7 @@ def _paint_strings(canvas: _Canvas, frame: Frame) -> None:
 
 
 def _paint_string(canvas: _Canvas, start: Point, end: Point, slack: float, color: Color, thickness: float) -> None:
-    """Draw a piece of string; a slack one sags as far as its spare length lets it."""
+    """Draw a piece of string; a slack one sags by its spare length."""
     length = math.dist(start, end)
     sag = min(math.sqrt(0.375 * length * slack), 14.0)
     pieces = 12 if sag > 0.5 else 1
@@ -260,17 +239,15 @@ def _paint_string(canvas: _Canvas, start: Point, end: Point, slack: float, color
 def _paint_spring(canvas: _Canvas, left: float, right: float, y: float, color: Color) -> None:
     coils, lead, height = 7, 4.0, 8.0
     pitch = (right - left - 2.0 * lead) / (2 * coils)
-    zigzag = [
-        (left + lead + pitch * k, y + (height if k % 2 else -height) * (0 < k < 2 * coils))
-        for k in range(2 * coils + 1)
-    ]
+    heights = [0.0, *(height, -height) * (coils - 1), height, 0.0]
+    zigzag = [(left + lead + pitch * k, y + offset) for k, offset in enumerate(heights)]
     canvas.lines([(left, y), *zigzag, (right, y)], color, 2.0)
     for x in (left, right):
         canvas.disc((x, y), 3.0, color)
 
 
 def _paint_drives(canvas: _Canvas, frame: Frame) -> None:
-    """Draw both motors with their pulleys as they stand, their names, and which of them is the agonist."""
+    """Draw both motors with their names and turned pulleys, and mark the agonist."""
     radius = min(max(_PULLEY * frame.drive_radius / frame.joint_radius, 9.0), 20.0)
     for side, name, angle, color in (
         (_ABOVE, "biceps", frame.drive_biceps, _BICEPS),
@@ -297,15 +274,8 @@ def _paint_setpoint(canvas: _Canvas, setpoint: float) -> None:
 def _paint_forearm(canvas: _Canvas, frame: Frame) -> None:
     angle, wide, narrow = frame.joint_angle, 0.5 * _FOREARM_WIDTH, 0.36 * _FOREARM_WIDTH
     for grow, color in ((0.0, _FOREARM), (-2.0, _tint(_FOREARM, 0.25))):
-        canvas.polygon(
-            [
-                _beside(0.0, wide + grow, angle),
-                _beside(_FOREARM_LENGTH, narrow + grow, angle),
-                _beside(_FOREARM_LENGTH, -narrow - grow, angle),
-                _beside(0.0, -wide - grow, angle),
-            ],
-            color,
-        )
+        ends = ((0.0, wide, 1), (_FOREARM_LENGTH, narrow, 1), (_FOREARM_LENGTH, narrow, -1), (0.0, wide, -1))
+        canvas.polygon([_offset(along, side * (half + grow), angle) for along, half, side in ends], color)
         canvas.disc(_polar(_FOREARM_LENGTH, angle), narrow + grow, color)
     canvas.line(_polar(_FOREARM_LENGTH + narrow, angle), _polar(_SCALE_RADIUS, angle), _FOREARM, 2.0)
     canvas.ring(_JOINT, _PULLEY - 6.0, _FOREARM, _CARD, 2.0)
@@ -313,20 +283,20 @@ def _paint_forearm(canvas: _Canvas, frame: Frame) -> None:
         canvas.line(_JOINT, _polar(_PULLEY - 7.0, angle + turn), _FOREARM if turn == 0.0 else _FAINT, 3.0)
     canvas.ring(_JOINT, 8.0, _FOREARM, _CARD, 3.0)
     if frame.payload_mass > 0.0:
-        canvas.disc(_polar(_FOREARM_LENGTH, angle), 17.0, _INK)
         x, y = _polar(_FOREARM_LENGTH, angle)
+        canvas.disc((x, y), 17.0, _INK)
         canvas.text(f"{frame.payload_mass:.2g}", (x, y - 4), 11, _CARD, align=0.5, bold=True)
         canvas.text("kg", (x, y + 7), 9, _CARD, align=0.5)
 
 
 def _paint_obstacle(canvas: _Canvas, frame: Frame, angle: float) -> None:
-    """Draw a hatched block whose face the forearm's edge meets at the obstacle's angle."""
+    """Draw a hatched block that the forearm's edge touches at the obstacle's angle."""
     touched = frame.contact_torque != 0.0
     edge, fill = (_EXTERNAL, _tint(_EXTERNAL, 0.75)) if touched else (_MUTED, _tint(_MUTED, 0.8))
     near, far, depth = 0.5 * _FOREARM_LENGTH, 0.86 * _FOREARM_LENGTH, 30.0
 
     def corner(along: float, into: float) -> Point:
-        return _beside(along, frame.obstacle_side * (0.42 * _FOREARM_WIDTH + into), angle)
+        return _offset(along, frame.obstacle_side * (0.42 * _FOREARM_WIDTH + into), angle)
 
     canvas.polygon([corner(near, 0.0), corner(far, 0.0), corner(far, depth), corner(near, depth)], fill)
     start = near - depth
@@ -340,14 +310,14 @@ def _paint_obstacle(canvas: _Canvas, frame: Frame, angle: float) -> None:
 
 
 def _paint_push(canvas: _Canvas, frame: Frame) -> None:
-    """Draw an arrow onto the forearm, longer the larger the torque is against what a saturated spring gives."""
+    """Draw an arrow onto the forearm; its length grows with the torque relative to that of a saturated spring."""
     side = math.copysign(1.0, frame.push_torque)
     strength = min(abs(frame.push_torque) / (frame.max_force * frame.joint_radius), 1.0)
     along, begin = 0.8 * _FOREARM_LENGTH, 0.5 * _FOREARM_WIDTH
     length = 30.0 + 50.0 * strength
 
-    def point(beside: float, offset: float = 0.0) -> Point:
-        return _beside(along + offset, -side * (begin + beside), frame.joint_angle)
+    def point(distance: float, shift: float = 0.0) -> Point:
+        return _offset(along + shift, -side * (begin + distance), frame.joint_angle)
 
     canvas.line(point(10.0), point(length), _EXTERNAL, 5.0)
     canvas.polygon([point(0.0), point(15.0, 9.0), point(15.0, -9.0)], _EXTERNAL)
@@ -355,7 +325,7 @@ def _paint_push(canvas: _Canvas, frame: Frame) -> None:
 
 
 def _paint_torque(canvas: _Canvas, name: str, torque: float, tip: Point, tail: Point) -> None:
-    """Write a torque beyond the tail of what exerts it, clear of it in whichever direction it points."""
+    """Write a torque next to the tail of its arrow or block, clear of it in every direction."""
     length = math.dist(tip, tail)
     x, y = tail[0] + 66.0 * (tail[0] - tip[0]) / length, tail[1] + 11.0 * (tail[1] - tip[1]) / length
     at = (min(max(x, 80.0), 630.0), min(max(y, 50.0), 320.0))
@@ -363,7 +333,7 @@ def _paint_torque(canvas: _Canvas, name: str, torque: float, tip: Point, tail: P
 
 
 def _paint_tension_scale(canvas: _Canvas, frame: Frame) -> None:
-    """Draw the marks at the colour bar: what the colours of the strings mean, and where they are now."""
+    """Label the colour bar of the string tensions and the angle scale; mark the present forces."""
     left, top, width, height = _BAR
     canvas.text("string tension [N]", (left + 0.5 * width, top - 19), 11, _MUTED, align=0.5)
     for share in (0.0, 0.5, 1.0):
@@ -375,17 +345,12 @@ def _paint_tension_scale(canvas: _Canvas, frame: Frame) -> None:
         x = left + width * min(force / frame.max_force, 1.0)
         canvas.polygon([(x, y), (x - 4.5, y + 7 * side), (x + 4.5, y + 7 * side)], color)
     for degrees in (0, 30, 60, 90, 120):
-        canvas.text(
-            f"{degrees}°",
-            _polar(_SCALE_RADIUS + 22, math.radians(degrees)),
-            11,
-            _MUTED,
-            align=0.5 - 0.35 * math.cos(math.radians(degrees)),
-        )
+        angle = math.radians(degrees)
+        canvas.text(f"{degrees}°", _polar(_SCALE_RADIUS + 22, angle), 11, _MUTED, align=0.5 - 0.35 * math.cos(angle))
 
 
 def _paint_stiffness(canvas: _Canvas, frame: Frame) -> None:
-    """Write the joint's stiffness below the joint, over a gauge from 0 to the most that the springs give."""
+    """Write the joint stiffness below the joint, over a gauge from 0 to its maximum."""
     left, top, width, height = _GAUGE
     canvas.text("joint stiffness", (left, top - 12), 11, _MUTED)
     canvas.text(f"{frame.joint_stiffness:.1f} N m/rad", (left + width, top - 12), 12, _FOREARM, align=1.0, bold=True)
@@ -395,19 +360,15 @@ def _paint_stiffness(canvas: _Canvas, frame: Frame) -> None:
 
 
 def _paint_strip(canvas: _Canvas, frame: Frame, history: Sequence[Frame]) -> None:
-    """Draw the last seconds: angle and its setpoint above, tensions and their setpoint below."""
-    rows = np.array(
-        [
-            (f.time, f.setpoint, f.joint_angle, f.tension_setpoint or 0.0, f.force_biceps, f.force_triceps)
-            for f in history
-        ]
-    )
+    """Draw the curves: angle with its setpoint above, tensions with theirs below."""
+    values = attrgetter("time", "setpoint", "joint_angle", "tension_setpoint", "force_biceps", "force_triceps")
+    rows = np.array([values(past) for past in history], dtype=np.float64)  # a tension setpoint of None becomes NaN
     rows[:, 1:3] = np.degrees(rows[:, 1:3])
     begin = max(frame.time - STRIP_SECONDS, 0.0)
     low, high = min(rows[:, 1:3].min(), -5.0), max(rows[:, 1:3].max(), 95.0)
     step = 30.0 if high - low < 150.0 else 90.0
     angle = _Axes(canvas, _ANGLE_PLOT, begin, (low, high), step, "angle [deg]")
-    highest = max(rows[:, 3:].max(), frame.max_force) * 1.08
+    highest = max(np.nanmax(rows[:, 3:]), frame.max_force) * 1.08
     tension = _Axes(canvas, _TENSION_PLOT, begin, (-0.04 * highest, highest), _tick_step(highest), "tension [N]")
     angle.curve(canvas, rows[:, 0], rows[:, 1], _SETPOINT, 1.5)
     angle.curve(canvas, rows[:, 0], rows[:, 2], _FOREARM, 2.0)
@@ -427,7 +388,7 @@ def _paint_strip(canvas: _Canvas, frame: Frame, history: Sequence[Frame]) -> Non
 
 
 class _Axes:
-    """One plot of the strip: its frame, grid and ticks, and where a value lies in it."""
+    """One plot of the curves, which draws its frame, grid and ticks when made."""
 
     def __init__(
         self, canvas: _Canvas, rows: tuple[int, int], begin: float, limits: Point, step: float, name: str
@@ -444,10 +405,10 @@ class _Axes:
         canvas.line((_PLOT_LEFT, bottom), (_PLOT_RIGHT, bottom), _FAINT)
         canvas.text(name, (26, 0.5 * (top + bottom)), 11, _MUTED, align=0.5, upright=True)
 
-    def x(self, time: float) -> float:
+    def x(self, time: Any) -> Any:
         return _PLOT_LEFT + (time - self._begin) / STRIP_SECONDS * (_PLOT_RIGHT - _PLOT_LEFT)
 
-    def y(self, value: float) -> float:
+    def y(self, value: Any) -> Any:
         (top, bottom), (low, high) = self._rows, self._limits
         return bottom - (value - low) / (high - low) * (bottom - top)
 
@@ -456,9 +417,7 @@ class _Axes:
     ) -> None:
         top, bottom = self._rows
         canvas.clip((_PLOT_LEFT, top - 2, _PLOT_RIGHT - _PLOT_LEFT + 2, bottom - top + 4))
-        (low, high), (left, right) = self._limits, (_PLOT_LEFT, _PLOT_RIGHT)
-        x = left + (times - self._begin) / STRIP_SECONDS * (right - left)
-        y = bottom - (values - low) / (high - low) * (bottom - top)
+        x, y = self.x(times), self.y(values)
         canvas.curve(np.column_stack((x, y)), color, width)
         canvas.disc((float(x[-1]), float(y[-1])), width + 0.5, color)
         canvas.clip(None)
@@ -474,10 +433,10 @@ def _polar(radius: float, angle: float, center: Point = _JOINT) -> Point:
     return center[0] + radius * math.cos(angle), center[1] - radius * math.sin(angle)
 
 
-def _beside(along: float, beside: float, angle: float) -> Point:
-    """Return the point `along` the forearm at `angle`, and `beside` it on its flexion side."""
+def _offset(along: float, offset: float, angle: float) -> Point:
+    """Return the point `along` the forearm at `angle`, moved by `offset` to its flexion side."""
     x, y = _polar(along, angle)
-    return x - beside * math.sin(angle), y - beside * math.cos(angle)
+    return x - offset * math.sin(angle), y - offset * math.cos(angle)
 
 
 def _between(start: Point, end: Point, share: float) -> Point:
@@ -485,53 +444,45 @@ def _between(start: Point, end: Point, share: float) -> Point:
 
 
 def _tint(color: Color, share: float) -> Color:
-    red, green, blue = (round(part + (255 - part) * share) for part in color)
-    return red, green, blue
+    return _mixed(color, (255, 255, 255), share)
 
 
 def _tension_color(share: float) -> Color:
-    """Return the colour of a string force, as a share of the force at which the springs saturate."""
+    """Return the colour of a string force, given as a share of the springs' saturation force."""
     at = min(max(share, 0.0), 1.0) * (len(_TENSION_COLORS) - 1)
     k = min(int(at), len(_TENSION_COLORS) - 2)
-    first, second = _TENSION_COLORS[k], _TENSION_COLORS[k + 1]
-    red, green, blue = (round(a + (b - a) * (at - k)) for a, b in zip(first, second, strict=True))
+    return _mixed(_TENSION_COLORS[k], _TENSION_COLORS[k + 1], at - k)
+
+
+def _mixed(first: Color, second: Color, share: float) -> Color:
+    red, green, blue = (round(a + (b - a) * share) for a, b in zip(first, second, strict=True))
     return red, green, blue
 
 
 def _tick_step(highest: float) -> float:
-    """Return 1, 2 or 5 times a power of ten: at most five steps to `highest`."""
+    """Return 1, 2 or 5 times a power of ten, so that there are at most five steps to `highest`."""
     power = 10.0 ** math.floor(math.log10(highest / 5.0))
     return next(power * factor for factor in (1.0, 2.0, 5.0, 10.0) if power * factor * 5.0 >= highest)
 
 
-_LABELS: dict[tuple[Any, ...], pygame.Surface] = {}
-_FONTS: dict[tuple[int, bool], pygame.font.Font] = {}
-_MOST_LABELS = 4000
+@lru_cache(maxsize=4000)
+def _label(text: str, size: int, color: Color, bold: bool = False, upright: bool = False) -> pygame.Surface:
+    try:
+        label = _font(size, bold).render(text, True, color)
+    except pygame.error:  # another environment's close() called pygame.quit(), which invalidates fonts
+        _font.cache_clear()
+        label = _font(size, bold).render(text, True, color)
+    return pygame.transform.rotate(label, 90) if upright else label
 
 
-def _label(text: str, size: int, color: Color, bold: bool, upright: bool) -> pygame.Surface:
-    key = (text, size, color, bold, upright)
-    if key not in _LABELS:
-        if len(_LABELS) >= _MOST_LABELS:
-            _LABELS.clear()
-        try:
-            label = _font(size, bold).render(text, True, color)
-        except pygame.error:  # another environment's close() called pygame.quit(), which took the fonts with it
-            _FONTS.clear()
-            label = _font(size, bold).render(text, True, color)
-        _LABELS[key] = pygame.transform.rotate(label, 90) if upright else label
-    return _LABELS[key]
-
-
+@cache
 def _font(size: int, bold: bool) -> pygame.font.Font:
-    if (size, bold) not in _FONTS:
-        pygame.font.init()
-        _FONTS[size, bold] = pygame.font.Font(_font_file(bold), size)
-    return _FONTS[size, bold]
+    pygame.font.init()
+    return pygame.font.Font(_font_file(bold), size)
 
 
 def _font_file(bold: bool) -> Path | None:
-    """Return the font that comes with matplotlib, so that pictures look the same everywhere; None for pygame's own."""
+    """Return matplotlib's font, so that pictures look the same on every computer; None (pygame's own) without it."""
     found = find_spec("matplotlib")
     for folder in (found.submodule_search_locations or []) if found else []:
         path = Path(folder) / "mpl-data" / "fonts" / "ttf" / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")

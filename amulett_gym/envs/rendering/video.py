@@ -1,4 +1,4 @@
-"""Videos: pictures written to a file, as an animated image or an encoded video."""
+"""Writing of pictures to a file, as an animated image or an encoded video."""
 
 from __future__ import annotations
 
@@ -14,19 +14,13 @@ from amulett_gym.storage.writing import atomic_path, check_writable
 
 _IMAGES = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 SUFFIXES = (*_IMAGES, ".mp4")
-"""Of the files that can be written."""
+"""Endings of the files that can be written."""
 
-_GIF_FPS = 50  # a GIF counts in 10 ms, and players slow down one with less than two of them between frames
+_GIF_FPS = 50  # a GIF counts in units of 10 ms; players slow down one with less than two units between frames
 
 
 def check_video(path: str | Path) -> None:
-    """Refuse a file that could not be written, before any work.
-
-    Raises
-    ------
-    AmulettError
-        If its name has another ending, its folder cannot be written, or the encoder is not installed.
-    """
+    """Raise an AmulettError for a wrong ending, a folder that cannot be written or an encoder that is not installed."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         raise AmulettError(f"the video '{path}' has to end with {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}")
@@ -47,20 +41,20 @@ def write_video(path: str | Path, pictures: Iterable[Any], rate: int, fps: int) 
         Ends with one of `SUFFIXES`.
     pictures : iterable of ndarray of uint8, shape (height, width, 3)
     rate : int
-        Pictures a second.
+        Pictures per second.
     fps : int
-        Most frames a second; only some pictures are written if there are more.
+        Maximum of frames per second; if there are more pictures, some are left out.
 
     Returns
     -------
     frames : int
     seconds : float
-        The video's length [s].
+        Length of the video [s].
 
     Raises
     ------
     AmulettError
-        If the file cannot be written; nothing half-written is left.
+        If the file cannot be written; no partial file is left.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -78,7 +72,7 @@ def _write_images(path: Path, pictures: Iterable[Any], rate: float) -> int:
     images = []
     for picture in pictures:
         image = Image.fromarray(picture)
-        if kind == "GIF":  # flat colours: dithering would only add noise, and bytes
+        if kind == "GIF":  # flat colours: dithering would only add noise
             image = image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         images.append(image)
     images[0].save(path, kind, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0)
@@ -98,7 +92,7 @@ def _write_mp4(path: Path, pictures: Iterable[Any], rate: float) -> int:
             writer.send(picture)
             count += 1
     except BaseException:
-        with suppress(OSError):  # what stopped the playing is the error to report, not the encoder's complaint about it
+        with suppress(OSError):  # report the first error, not the encoder's reaction to it
             writer.close()
         raise
     writer.close()

@@ -1,4 +1,4 @@
-"""Where pictures go: into an array, or a window that keeps real time."""
+"""The renderer of the environments' render modes."""
 
 from __future__ import annotations
 
@@ -17,24 +17,20 @@ from amulett_gym.envs.rendering.frame import STRIP_SECONDS, Frame
 from amulett_gym.errors import AmulettError, unknown
 
 MODES = ("rgb_array", "human")
-
-
 _MOST_FPS = 60
-
-
 _DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 
 
 class Renderer:
-    """Draws one or more arms, into an array or a window, and remembers the last seconds for the strips below them.
+    """Draws one or more arms into an array or a window, with curves of the last seconds.
 
     Parameters
     ----------
     mode : {"rgb_array", "human"}
-        An array needs no display. A window keeps real time; without a display it is drawn unseen, as
-        Gymnasium's own environments do, so that their checks run anywhere.
+        An array needs no display. A window keeps real time; without a display it is invisible, as that of Gymnasium's
+        own environments, so that their checks run anywhere.
     fps : float
-        Frames a second, for the window.
+        Frames per second of the window.
     titles : str
         One for each arm, written above it.
 
@@ -48,18 +44,17 @@ class Renderer:
         if mode not in MODES:
             raise unknown("render_mode", mode, MODES)
         self._pygame = _import_pygame()
-        # Real time first: where more frames are due than a display shows, only some of them are drawn.
+        # To keep real time, only every `_stride`th frame is drawn where a display cannot show them all.
         self._stride = max(math.ceil(fps / _MOST_FPS), 1)
         self._fps, self._titles = fps, titles or ("AMULETT elbow",)
         self._histories: list[deque[Frame]] = [deque() for _ in self._titles]
         self._in_window = mode == "human"
         self._window: Any = self._open() if self._in_window else None
-        self._clock = self._pygame.time.Clock()
-        self._due = 0
+        self._clock, self._due = self._pygame.time.Clock(), 0
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a window that was not closed."""
+        """Whether there is an open window."""
         return self._window is not None
 
     def draw(self, *frames: Frame) -> NDArray[np.uint8] | None:
@@ -68,7 +63,7 @@ class Renderer:
         Returns
         -------
         ndarray of uint8, shape (height, width, 3), or None for "human"
-            A window that was closed stays closed: the simulation goes on, and nothing is drawn.
+            After the user closes the window, the simulation continues and nothing is drawn.
         """
         from amulett_gym.envs.rendering.picture import paint_all
 
@@ -89,7 +84,7 @@ class Renderer:
         return np.frombuffer(pixels, dtype=np.uint8).reshape(height, width, 3)
 
     def clear(self) -> None:
-        """Forget the strips' past: a new episode begins."""
+        """Clear the curves for a new episode."""
         for history in self._histories:
             history.clear()
 
@@ -104,7 +99,7 @@ class Renderer:
 
         display = self._pygame.display
         try:
-            with nullcontext() if has_display() else _unseen():
+            with nullcontext() if has_display() else _invisible():
                 display.init()
             window = display.set_mode(size_of(len(self._titles)))
         except self._pygame.error as error:
@@ -117,34 +112,31 @@ class Renderer:
 
     def _handle_events(self) -> None:
         pygame = self._pygame
-        if self._window is None:
-            return
-        if not pygame.display.get_init():  # another environment's close() took the display with it
+        if not pygame.display.get_init():  # another environment's close() quit the display
             self._window = None
-            return
-        for event in pygame.event.get():
+        for event in pygame.event.get() if self._window is not None else ():
             if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
                 self.close()
                 return
 
 
 def _remember(history: deque[Frame], frame: Frame) -> None:
-    # An episode that restarted or went back to a snapshot takes the strip back with it.
+    # After a restart or a return to a snapshot, frames of the abandoned future are dropped.
     while history and history[-1].time >= frame.time:
         history.pop()
     history.append(frame)
-    # One frame before the strip's edge stays, so that the curves reach it.
+    # One frame before the left edge is kept, so that the curves reach it.
     while len(history) > 2 and history[1].time < frame.time - STRIP_SECONDS:
         history.popleft()
 
 
 def has_display() -> bool:
-    """Return whether a window would be seen, or a driver for an unseen one was asked for."""
+    """Return whether a window would be visible, or a driver for an invisible one was chosen."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in _DISPLAY_VARIABLES)
 
 
 def display_answers() -> bool:
-    """Return whether a window can really be opened where it is seen: a display may be named and gone."""
+    """Return whether a visible window can be opened: the display that the environment variables name may not exist."""
     if not has_display():
         return False
     pygame = _import_pygame()
@@ -160,8 +152,8 @@ def display_answers() -> bool:
 
 
 @contextmanager
-def _unseen() -> Iterator[None]:
-    """Choose SDL's driver for unseen windows; left to itself, SDL first complains on stderr."""
+def _invisible() -> Iterator[None]:
+    """Choose SDL's driver for invisible windows; SDL's own choice would print errors on stderr first."""
     before = os.environ.get("SDL_VIDEODRIVER")
     os.environ["SDL_VIDEODRIVER"] = "dummy"
     try:
