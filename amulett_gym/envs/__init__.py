@@ -1,1 +1,1 @@
-"""The Gymnasium environments: single and vector, over the same kernel."""
+"""The Gymnasium environments."""

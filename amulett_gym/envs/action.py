@@ -1,7 +1,7 @@
-"""What an action means: -1 to 1 is the tension setpoint [N] from one end of a range to the other, linearly.
+"""The linear map from an action in [-1, 1] to a tension setpoint [N] within a range.
 
-The two formulas are written here only. They keep the type of arrays and numbers, and compiled code uses the same text,
-so that the bits are the same everywhere.
+The two formulas are written only here. They keep the type of arrays and numbers; compiled code uses the same source, so
+that the bits are the same everywhere.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def action_of(tension: Any, low: float, high: float) -> Any:
 
 
 compiled_tension_of, compiled_action_of = compiled(tension_of), compiled(action_of)
-"""The same for compiled code."""
+"""Both formulas for compiled code."""
 
 
 def action_to_tension(action: ArrayLike, tension_range: tuple[float, float]) -> NDArray[np.float64]:

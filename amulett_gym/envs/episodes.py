@@ -1,4 +1,4 @@
-"""Episodes of a batch of arms: what the single and the vector environment share."""
+"""Episodes of a batch of devices, the common core of the environments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, TERMS, own_reward, prices
 from amulett_gym.envs.settings import Settings
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, MAX_MOVES, RUNNING, Paths
@@ -36,29 +36,25 @@ Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
-"""Units of the state's costs that are in the rewards given so far: rad2 to deg2."""
+"""Factors on the state's rewarded costs: rad2 to deg2."""
 
 
 class Episodes:
-    """A batch of arms, each in an episode of its own.
+    """A batch of devices, each in its own episode.
 
     Parameters
     ----------
     num_devices : int
     settings : Settings
     threads : int
-        How many step at once, each some of the blocks that the devices lie in. The bits are the same for any.
+        Threads that share the blocks of devices. The number changes no bit of the results.
 
     Attributes
     ----------
-    settings : Settings
-    profile : Profile
-    privileged : bool
-    simulation : Simulation
     observation_size : int
-        Entries of an observation: 13, or with what no device can know behind them (see `envs.privileged`).
+        Entries of an observation: 13, or more with the hidden state (see `envs.privileged`).
     started : ndarray of bool, shape (N,)
-        Which devices have started an episode.
+        Devices that have started an episode.
     """
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
@@ -94,15 +90,8 @@ class Episodes:
     def seed(self, devices: NDArray[np.int64], seeds: Seeds, generator: np.random.Generator) -> None:
         """Choose the given devices' next episodes.
 
-        A device's first episode after a seed comes from that seed, alone or in any batch. Without a seed it is the next
-        one; a device that has started none yet is seeded by `generator`.
-
-        Parameters
-        ----------
-        devices : ndarray of int
-        seeds : ndarray of object, shape (len(devices),)
-            Whole numbers or None, see :func:`device_seeds`.
-        generator : numpy.random.Generator
+        A device's first episode after a seed depends on that seed only, alone or in any batch. Without a seed
+        (see :func:`device_seeds`), it is the next one; a device without any episode so far is seeded by `generator`.
         """
         seeded = seeds != _NO_SEED
         new = ~seeded & ~self.started[devices]
@@ -112,17 +101,15 @@ class Episodes:
         self._keys[devices[new]] = generator.integers(0, 2**64, size=np.count_nonzero(new), dtype=np.uint64)
 
     def next_episode(self, devices: NDArray[np.int64]) -> None:
-        """Move devices on to the next episode of their key."""
+        """Let devices play the next episode of their key."""
         self._episodes[devices] += np.uint64(1)
 
     def start(
         self, devices: NDArray[np.int64], scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] | None = None
     ) -> Observations:
-        """Start the given devices' episodes, in the given scenarios or in the ones that their keys draw.
+        """Start the given devices' episodes; return the observations.
 
-        Returns
-        -------
-        ndarray of float32, shape (len(devices), observation_size)
+        Without `scenarios`, one for each device, the devices' keys draw them.
         """
         keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
         rows = sample(self.settings.suite, keys, self.profile, self._max_force, self.settings.split)
@@ -134,11 +121,11 @@ class Episodes:
         return self.observe(devices)
 
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
-        """Return what the given devices (all if None) sense now, shape (len(devices), observation_size)."""
+        """Return the given devices' (None: all) present observations, shape (len(devices), observation_size)."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         observations = np.empty((devices.size, self.observation_size), dtype=np.float32)
         transition.observe_devices(*self._arrays, devices, observations)
-        if self.privileged:  # compiled for those only who ask for it
+        if self.privileged:  # compiled only if needed
             self._observe_privileged(self._arrays, devices, observations)
         return observations
 
@@ -148,7 +135,7 @@ class Episodes:
         Parameters
         ----------
         actions : ndarray, shape (N,)
-            In [-1, 1]; values beyond are clipped. float64, or the kernel is compiled once more.
+            In [-1, 1]; values beyond are clipped. float64, for which the kernel is compiled.
 
         Returns
         -------
@@ -220,7 +207,7 @@ class Episodes:
         try:
             step(self._shares[0])
         finally:
-            wait(others)  # nothing writes to the states any more, whatever happens here
+            wait(others)  # even after an error, no thread writes to the states any more
         for other in others:
             other.result()
 
@@ -234,7 +221,7 @@ class Episodes:
         return {**self.__dict__, "_pool": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
-        """Return the report of the given devices' present state (all if None), shape (len(devices), 37), no reward."""
+        """Return the report of the given devices' (None: all) present state, shape (len(devices), 37), no reward."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
         parameters, _, scenarios, states = self._arrays
@@ -242,13 +229,7 @@ class Episodes:
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:
-        """Return the packed scenario of one device's present episode.
-
-        Raises
-        ------
-        gymnasium.error.ResetNeeded
-            If the device has started none yet.
-        """
+        """Return the packed scenario of one device's present episode; ResetNeeded if it has started none yet."""
         if not self.started[device]:
             raise gym.error.ResetNeeded("call reset() first: there is no scenario yet")
         return self.simulation.read_scenarios(np.array([device]))[0]
@@ -258,35 +239,28 @@ class Episodes:
         return unpack(self.scenario(device), self.simulation.read_path(device))
 
     def steps(self) -> NDArray[np.int64]:
-        """Return how many agent steps each device's episode has taken, shape (N,)."""
+        """Return the number of agent steps of each device's episode, shape (N,)."""
         return self.simulation.read("tick") // self._constants["ticks"][0]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""
-        return {
-            "simulation": self.simulation.get_state(),
-            "keys": self._keys.copy(),
-            "episodes": self._episodes.copy(),
-            "started": self.started.copy(),
-        }
+        copies = {name: array.copy() for name, array in self._state.items()}
+        return {"simulation": self.simulation.get_state(), **copies}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`, here or in another process.
-
-        Raises
-        ------
-        AmulettError
-            If it is one of another number of devices.
-        """
+        """Restore a snapshot taken by `get_state`, also in another process; AmulettError if it has other devices."""
         count, here = len(state["keys"]), self.simulation.num_devices
         if count != here:
             raise AmulettError(
                 f"a snapshot of {count} device{'s' * (count > 1)} does not fit: this environment has {here}"
             )
         self.simulation.set_state(state["simulation"])
-        self._keys[...] = state["keys"]
-        self._episodes[...] = state["episodes"]
-        self.started[...] = state["started"]
+        for name, array in self._state.items():
+            array[...] = state[name]
+
+    @property
+    def _state(self) -> dict[str, NDArray[Any]]:
+        return {"keys": self._keys, "episodes": self._episodes, "started": self.started}
 
     def _packed(
         self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys
@@ -294,7 +268,7 @@ class Episodes:
         loaded = [load_scenario(scenario) for scenario in scenarios]
         if self.privileged and any(scenario.has_path for scenario in loaded):
             raise AmulettError(
-                f"a privileged observation tells of at most {MAX_MOVES} moves, and of no sampled setpoint; "
+                f"a privileged observation holds at most {MAX_MOVES} moves and no sampled setpoint; "
                 "make the environment without privileged=True"
             )
         rows = np.concatenate([pack(scenario, self.profile) for scenario in loaded])
@@ -303,15 +277,23 @@ class Episodes:
         return rows, [pack_path(scenario) for scenario in loaded]
 
 
+def checked_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
+    """Return the options of a reset; raise an AmulettError if one is unknown."""
+    for option in options or {}:
+        if option not in allowed:
+            raise unknown("reset option", str(option), allowed)
+    return options or {}
+
+
 def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: int) -> Seeds:
-    """Return each device's seed, or None for those that have none: ``seed + i`` or ``seed[i]`` for device i.
+    """Return each device's seed or None: ``seed + i`` or ``seed[i]`` for device i.
 
     Raises
     ------
     AmulettError
-        If there are not as many seeds as devices.
+        If the number of seeds is not that of the devices.
     gymnasium.error.Error
-        If a seed is no whole number of at least 0, as Gymnasium raises it.
+        If a seed is no whole number of at least 0; Gymnasium's message.
     """
     if seed is None:
         return np.full(count, None)

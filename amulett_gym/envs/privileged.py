@@ -1,7 +1,7 @@
-"""What no device can know: the hidden part of its scenario and the truth behind its sensors, as an observation.
+"""Privileged observations: the hidden state of a device, its scenario included.
 
-For the *causal reference* only: a policy that is trained with ``privileged=True`` shows what could be had if the
-payload, the obstacle, the coming push and all the rest were known. Such a policy can act nowhere else.
+For the *causal reference* only: a policy that is trained with ``privileged=True`` shows what is possible if payload,
+obstacle, coming pushes and all else are known. It cannot act on a real device.
 """
 
 from __future__ import annotations
@@ -15,41 +15,41 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.simulation.layout import LANES, Family
 
 _SOON = 2.0
-"""How far ahead coming events are seen [s]: about the time between two of them in the suites."""
+"""Horizon for coming events [s]: about the time between two of them in the suites."""
 
 PRIVILEGED_SCALES = {
-    # how the device was built: deviation from its profile, in units of the profile's value
+    # the device: relative deviation from its profile
     "spring_biceps_factor": 0.25,
     "spring_triceps_factor": 0.25,
     "pulley_biceps_factor": 0.04,
     "pulley_triceps_factor": 0.04,
     "damping_factor": 0.5,
     "noise_factor": 1.5,
-    "loaded_inertia": 3.0,  # that of the payload included
-    # its sensors and its microcontroller: offsets [rad, m, m], and the probability of a late tick
+    "loaded_inertia": 3.0,  # with the payload
+    # sensor offsets [rad, m, m]; probability of a late tick
     "encoder_bias": math.radians(0.6),
     "slider_bias_biceps": 1e-4,
     "slider_bias_triceps": 1e-4,
     "late_probability": 0.2,
-    # the truth behind the sensors [rad, rad/s, N, N], and the controllers' integrals [rad]
+    # true state [rad, rad/s, N, N]; integrals of the controllers [rad]
     "true_error": math.radians(90.0),
     "true_velocity": math.radians(500.0),
     "force_biceps": 20.0,
     "force_triceps": 20.0,
     "position_integral": math.radians(720.0),
     "tension_integral": math.radians(180.0),
-    # what acts on the joint now [N m]: weight at the horizontal, weight here, pushes and shaking, the obstacle
+    # torques on the joint [N m]: weight at the horizontal, weight at this angle, pushes with shaking, obstacle
     "static_torque": 0.6,
     "weight_torque": 0.6,
     "push_torque": 0.6,
     "contact_torque": 1.0,
-    # the obstacle: is there one, how far is it [rad], which way, how much does it yield [rad/(N m)], damp [N m s/rad]
+    # obstacle: existence, distance [rad], side, compliance [rad/(N m)], damping [N m s/rad]
     "obstacle": 1.0,
     "obstacle_distance": math.radians(60.0),
     "obstacle_side": 1.0,
     "obstacle_yield": 0.3,
     "obstacle_damping": 0.05,
-    # pushes: how long the present one lasts [s]; of the next one when [s], how strong [N m], how long and how steep [s]
+    # remaining time of the present push [s]; time until the next one [s], its torque [N m], duration [s], rise [s]
     "push_remaining": _SOON,
     "next_push_in": _SOON,
     "next_push_torque": 0.6,
@@ -57,7 +57,7 @@ PRIVILEGED_SCALES = {
     "next_push_rise": 0.5,
     "shake_rms": 0.1,
     "shake_bandwidth": 4.0,  # [Hz]
-    # the setpoint: what is left of the present move [rad, s]; of the next one when [s], how far [rad], how long [s]
+    # rest of the present move [rad, s]; time until the next one [s], its change [rad], duration [s]
     "move_remaining": math.radians(90.0),
     "move_ends_in": _SOON,
     "next_move_in": _SOON,
@@ -67,39 +67,28 @@ PRIVILEGED_SCALES = {
     "wave_frequency": 1.0,  # now [Hz]
     "wave_sine": 1.0,
     "wave_cosine": 1.0,
-    # until rewards count [s], and the family, whose prices apply
+    # time until rewards count [s]; family, whose prices apply
     "counts_in": 0.5,
     **{f"family_{family.replace('-', '_')}": 1.0 for family in get_args(Family)},
 }
-"""Name of each entry, in order, and what 1 stands for; all entries are clipped to [-1, 1]."""
+"""Name of each entry, in order -> the value that 1 stands for; all entries are clipped to [-1, 1]."""
 
 PRIVILEGED = tuple(PRIVILEGED_SCALES)
 """Names of the entries that follow those of `transition.OBSERVATIONS`."""
 
 _SCALES = np.array(list(PRIVILEGED_SCALES.values()))
-_BUILT, _SENSORS, _TRUTH, _LOADS, _OBSTACLE, _PUSHES, _MOVES, _WAVE, _TASK = (
-    PRIVILEGED.index(name)
-    for name in (
-        "spring_biceps_factor",
-        "encoder_bias",
-        "true_error",
-        "static_torque",
-        "obstacle",
-        "push_remaining",
-        "move_remaining",
-        "wave_amplitude",
-        "counts_in",
-    )
-)
+_SENSORS, _TRUTH, _LOADS = (PRIVILEGED.index(name) for name in ("encoder_bias", "true_error", "static_torque"))
+_OBSTACLE, _PUSHES, _MOVES = (PRIVILEGED.index(name) for name in ("obstacle", "push_remaining", "move_remaining"))
+_WAVE, _TASK = PRIVILEGED.index("wave_amplitude"), PRIVILEGED.index("counts_in")
 _SLACK = 1e-6  # [s]; a fraction of a control tick
 
 
 @compiled
 def observe_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observations):
-    """Write what the given devices cannot know into their observations, one row each, from the column `first` on.
+    """Write the given devices' hidden state into their observations, one row each, from the column `first` on.
 
-    Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` is that of the profile's
-    arm without a payload [kg m2].
+    Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` [kg m2] is the inertia of
+    the profile's arm without a payload.
     """
     values = np.empty(_SCALES.size)
     for n in range(devices.size):
@@ -121,8 +110,8 @@ def observe_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, obse
 
 @compiled
 def _write_device(bare_inertia, c, i, values):
-    """Write how the device was built, and its payload."""
-    built, sensors = values[_BUILT:], values[_SENSORS:]
+    """Write the device's deviations from its profile, its payload included."""
+    built, sensors = values, values[_SENSORS:]
     built[0] = c.spring_biceps_factor[i] - 1.0
     built[1] = c.spring_triceps_factor[i] - 1.0
     built[2] = c.pulley_biceps_factor[i] - 1.0
@@ -138,7 +127,7 @@ def _write_device(bare_inertia, c, i, values):
 
 @compiled
 def _write_truth(c, s, i, values):
-    """Write the true state behind the sensors, and the loads on the joint."""
+    """Write the true state, then the loads on the joint."""
     truth, loads = values[_TRUTH:], values[_LOADS:]
     truth[0] = s.setpoint[i] - s.angle[i]
     truth[1] = s.velocity[i]
@@ -159,13 +148,13 @@ def _write_obstacle(c, s, i, values):
         values[0] = 1.0
         values[1] = c.obstacle_side[i] * (c.obstacle_angle[i] - s.angle[i])
         values[2] = c.obstacle_side[i]
-        values[3] = np.float32(1.0) / c.obstacle_stiffness[i]  # in the width that it is kept in
+        values[3] = np.float32(1.0) / c.obstacle_stiffness[i]  # in the precision of the stored stiffness
         values[4] = c.obstacle_damping[i]
 
 
 @compiled
 def _write_pushes(c, i, time, values):
-    """Write how long the present push lasts, when the next one comes and what it is, and the shaking."""
+    """Write the rest of the present push, the next push, the shaking."""
     remaining, wait, following = 0.0, math.inf, -1
     for k in range(c.push_count[i]):
         elapsed = time - c.push_time[k, i]
@@ -187,7 +176,7 @@ def _write_pushes(c, i, time, values):
 
 @compiled
 def _write_moves(c, s, i, time, values):
-    """Write what is left of the setpoint's present move, when the next one comes and what it is."""
+    """Write the rest of the setpoint's present move, then its next move."""
     present = s.move[i]
     target, left = c.initial_angle[i], 0.0
     if present >= 0:

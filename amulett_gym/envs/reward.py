@@ -1,10 +1,10 @@
 """The reward: minus the cost of an agent step, in units of eq. 6's cost of a whole episode of the same family.
 
-Costs of families differ by a factor of 100 and more: holding against pushes is cheap beside stepping. So each scenario
-of a mix, too, is charged by its own family, and all of them count alike.
+Costs of families differ by a factor of 100 and more: holding against pushes costs far less than stepping. So each
+scenario of a mix uses its own family's divisors, and all families have the same weight.
 
-The divisors are versioned data, frozen before any training: the mean cost of eq. 6 (`text`, inside the loop) over 400
-training scenarios of 10 s, or about 400 a family. ``python -m amulett_gym.evaluation.divisors`` measures them again.
+The divisors are versioned data, fixed before any training: the mean cost of eq. 6 (`text`, inside the loop) over 400
+training scenarios of 10 s, or about 400 per family. ``python -m amulett_gym.evaluation.divisors`` measures them again.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import CONTACT_SUITES
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
-"""Weights of the reward's terms where nothing is touched."""
+"""Weights of the reward's terms in families without obstacles."""
 
 CONTACT_WEIGHTS = {"position": 0.35, "effort": 0.3, "tension": 0.05, "contact": 0.3}
-"""Weights where there are obstacles: a bump counts as much as the effort, and all of them sum to 1 as well."""
+"""Weights in families with obstacles; they sum to 1, too."""
 
 MOST_WEIGHT = 1e6
 
@@ -36,64 +36,52 @@ TERMS = (*COST_TERMS, "failure")
 
 Terms = dict[str, NDArray[np.float64]]
 RewardFunction = Callable[[Terms, Terms], ArrayLike]
-"""A reward of the user's own, see `own_reward`."""
+"""Type of `reward_fn`, see `own_reward`."""
 
 COST_CAP = 1.0
-"""Most that one agent step can cost: a whole episode of eq. 6. It bounds what a failure has to cost."""
+"""Largest cost of one agent step: a whole episode of eq. 6. It bounds the cost of a failure."""
 
 
 @cache
 def _frozen() -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text())
-    return content
+    return dict(json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text()))
 
 
 def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[str, float]:
     """Return eq. 6's mean costs of an episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
 
-    An own profile is charged by the shipped profile that it is based on; one without a base by the testbed.
-
     Parameters
     ----------
     profile : Profile
+        One of your own uses the divisors of the shipped profile that it is based on; without a base, the testbed's.
     suite : str
     family : str, optional
-        For a scenario of that family: as the mixed suite draws it, or else as the family's own suite does. None: for
-        any scenario of the suite.
+        Family of a scenario: as the mixed suite draws it, or else as the family's own suite does. None: any scenario of
+        the suite.
     """
-    by_suite, owner = _frozen()["divisors"], divisors_owner(profile)
-    in_mixed: dict[str, dict[str, float]] = _frozen()["divisors_in_mixed"][owner]
-    if suite == "mixed" and family in in_mixed:
-        return in_mixed[family]
-    found: dict[str, float] = by_suite[owner][family or suite]
-    return found
+    owner = divisors_owner(profile)
+    in_mixed = _frozen()["divisors_in_mixed"][owner] if suite == "mixed" else {}
+    return dict(in_mixed.get(family) or _frozen()["divisors"][owner][family or suite])
 
 
 def divisors_owner(profile: Profile) -> str:
-    """Return the name of the shipped profile whose divisors charge a profile."""
-    root = profile.root
-    return root if root in _frozen()["divisors"] else "testbed"
+    """Return the name of the shipped profile whose divisors a profile uses."""
+    return profile.root if profile.root in _frozen()["divisors"] else "testbed"
 
 
 def default_weights(suite: str) -> dict[str, float]:
-    """Return the weights that the reward of a suite or family has unless others are asked for."""
+    """Return the default weights of the reward in a suite or family."""
     return dict(CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS)
 
 
 def prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = None) -> NDArray[np.float64]:
-    """Return what a unit of each cost term takes off the reward in an environment of a suite: weight / divisor.
-
-    Parameters
-    ----------
-    profile : Profile
-    suite : str
-    weights : mapping of str to float, optional
-        Instead of the families' default weights.
+    """Return weight / divisor of each family and cost term in an environment of a suite.
 
     Returns
     -------
     ndarray, shape (len(FAMILIES), len(COST_TERMS))
-        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s.
+        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s. `weights` replace the
+        families' default weights.
     """
     table = np.empty((len(FAMILIES), len(COST_TERMS)))
     for row, family in zip(table, FAMILIES, strict=True):
@@ -103,13 +91,7 @@ def prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = N
 
 
 def check_weights(weights: dict[str, float]) -> dict[str, float]:
-    """Return weights that a reward can have.
-
-    Raises
-    ------
-    AmulettError
-        If a name is unknown or a weight is not from 0 to a million.
-    """
+    """Return the weights; raise an AmulettError if a name is unknown or a weight is not from 0 to a million."""
     for name, weight in weights.items():
         if name not in DEFAULT_WEIGHTS:
             raise unknown("reward weight", name, DEFAULT_WEIGHTS)
@@ -119,22 +101,22 @@ def check_weights(weights: dict[str, float]) -> dict[str, float]:
 
 
 def own_reward(function: RewardFunction, costs: Terms, terms: Terms) -> NDArray[np.float64]:
-    """Return the rewards by a function of the user's own.
+    """Return the rewards of a user's function, shape (N,).
 
     Parameters
     ----------
     function : callable
-        Of `costs` and `terms`; returns the rewards, shape (N,). It may compute with each device's entries only.
+        Maps `costs` and `terms` to rewards, shape (N,). Each reward may depend only on the entries of its device.
     costs : dict of ndarray, shape (N,)
-        What the step added to the raw costs: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s], and
-        failure, 1 if the device left its limits.
+        Raw costs of the step: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s], and failure, 1 if
+        the device left its limits.
     terms : dict of ndarray, shape (N,)
-        The terms of the default reward, weighted, divided and capped; their sum is the default reward.
+        Terms of the default reward, weighted, divided and capped; their sum is the default reward.
 
     Raises
     ------
     AmulettError
-        If it returns anything else than one finite number for each device.
+        If the function does not return one finite number for each device.
     """
     found = function(costs, terms)
     try:

@@ -1,4 +1,4 @@
-"""The environments' keywords, once for the single and the vector environment: types, ranges, units and defaults."""
+"""Typed keywords of the environments, with ranges, units, defaults."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ DEFAULT_STEPS = 500
 """Agent steps in an episode, 10 s at the default agent period."""
 
 NO_LIMIT = -1
-"""`max_episode_steps` of episodes that no time limit ends, as in `gymnasium.make`."""
-
+"""`max_episode_steps` of episodes without a time limit, as in `gymnasium.make`."""
 
 Bounds = TypeVar("Bounds", bound=Sequence[float])
 
@@ -51,7 +50,7 @@ def _check_steps(steps: int) -> int:
     return steps
 
 
-# What keywords are made of; recipes and bundles can use the same.
+# Types of keywords, shared with recipes and bundles.
 AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 Suite = Annotated[str, _one_of("suite", suite_names())]
 Split = Annotated[str, _one_of("split", SPLITS)]
@@ -74,32 +73,34 @@ class Settings(Group):
         validate_default=True,
         description="device: a shipped profile's name, a YAML file, a mapping or a Profile",
     )
-    suite: Suite = Field(default="steps", description="which scenarios are drawn; see `tasks.suites`")
-    split: Split = Field(default="train", description="which part of them: disjoint, or shifted beyond their ranges")
+    suite: Suite = Field(default="steps", description="suite that scenarios are drawn from; see `tasks.suites`")
+    split: Split = Field(
+        default="train", description="part of the suite: disjoint scenarios, or shifted beyond their ranges"
+    )
     control: Annotated[Control, _one_of("control", CONTROLS)] = Field(
-        default="decentralized", description="with the tension loop, or position control alone"
+        default="decentralized", description="decentralized: with the tension loop; position-only: without"
     )
     tension_law: Annotated[str, _one_of("tension law", TENSION_LAWS)] = Field(
-        default="agent", description="what sets the tension: the agent, or eq. 6 inside the loop"
+        default="agent", description="what sets the tension: the agent, or eq. 6 in each control tick"
     )
     reward_weights: Weights | None = Field(
         default=None, description="reward term -> weight [1], instead of each family's default"
     )
     reward_fn: RewardFunction | None = Field(
-        default=None, exclude=True, description="function of the step's costs and terms that replaces the reward"
+        default=None, exclude=True, description="function of a step's costs and terms, replaces the reward"
     )
     tension_range: TensionRange = Field(default=TENSION_RANGE, description="tension at action -1 and +1 [N]")
     agent_period: AgentPeriod = Field(
-        default=0.02, description="time from action to action [s], a multiple of the control period"
+        default=0.02, description="time between two actions [s], a multiple of the control period"
     )
     observation_noise: Noise = Field(
         default=0.0, description="standard deviation added to each entry of an observation, in its scaled unit [1]"
     )
     failure_horizon: int = Field(
-        default=DEFAULT_STEPS, ge=1, le=10**9, description="episode length by which a failure is charged [agent steps]"
+        default=DEFAULT_STEPS, ge=1, le=10**9, description="episode length for the cost of a failure [agent steps]"
     )
     render_mode: str | None = Field(default=None, description="rgb_array or human")
-    privileged: bool = Field(default=False, description="append what no device can know to the observations")
+    privileged: bool = Field(default=False, description="append the hidden state to the observations")
 
     @field_validator("render_mode")
     @classmethod
@@ -121,14 +122,14 @@ class Settings(Group):
 
     @classmethod
     def read(cls, keywords: Mapping[str, Any], what: str = "environment", by_factor: bool = False) -> Self:
-        """Check keywords.
+        """Return checked keywords.
 
         Parameters
         ----------
         keywords : mapping
             The deprecated ``action_range`` is read as `tension_range`.
         what : str
-            Begins the error's message.
+            Beginning of the error's message.
         by_factor : bool
             Whether ``action_range`` is in factors of the profile's nominal tension instead of N.
 
@@ -146,10 +147,10 @@ class Settings(Group):
             raise describe(error, cls, what) from error
 
     def keywords(self) -> dict[str, Any]:
-        """Return the keywords that were given and make the environment again, as JSON takes them.
+        """Return the given keywords as JSON types, for making the environment again.
 
-        A shipped profile is a name, another one a mapping. What does not change an episode is left out: `render_mode`,
-        `threads`, `num_envs` and `max_episode_steps`; and so is `reward_fn`, which is code.
+        A shipped profile is a name, another one a mapping. Left out are keywords that do not change an episode
+        (`render_mode`, `threads`, `num_envs`, `max_episode_steps`) and `reward_fn`, which is code.
         """
         given = self.model_fields_set & Settings.model_fields.keys() - {"render_mode"}
         found = self.model_dump(mode="json", include=given)
@@ -169,7 +170,7 @@ class VectorSettings(Settings):
         description="steps after which an episode is truncated [agent steps]; None: the default, -1: never",
     )
     threads: Threads = Field(
-        default=1, description="threads that step the devices, a part each; the results are the same, bit for bit"
+        default=1, description="threads that share the devices; the number changes no bit of the results"
     )
 
     @field_validator("max_episode_steps", mode="before")
@@ -201,20 +202,20 @@ def _replace_action_range(given: dict[str, Any], by_factor: bool) -> None:
 
 
 def _check_step(profile: Profile) -> None:
-    """Refuse a device that swings or slows down faster than its integration steps can follow.
+    """Raise an AmulettError for a device whose oscillation or damping is too fast for its integration step.
 
-    Between two strings at their stiffest; a device that differs from its profile may still end as unstable.
+    Checked at the largest stiffness of both strings; a device that differs from its profile may still fail.
     """
     step = profile.loop.control_period / profile.loop.substeps
     stiffness = 2.0 * build_tables(profile.spring).max_stiffness * profile.plant.joint_pulley_radius**2
     swing = step * math.sqrt(stiffness / float(empty_rows(1, profile)["inertia"][0]))
     slowing = 2.0 * step * profile.damping.d
     if max(swing, slowing) > STABLE_STEP:
-        what = f"swings by {swing:.3g} rad" if swing > slowing else f"is slowed down by {slowing:.3g} time constants"
+        what = f"oscillates by {swing:.3g} rad" if swing > slowing else f"is damped by {slowing:.3g} time constants"
+        least = math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)
         raise AmulettError(
             f"the device '{profile.name}' {what} in an integration step of {step:g} s; at most {STABLE_STEP} can be "
-            f"computed: loop.substeps has to be at least "
-            f"{math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)}"
+            f"computed: loop.substeps has to be at least {least}"
         )
 
 

@@ -1,4 +1,4 @@
-"""The single environments, `Amulett/Scaling-v0` and `Amulett/Tension-v0`."""
+"""The single environments."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from gymnasium.spaces import Box, Space
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.episodes import Episodes, device_seeds
+from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import Settings, signature
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, MAY_BE_MISSING, METRICS, READINGS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.scenario import Scenario
 
@@ -24,10 +24,7 @@ _DEVICE = np.zeros(1, dtype=np.int64)
 
 
 class NotReached(float):
-    """A NaN that equals itself: a time that was not reached *is* the same in two equal episodes.
-
-    Gymnasium's checker compares the infos of two equal steps with ``==``, by which an ordinary NaN differs from itself.
-    """
+    """A NaN that equals itself: Gymnasium's checker compares the infos of two equal steps with ``==``."""
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, NotReached)
@@ -45,7 +42,7 @@ _NOT_REACHED = NotReached("nan")
 class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     """`Amulett/Tension-v0`: choose the antagonist's string tension, in N.
 
-    Everything but the action is as in :class:`ScalingEnv`, whose docstring is the specification.
+    All but the action is as in :class:`ScalingEnv`, whose docstring is the specification.
 
     ## Action Space
 
@@ -85,15 +82,10 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Parameters
         ----------
         seed : int, optional
-            A whole number of at least 0. Scenarios and noise of this and all later episodes come from it; `np_random`,
-            which it seeds as well, is asked only if there never was a seed.
+            At least 0. It fixes scenarios and noise of this and all later episodes. Without any seed so far, they come
+            from `np_random`.
         options : dict, optional
             ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON or YAML file to play instead of a drawn one.
-
-        Returns
-        -------
-        observation : ndarray of float32, shape (13,), longer if `privileged`
-        info : dict
 
         Raises
         ------
@@ -103,11 +95,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             If the seed is no whole number of at least 0.
         """
         super().reset(seed=seed)
-        seeds = device_seeds(seed, 1)
-        for option in options or {}:
-            if option not in RESET_OPTIONS:
-                raise unknown("reset option", str(option), RESET_OPTIONS)
-        scenario = (options or {}).get("scenario")
+        seeds, scenario = device_seeds(seed, 1), checked_options(options, RESET_OPTIONS).get("scenario")
         self.episodes.seed(_DEVICE, seeds, self.np_random)
         observation = self.episodes.start(_DEVICE, None if scenario is None else [scenario])[0]
         if self._renderer is not None:
@@ -117,22 +105,12 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return observation, self._info(self.episodes.report())
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Hold an action for one agent period.
-
-        Parameters
-        ----------
-        action : ndarray, shape (1,)
-            In [-1, 1]; values beyond are clipped.
+        """Hold an action, shape (1,), for one agent period; values beyond [-1, 1] are clipped.
 
         Returns
         -------
-        observation : ndarray of float32, shape (13,), longer if `privileged`
-        reward : float
-        terminated : bool
-            Whether the device left its limits.
-        truncated : bool
-            Always False; the time limit is a wrapper's.
-        info : dict
+        observation, reward, terminated, truncated, info
+            `terminated`: the device left its limits. `truncated` is False: the time limit is that of a wrapper.
 
         Raises
         ------
@@ -165,21 +143,21 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return self._renderer.draw(frame_of(self.episodes, 0))
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if one is open."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of the episode and the random generator: a dict that can be pickled.
+        """Return a snapshot of the episode and the random generator, which can be pickled.
 
-        From it on, an environment made alike gives the same bits, later episodes included, in any process.
-        What wrappers count is theirs: `gym.make`'s time limit is not in it.
+        An environment made with the same keywords continues from it with the same bits, later episodes included, in any
+        process. The state of wrappers, as of `gym.make`'s time limit, is not in it.
         """
         return {"episodes": self.episodes.get_state(), "np_random": self.np_random.bit_generator.state}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`; AmulettError if it is one of another number of devices."""
+        """Restore a snapshot taken by `get_state`; AmulettError if its number of devices differs."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
 
@@ -220,12 +198,12 @@ class ScalingEnv(TensionEnv):
 
     The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
     `Amulett/Tension-v0`, in which the same action means the same tension. `tension_range=(low, high)` sets another
-    range [N]. The ramp is one of control ticks: one that comes too late leaves the setpoint where it is, and the next
-    action begins where the last one wanted to be.
+    range [N]. The ramp moves in each control tick. A late tick leaves the setpoint unchanged; the next ramp begins at
+    the setpoint that the last action asked for.
 
     ## Observation Space
 
-    `Box(-1, 1, (13,), float32)`: what the microcontroller knows, divided by a fixed scale and clipped to [-1, 1].
+    `Box(-1, 1, (13,), float32)`: the microcontroller's values, divided by a fixed scale and clipped to [-1, 1].
 
     | Num | Observation                                      | Min     | Max    | Scale: 1 stands for |
     |-----|--------------------------------------------------|---------|--------|---------------------|
@@ -246,18 +224,18 @@ class ScalingEnv(TensionEnv):
     ## Rewards
 
     Minus the weighted costs of the step, each divided by the cost of eq. 6 in a whole episode of the same suite, so
-    that the return of eq. 6 is about -1. In `mixed`, each scenario is charged by the weights and divisors of its
-    family, so that all families count alike:
+    that the return of eq. 6 is about -1. In `mixed`, each scenario has the weights and divisors of its family, so that
+    all families have the same weight:
 
     - `position` (0.5): position ISE (eq. 7), by the true angle;
-    - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without what a jump of the position
-      setpoint alone contributes: that is alike under every law, and would hide what the laws do;
+    - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without the contribution of a jump of
+      the position setpoint alone, which is the same under every law and would hide their differences;
     - `tension` (0.05): tension ISE of the antagonist, by the true force;
-    - `contact` (0): square of the contact torque; in the family with obstacles, `contact`, it weighs 0.3, `position`
-      0.35 and `effort` 0.3;
-    - `failure`: if the device left its limits, minus `COST_CAP` for each step that was left of `failure_horizon`.
+    - `contact` (0): square of the contact torque; in the family with obstacles, `contact`, its weight is 0.3, that of
+      `position` 0.35 and that of `effort` 0.3;
+    - `failure`: if the device left its limits, minus `COST_CAP` for each remaining step of `failure_horizon`.
 
-    A step that does not fail costs at most `COST_CAP` = 1; beyond, all terms shrink alike. `info["reward_terms"]`
+    A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info["reward_terms"]`
     holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
 
     | Metric                                              | Unit    | Meaning                                         |
@@ -265,11 +243,11 @@ class ScalingEnv(TensionEnv):
     | `position_ise`                                      | deg2 s  | eq. 7 of the joint angle                        |
     | `tension_ise`, `tension_ise_estimated`              | N2 s    | eq. 7 of the antagonist's true, estimated force |
     | `isav_biceps`, `isav_triceps`                       | deg2/s  | eq. 8 of the drives' commands                   |
-    | `isav_kick`                                         | deg2/s  | that of the setpoint's jumps alone              |
+    | `isav_kick`                                         | deg2/s  | eq. 8 of the setpoint's jumps alone             |
     | `effort_biceps`, `effort_triceps`                   | deg2/s  | eq. 8 without the jumps' increments             |
     | `iav_biceps`, `iav_triceps`                         | deg     | integral of the commands' absolute rate         |
     | `rise_time`, `settling_time`                        | s       | first, last entry into +-2 deg around a target; |
-    |                                                     |         | mean over the steps that got there, else NaN    |
+    |                                                     |         | mean over the steps that reach it, else NaN     |
     | `overshoot`                                         | deg     | largest excursion beyond a step's target        |
     | `contact_ise`, `contact_peak`                       | N2 m2 s, N m | contact torque                             |
     | `push_deflection`                                   | deg     | largest error while a push acts                 |
@@ -278,8 +256,8 @@ class ScalingEnv(TensionEnv):
     | `setpoint_steps`, `steps_risen`, `steps_settled`,   | 1       | counts                                          |
     | `agonist_switches`                                  |         |                                                 |
 
-    `reward_fn=f` replaces the reward by your own. `f(costs, terms)` gets two dicts of arrays with one entry for each
-    device (one in the single environment) and returns the rewards, an array of the same shape::
+    `reward_fn=f` replaces the reward. `f(costs, terms)` gets two dicts of arrays with one entry for each device (one in
+    the single environment) and returns the rewards, an array of the same shape::
 
         def rooted(costs, terms):
             return -((costs["position"] / 50.0) ** 0.5) + terms["effort"] + terms["failure"]
@@ -287,29 +265,29 @@ class ScalingEnv(TensionEnv):
 
         env = gym.make("Amulett/Scaling-v0", reward_fn=rooted)
 
-    `costs` is what the step added to the raw costs: `position` [deg2 s], `effort` [deg2/s], `tension` [N2 s], `contact`
-    [N2 m2 s], and `failure`, 1 if the device left its limits. `terms` are the terms above, of which
-    `info["reward_terms"]` reports the same. If the function computes each entry from the entries of the same device,
-    the single and the vector environment give the same bits. A function is no JSON: with one, `env.spec.to_json()`
-    raises a TypeError, and a policy bundle names it in its provenance only.
+    `costs` are the raw costs of the step: `position` [deg2 s], `effort` [deg2/s], `tension` [N2 s], `contact`
+    [N2 m2 s], and `failure`, 1 if the device left its limits. `terms` are the terms above, also in
+    `info["reward_terms"]`. If the function computes each entry from the entries of the same device, the single and the
+    vector environment give the same bits. A function cannot be written as JSON: with one, `env.spec.to_json()` raises a
+    TypeError, and a policy bundle names it only in its provenance.
 
-    Further entries of `info` are the truth behind the observation: `time` [s], `joint_angle` [deg], `joint_velocity`
-    [deg/s], `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
+    Further entries of `info` are the true state: `time` [s], `joint_angle` [deg], `joint_velocity` [deg/s],
+    `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
     `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string).
 
     ## Starting State
 
     At rest at the scenario's initial angle, both strings settled at the initial tension (the nominal 10 N). The suites'
-    tasks begin after 0.5 s, and so do rewards and metrics: time to settle at the tension that the agent prefers.
+    tasks begin after 0.5 s, and so do rewards and metrics: time to settle at the tension that the agent chooses.
     `reset(seed=...)` fixes the scenarios and the noise of this and all later episodes. `reset(options={"scenario": s})`
     plays a scenario of your own (a mapping, a JSON or YAML file or a :class:`amulett_gym.tasks.scenario.Scenario`). Its
-    key `family` names the suite by whose weights and divisors it is charged, as with every drawn scenario; without it,
-    `contact` if it has an obstacle, so that contact is charged, else the environment's suite.
+    key `family` names the suite whose weights and divisors its reward uses, as that of a drawn scenario does; without
+    it, `contact` if it has an obstacle, so that contact has a cost, else the environment's suite.
 
     ## Episode End
 
     - Termination: the joint leaves +-150 deg, its velocity leaves its limit, or the state is not finite;
-      `info["failure"]` says which.
+      `info["failure"]` names the limit.
     - Truncation: after `max_episode_steps`, 500 by default, which is 10 s.
 
     ## Arguments
@@ -323,19 +301,19 @@ class ScalingEnv(TensionEnv):
     | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
     | `reward_weights`    | None              | mapping of term to weight, instead of each family's default          |
-    | `reward_fn`         | None              | a reward of your own, see below                                      |
+    | `reward_fn`         | None              | a reward of your own, see above                                      |
     | `tension_range`     | (4, 15)           | tension setpoints at action -1 and +1 [N], up to 1e6; `action_range`,|
     |                     |                   | in factors for Scaling and in N for Tension, is deprecated           |
-    | `agent_period`      | 0.02              | time from action to action [s]; a multiple of the control period     |
+    | `agent_period`      | 0.02              | time between two actions [s]; a multiple of the control period       |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
-    | `failure_horizon`   | 500               | steps by which a failure is charged: set it with `max_episode_steps` |
+    | `failure_horizon`   | 500               | steps for the cost of a failure: set it with `max_episode_steps`     |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |
-    | `privileged`        | False             | append what no device can know (:mod:`amulett_gym.envs.privileged`): |
-    |                     |                   | for the causal reference; without `observation_noise`                |
+    | `privileged`        | False             | append the hidden state (:mod:`amulett_gym.envs.privileged`), without|
+    |                     |                   | `observation_noise`: for the causal reference                        |
 
     Raises :class:`amulett_gym.errors.AmulettError` for a wrong argument.
 
-    | Suite          | What the arm has to do                                                                         |
+    | Suite          | Task                                                                                           |
     |----------------|------------------------------------------------------------------------------------------------|
     | `"paper-step"` | the paper's step from 0 to 45 deg                                                              |
     | `"steps"`      | random setpoint steps                                                                          |
@@ -359,10 +337,10 @@ class ScalingEnv(TensionEnv):
 
 
 def spaces_of(episodes: Episodes) -> tuple[Space[Any], Space[Any]]:
-    """Return the spaces of a device's observation and action."""
+    """Return the observation space, then the action space of a device."""
     return Box(-1.0, 1.0, (episodes.observation_size,), np.float32), Box(-1.0, 1.0, (1,), np.float32)
 
 
 def frame_rate(settings: Settings) -> int:
-    """Return the frames in a second of the animation, one an agent step."""
+    """Return the animation's frames per second, one for each agent step."""
     return max(round(1 / settings.agent_period), 1)

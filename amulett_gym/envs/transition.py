@@ -1,4 +1,4 @@
-"""One agent step in one compiled call: act, advance, observe, reward, report."""
+"""One agent step in one compiled call."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SETTINGS = record(
         ("ticks", "i8"),  # control ticks in an agent step
         ("horizon", "f8"),  # agent steps in an episode
         ("low", "f8"),  # tension setpoint at action -1 [N]
-        ("high", "f8"),  # and at +1 [N]
+        ("high", "f8"),  # tension setpoint at action +1 [N]
         ("prices", "f8", (len(FAMILIES), len(COST_TERMS))),  # `reward.prices`, per rad2 s, rad2/s, N2 s, N2 m2 s
         ("cost_cap", "f8"),
         ("observation_noise", "f8"),
@@ -52,7 +52,7 @@ OBSERVATION_SCALES = {
     "estimated_tension": 20.0,
     "command": math.radians(720.0),
 }
-"""What an entry of 1 stands for [rad, rad/s, s, N]: fixed constants, so there is nothing to save, lose or mismatch."""
+"""Values that an entry of 1 stands for [rad, rad/s, s, N]: constants, so a policy needs no normalisation data."""
 
 _ERROR, _ANGLE, _VELOCITY, _TIME, _TENSION, _COMMAND = OBSERVATION_SCALES.values()
 
@@ -82,7 +82,7 @@ METRICS = (
 """Names of ``info["metrics"]``, in order; their units are in the environments' docstring."""
 
 MAY_BE_MISSING = ("rise_time", "settling_time", "resting_stiffness")
-"""Metrics that are NaN when no setpoint step got there, or the joint never rested."""
+"""Metrics that are NaN if no setpoint step reached its target, or the joint never rested."""
 
 READINGS = (
     "failure",
@@ -96,13 +96,13 @@ READINGS = (
     "push_torque",
     "contact_torque",
 )
-"""Names of further entries of ``info``: the truth behind the observation."""
+"""Names of further entries of ``info``: the true state."""
 
 FIRST_TERM = 1
 FIRST_READING = FIRST_TERM + len(TERMS)
 FIRST_METRIC = FIRST_READING + len(READINGS)
 REPORT_SIZE = FIRST_METRIC + len(METRICS)
-"""A report is the reward, its terms, the readings and the metrics, in this order."""
+"""Length of a report: reward, its terms, readings, metrics, in this order."""
 
 _NOISE_STREAM = np.uint64(0x0B5E)
 _DEG = 180.0 / math.pi
@@ -110,7 +110,7 @@ _DEG = 180.0 / math.pi
 
 @compiled
 def step(p, e, c_blocks, s_blocks, paths, actions, observations, report):
-    """Take one agent step with all devices; fill observations and report, one row a device."""
+    """Take one agent step with all devices; fill observations and report, one row per device."""
     num_devices = actions.shape[0]
     parameters, settings = p[0], e[0]
     m = np.empty(1, dtype=MOTION_BLOCK)[0]
@@ -123,15 +123,15 @@ def step(p, e, c_blocks, s_blocks, paths, actions, observations, report):
 
 @compiled_in_place
 def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, report):
-    """Take one agent step with the devices of a block, which stays in the cache from their actions to their reports."""
+    """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
     for device in range(first, end):
         i = np.uint64(device - first)
-        # On a ramp: a setpoint that jumps would add effort for every step of the agent.
+        # On a ramp: a jump of the setpoint would add effort in each agent step.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
     advance_block(p, c, s, m, paths, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
-        s.tension_command[i] = wanted_tension(e, actions[device])  # without the sum's rounding
+        s.tension_command[i] = wanted_tension(e, actions[device])  # without the ramp's rounding
         observe(p, e, c, s, i, observations[device])
         write_reward(e, c, s, i, report[device])
         write_report(p, c, s, i, report[device])
@@ -139,7 +139,7 @@ def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, r
 
 @compiled
 def wanted_tension(e, action):
-    """Return the tension setpoint [N] that an action asks for."""
+    """Return the tension setpoint [N] of an action."""
     return compiled_tension_of(min(max(float(action), -1.0), 1.0), e.low, e.high)
 
 
@@ -162,7 +162,7 @@ def observe_devices(p, e, c_blocks, s_blocks, devices, observations):
 
 @compiled
 def observe(p, e, c, s, i, row):
-    """Fill the first of a row with what the microcontroller knows, scaled and clipped to [-1, 1]."""
+    """Fill a row's first entries with the microcontroller's values, scaled and clipped to [-1, 1]."""
     time = s.tick[i] * p.control_period
     row[0] = (s.setpoint[i] - s.measured_angle[i]) / _ERROR
     row[1] = s.measured_angle[i] / _ANGLE
@@ -187,7 +187,7 @@ def observe(p, e, c, s, i, row):
 
 @compiled
 def write_reward(e, c, s, i, report):
-    """Report the reward for what happened since the last call, and its terms, by the prices of the device's family."""
+    """Report the reward since the last call with its terms, by the prices of the device's family."""
     terms = report[FIRST_TERM:FIRST_READING]
     family = c.family[i]
     effort = s.effort_biceps[i] + s.effort_triceps[i]
@@ -205,14 +205,14 @@ def write_reward(e, c, s, i, report):
         for k in range(4):
             terms[k] *= e.cost_cap / cost
     if s.failure[i] != RUNNING:
-        # No smaller than the worst that the rest of the episode could have cost.
+        # As large as the largest possible cost of the remaining episode.
         terms[4] = -e.cost_cap * max(e.horizon - s.tick[i] // e.ticks, 1.0)
     report[0] = terms[0] + terms[1] + terms[2] + terms[3] + terms[4]
 
 
 @compiled
 def write_report(p, c, s, i, report):
-    """Report the truth behind the observation and the cumulative metrics."""
+    """Report the true state with the cumulative metrics."""
     r = report[FIRST_READING:FIRST_METRIC]
     r[0] = s.failure[i]
     r[1] = s.tick[i] * p.control_period

@@ -1,4 +1,4 @@
-"""The native vector environments: many arms, one compiled call a step, bit for bit the single environment."""
+"""The native vector environments: one compiled call per step, the same bits as the single environment."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.episodes import Episodes, device_seeds
+from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.layout import FAILURES, RUNNING
 from amulett_gym.tasks.scenario import Scenario
 
@@ -28,15 +28,15 @@ _FAILURES = np.array(FAILURES)
 
 
 class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
-    """Many `Amulett/Tension-v0` at once; see :class:`amulett_gym.envs.single.ScalingEnv` for everything but this.
+    """Many devices of `Amulett/Tension-v0`, specified by :class:`amulett_gym.envs.single.ScalingEnv`.
 
-    Device i, reset with seed s, plays exactly what the single environment plays after ``reset(seed=s + i)``. A device
+    Device i, reset with seed s, plays the same episodes as the single environment after ``reset(seed=s + i)``. A device
     whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0
     (autoreset mode NEXT_STEP). ``info`` has the single environment's keys with arrays of length `num_envs`.
 
-    The keywords are those of the single environment, and `num_envs`, `max_episode_steps` (None is the default, 500, and
-    -1 no limit, as in `gymnasium.make`) and `threads`: how many step at once, each a part of the devices; the results
-    are the same, bit for bit. Threads help where cores are free and devices are many: a thousand or more.
+    Keywords: those of the single environment, `num_envs`, `max_episode_steps` (None is the default, 500, and -1 no
+    limit, as in `gymnasium.make`) and `threads`, which share the devices: the number changes no bit of the results.
+    Threads help with free cores and a thousand devices or more.
     """
 
     metadata: dict[str, Any] = {
@@ -80,11 +80,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             ``"reset_mask"``: ndarray of bool, shape (num_envs,), the devices to reset.
             ``"scenario"``: one scenario for all devices that are reset, or a list with one for each of them.
 
-        Returns
-        -------
-        observations : ndarray of float32, shape (num_envs, 13), longer if `privileged`
-        info : dict
-
         Raises
         ------
         AmulettError
@@ -92,13 +87,10 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         gymnasium.error.Error
             If a seed is no whole number of at least 0.
         """
-        for option in options or {}:
-            if option not in RESET_OPTIONS:
-                raise unknown("reset option", str(option), RESET_OPTIONS)
-        mask = self._mask(options)
-        devices = np.flatnonzero(mask)
-        seeds = device_seeds(seed, self.num_envs)[mask]
-        scenarios = (options or {}).get("scenario")
+        options = checked_options(options, RESET_OPTIONS)
+        mask = self._mask(options.get("reset_mask"))
+        devices, seeds = np.flatnonzero(mask), device_seeds(seed, self.num_envs)[mask]
+        scenarios = options.get("scenario")
         if scenarios is not None:
             scenarios = list(scenarios) if isinstance(scenarios, list | tuple) else [scenarios] * devices.size
             if len(scenarios) != devices.size:
@@ -109,19 +101,16 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._ended[mask] = False
         observations = self.episodes.start(devices, scenarios)
         if devices.size < self.num_envs:
-            observations = self.episodes.observe()  # the others', too
+            observations = self.episodes.observe()  # of all devices
         self._clear_renderers(devices)
         return observations, self._info(self.episodes.report())
 
     def step(
         self, actions: NDArray[np.floating[Any]]
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Hold each device's action for one agent period; start the next episode of those whose last one has ended.
+        """Hold actions, shape (num_envs, 1), for one agent period; values beyond [-1, 1] are clipped.
 
-        Parameters
-        ----------
-        actions : ndarray, shape (num_envs, 1)
-            In [-1, 1]; values beyond are clipped.
+        Devices whose episode has ended start the next one instead.
 
         Raises
         ------
@@ -132,7 +121,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.array(actions, dtype=np.float64, order="C")  # strided or read-only ones would be compiled for anew
+        actions = np.array(actions, dtype=np.float64, order="C")  # avoids a compilation for strided or read-only arrays
         if actions.shape != (self.num_envs, 1):
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
         again = np.flatnonzero(self._ended)
@@ -145,12 +134,12 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start the next episode of some devices: a reset by a mask that looks at none of the others.
+        """Start the next episode of some devices; unlike a reset by a mask, this ignores all others.
 
         Parameters
         ----------
         devices : ndarray of int, shape (K,)
-            Indices, at least one and none twice.
+            Indices, at least one, all different.
 
         Returns
         -------
@@ -161,19 +150,16 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Raises
         ------
         AmulettError
-            If `devices` is anything else.
+            If `devices` is wrong.
         gymnasium.error.ResetNeeded
-            If one of them has had no reset yet.
+            If a device has had no reset yet.
         """
         fits = isinstance(devices, np.ndarray) and devices.dtype.kind == "i" and devices.ndim == 1 and devices.size > 0
-        if (
-            not fits
-            or not 0 <= devices.min() <= devices.max() < self.num_envs
-            or np.unique(devices).size < devices.size
-        ):
+        inside = fits and 0 <= devices.min() <= devices.max() < self.num_envs
+        if not inside or np.unique(devices).size < devices.size:
             raise AmulettError(
                 f"devices is {devices!r}; it has to be an ndarray of int, indices from 0 to {self.num_envs - 1}, at "
-                "least one and none twice. A mask goes to reset(options={'reset_mask': mask})"
+                "least one, all different. For a mask, use reset(options={'reset_mask': mask})"
             )
         if not self.episodes.started[devices].all():
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
@@ -194,27 +180,21 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return tuple(renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Let go of the renderers and threads."""
+        """Close the renderers; end the threads."""
         if not hasattr(self, "episodes"):
-            return  # its arguments were refused; the oldest Gymnasium we support closes it all the same
+            return  # wrong arguments; the oldest Gymnasium that we support closes the environment nevertheless
         self.episodes.close()
         for renderer in self._renderers:
             renderer.close()
         self._renderers = []
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of all episodes and the random generator: a dict that can be pickled.
-
-        From it on, an environment made alike gives the same bits, later episodes included, in any process.
-        """
-        return {
-            "episodes": self.episodes.get_state(),
-            "np_random": self.np_random.bit_generator.state,
-            "ended": self._ended.copy(),
-        }
+        """Return a snapshot of all episodes and the random generator; see the single environment's `get_state`."""
+        generator = self.np_random.bit_generator.state
+        return {"episodes": self.episodes.get_state(), "np_random": generator, "ended": self._ended.copy()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state`; AmulettError if it is one of another number of devices."""
+        """Restore a snapshot taken by `get_state`; AmulettError if its number of devices differs."""
         self.episodes.set_state(state["episodes"])
         self.np_random.bit_generator.state = state["np_random"]
         self._ended = state["ended"].copy()
@@ -232,12 +212,11 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         for device in devices if self._renderers else ():
             self._renderers[device].clear()
 
-    def _mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        mask = (options or {}).get("reset_mask")
+    def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
             return np.ones(self.num_envs, dtype=bool)
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
-            raise AmulettError(f"reset_mask has to be an ndarray of bool, shape ({self.num_envs},); it is {mask!r}")
+            raise AmulettError(f"reset_mask is {mask!r}; it has to be an ndarray of bool, shape ({self.num_envs},)")
         return mask
 
     @staticmethod
@@ -251,14 +230,14 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
 
 class ScalingVectorEnv(TensionVectorEnv):
-    """Many `Amulett/Scaling-v0` at once; see :class:`TensionVectorEnv` and its single environment."""
+    """Many devices of `Amulett/Scaling-v0`; see :class:`TensionVectorEnv`."""
 
     env_id = ENV_IDS[0]
     acts_by_factor = True
 
 
 def _batched(space: Space[Any], count: int) -> Space[Any]:
-    """Return the space of a batch. Its bounds are views of one row: repeated, they would fill 140 bytes a device."""
+    """Return the space of a batch, whose bounds are views of one row: copies would take 140 bytes per device."""
     batched = batch_space(space, count)
     for name in ("low", "high", "bounded_below", "bounded_above"):
         row = getattr(space, name)

@@ -432,7 +432,7 @@ def test_devices_that_are_no_indices_are_refused_and_nothing_changes(devices):
     env.reset(seed=7)
     before = pickle.dumps(env.get_state())
     for wrong in (devices, np.zeros(0, dtype=np.int64)):
-        with pytest.raises(AmulettError, match=r"indices from 0 to 1, at least one and none twice"):
+        with pytest.raises(AmulettError, match=r"indices from 0 to 1, at least one, all different"):
             env.next_episodes(wrong)
     assert pickle.dumps(env.get_state()) == before
 

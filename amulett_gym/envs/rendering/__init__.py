@@ -1,1 +1,1 @@
-"""From the state of an episode to a picture."""
+"""Pictures of an episode's state."""
