@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on the native vector environment: a thin adapter between their two interfaces."""
+"""Adapter from the native vector environment to Stable-Baselines3's `VecEnv`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
+from amulett_gym.envs.episodes import checked_options
+from amulett_gym.envs.single import RESET_OPTIONS
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError, unknown
 
 Indices = None | int | Iterable[int]
 
 _OF_VECTORS = ("num_envs", "threads", "vectorization_mode")
-"""Keywords of a vector environment that its single environment does not have."""
+"""Keywords that only the vector environments have."""
 
 
 def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywords: Any) -> SB3VecEnv:
     """Make the native vector environment for Stable-Baselines3.
 
-    It logs returns and lengths of episodes (``rollout/ep_rew_mean``) by itself. SB3's ``VecMonitor`` is only needed to
-    write them to a file, and does not count them twice: it replaces what is there.
+    Returns and lengths of episodes are logged (``rollout/ep_rew_mean``) without SB3's ``VecMonitor``, which is needed
+    only for writing them to a file.
 
     Parameters
     ----------
@@ -36,11 +38,7 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
     num_envs : int
         Number of devices.
     **keywords
-        As those of the environment, ``max_episode_steps`` included; ``failure_horizon`` goes with it.
-
-    Returns
-    -------
-    SB3VecEnv
+        Keywords of the environment, ``max_episode_steps`` included; set ``failure_horizon`` with it.
 
     Raises
     ------
@@ -54,16 +52,15 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
 
 
 class SB3VecEnv(VecEnv):
-    """A native vector environment (autoreset mode NEXT_STEP) seen as SB3's `VecEnv`, bit for bit as its `DummyVecEnv`.
+    """SB3's `VecEnv` over a native vector environment (autoreset mode NEXT_STEP), with the bits of SB3's `DummyVecEnv`.
 
-    SB3 wants the first observation of the next episode in the step that ends one. So finished devices are reset at
-    once, and what they saw last is kept in their info.
+    SB3 expects the first observation of the next episode in the step that ends one. So finished devices are reset at
+    once, and their info keeps their last observation.
 
-    ``infos`` are empty but for devices whose episode has just ended; an empty one is that of the last step again,
-    unless it was written into. The others have everything that the single environment's info has, and
-    ``terminal_observation``, ``TimeLimit.truncated``, ``episode_terms``, the reward's terms summed over the episode,
-    and ``episode``, the same as SB3's monitors add: return ``r``, length ``l``, and seconds ``t`` since the adapter was
-    made.
+    ``infos`` are empty except for devices whose episode has just ended; empty ones are reused in the next step unless
+    they were written to. The others hold the single environment's info, ``terminal_observation``,
+    ``TimeLimit.truncated``, ``episode_terms`` (the reward's terms summed over the episode) and, as from SB3's monitors,
+    ``episode``: return ``r``, length ``l``, seconds ``t`` since the adapter was made.
 
     Parameters
     ----------
@@ -73,14 +70,12 @@ class SB3VecEnv(VecEnv):
     Raises
     ------
     AmulettError
-        If it is wrapped: what begins anew would be seen without the wrappers.
+        If it is wrapped: the wrappers would miss the reset of finished devices.
     """
 
     def __init__(self, venv: TensionVectorEnv) -> None:
         if venv is not venv.unwrapped:
-            raise AmulettError(
-                f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap what it makes of it"
-            )
+            raise AmulettError(f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap the SB3VecEnv")
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros((venv.num_envs, 1), dtype=np.float32)
         self._terms: dict[str, NDArray[np.float64]] = {}
@@ -110,7 +105,7 @@ class SB3VecEnv(VecEnv):
         Raises
         ------
         gymnasium.error.ResetNeeded
-            If there was no `reset` of the adapter yet; one of its `venv` is none.
+            If there was no `reset` of the adapter itself yet.
         """
         if not self._terms:
             raise gym.error.ResetNeeded("call reset() before step()")
@@ -120,9 +115,9 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         dones = terminated | truncated
-        if any(self._empty_infos):  # one that a caller wrote into stays with the caller
+        if any(self._empty_infos):  # a dict that a caller wrote to is left to the caller
             self._empty_infos = [{} for _ in range(self.num_envs)]
-        infos = self._empty_infos.copy()  # made once: to make thousands of dicts takes longer than all else here
+        infos = self._empty_infos.copy()  # reused: making thousands of dicts would take most of the time
         if dones.any():
             finished = np.flatnonzero(dones)
             for device, ending in zip(finished.tolist(), self._endings(finished, info), strict=True):
@@ -133,24 +128,18 @@ class SB3VecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, infos
 
     def stagger(self, action: float, steps: int, watch: Callable[[], object] = int) -> NDArray[np.float32]:
-        """Begin the devices' next episodes one after the other.
+        """Start the devices' next episodes one after the other; return the observations, shape (num_envs, 13).
 
-        Episodes that begin together stay together: a short rollout would then show one part of all of them, and the
-        next rollout another part.
+        Episodes that start together stay synchronous: a short rollout would then hold the same part of all of them.
 
         Parameters
         ----------
         action : float
-            That all devices hold for `steps` steps; so each episode that has begun by then began with it.
+            Held by all devices for all `steps`.
         steps : int
-            Over which the beginnings are spread evenly: the length of an episode.
+            Agent steps over which the starts are spread evenly: the length of an episode.
         watch : callable
             Called after each step, to show progress.
-
-        Returns
-        -------
-        ndarray of float32, shape (num_envs, 13)
-            The observations afterwards.
         """
         actions = np.full((self.num_envs, 1), action, dtype=np.float32)
         begins = np.arange(self.num_envs) * steps // self.num_envs
@@ -165,13 +154,7 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def get_state(self) -> dict[str, Any]:
-        """Return a snapshot of all episodes, and of the sums that their infos will hold.
-
-        Raises
-        ------
-        AmulettError
-            If there was no reset yet.
-        """
+        """Return a snapshot of all episodes with the sums for their infos; AmulettError if there was no reset yet."""
         if not self._terms:
             raise AmulettError("call reset() before get_state(): there is no episode yet")
         return {
@@ -182,7 +165,7 @@ class SB3VecEnv(VecEnv):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go back to a snapshot taken by `get_state` from an adapter of the same environment."""
+        """Restore a snapshot taken by `get_state` from an adapter of the same environment."""
         self.venv.set_state(state["venv"])
         self._returns[...], self._lengths[...] = state["returns"], state["lengths"]
         self._terms = {name: total.copy() for name, total in state["terms"].items()}
@@ -197,11 +180,10 @@ class SB3VecEnv(VecEnv):
         return [None] * self.num_envs if frames is None else list(frames)
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute of each device, as its single environment has it; most are shared by all."""
+        """Return an attribute of each device, with the value of its single environment."""
         devices = list(self._get_indices(indices))
         if attr_name == "scenario":
-            scenarios = self.venv.scenarios
-            return [scenarios[device] for device in devices]
+            return [self.venv.episodes.unpacked(device) for device in devices]
         if attr_name in ("observation_space", "action_space"):
             value = getattr(self.venv, f"single_{attr_name}")
         elif attr_name == "metadata":
@@ -213,13 +195,13 @@ class SB3VecEnv(VecEnv):
         return [value] * len(devices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the vector environment; the devices share it, so it cannot be set for some of them."""
+        """Set an attribute of the vector environment, which all devices share; AmulettError for some of them only."""
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise AmulettError(f"'{attr_name}' belongs to all {self.num_envs} devices; it cannot be set for some")
         setattr(self.venv, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Call ``get_wrapper_attr``; refuse others: devices of a native vector environment have no methods."""
+        """Call ``get_wrapper_attr``; AmulettError for others: devices of a native environment have no methods."""
         if method_name == "get_wrapper_attr":
             return self.get_attr(str(args[0]), indices)
         raise AmulettError(
@@ -227,14 +209,12 @@ class SB3VecEnv(VecEnv):
             "call it on `.venv`, or use SB3's DummyVecEnv of single environments"
         )
 
-    def env_is_wrapped(
-        self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
         """Return False for each device: none is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
     def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Begin the next episode of some devices; return what these see."""
+        """Start the next episode of some devices; return their observations."""
         for total in (self._returns, self._lengths, *self._terms.values()):
             total[devices] = 0
         observations, info = self.venv.next_episodes(devices)
@@ -243,7 +223,7 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def _endings(self, finished: NDArray[np.int64], info: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return what finished devices' infos hold."""
+        """Return the infos of finished devices."""
         seconds = round(time.monotonic() - self._started, 6)
         episode = {"r": self._returns, "l": self._lengths}
         summed = pick({"episode": episode, "episode_terms": self._terms}, finished)
@@ -252,17 +232,17 @@ class SB3VecEnv(VecEnv):
         return [last | sums for last, sums in zip(pick(info, finished), summed, strict=True)]
 
     def _common_options(self) -> dict[str, Any] | None:
-        """Return the options given by SB3's `set_options`, as the vector environment takes them."""
-        given = [options for options in self._options if options]
+        """Return the options given by SB3's `set_options`, in the vector environment's form."""
+        given = [checked_options(options, RESET_OPTIONS) for options in self._options if options]
         if not given:
             return None
-        if any(set(options) != {"scenario"} for options in given) or len(given) != self.num_envs:
-            raise AmulettError("set_options has to give every device a 'scenario' and nothing else, or nothing at all")
+        if len(given) != self.num_envs:
+            raise AmulettError(f"set_options gave a scenario to {len(given)} of {self.num_envs} devices; allowed: all")
         return {"scenario": [options["scenario"] for options in given]}
 
 
 def _single_spec(spec: EnvSpec | None) -> EnvSpec | None:
-    """Return the spec that makes one device of a vector environment alone."""
+    """Return the spec of the single environment of a vector environment."""
     if spec is None:
         return None
     kwargs = {key: value for key, value in spec.kwargs.items() if key not in _OF_VECTORS}
@@ -271,6 +251,6 @@ def _single_spec(spec: EnvSpec | None) -> EnvSpec | None:
 
 
 def pick(info: dict[str, Any], devices: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Return the given devices' parts of a vector environment's info, with Python numbers as the single one's has."""
+    """Return the given devices' infos, in the single environment's form, from a vector environment's info."""
     columns = [pick(value, devices) if isinstance(value, dict) else value[devices].tolist() for value in info.values()]
     return [dict(zip(info, row, strict=True)) for row in zip(*columns, strict=True)]

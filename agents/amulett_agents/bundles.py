@@ -1,4 +1,4 @@
-"""Policies of Stable-Baselines3 kept as bundles: data that needs neither torch nor trust."""
+"""Conversion of Stable-Baselines3's policies to bundles, data that needs neither torch nor trust."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
-from amulett_agents.networks import ACTIVATIONS, StandardInputs, TwoSights, TwoSightsPolicy, visible_entries
+from amulett_agents.networks import ACTIVATIONS, AsymmetricNetworks, AsymmetricPolicy, StandardInputs, visible_entries
 from amulett_agents.wrappers import ActorView
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
@@ -28,43 +28,41 @@ from amulett_gym.storage.provenance import git_revision, versions
 
 
 def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
-    """Return the weights of a policy's deterministic action, and what they are the weights of.
+    """Return the weights of a policy's deterministic action with the description of its network.
 
     Raises
     ------
     AmulettError
-        If the policy is no plain ``MlpPolicy`` of PPO, A2C or SAC with tanh or ReLU.
+        If the policy is not an ``MlpPolicy`` of PPO, A2C or SAC with tanh or ReLU.
     """
     if isinstance(policy, ActorCriticPolicy):
         extractor, hidden, last = policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net
-        kind, squashes = policy.activation_fn, policy.squash_output
+        networks, squashes = policy.mlp_extractor, policy.squash_output
     elif isinstance(policy, SACPolicy):
         extractor, hidden, last = policy.actor.features_extractor, policy.actor.latent_pi, policy.actor.mu
-        kind, squashes = policy.activation_fn, True
+        networks, squashes = None, True
     else:
         raise AmulettError(f"only an MlpPolicy of PPO, A2C or SAC can become a bundle, not {type(policy).__name__}")
     if not isinstance(extractor, FlattenExtractor):
         raise AmulettError(f"only an MlpPolicy can become a bundle, not {type(policy).__name__}")
-    names = {kind: name for name, kind in ACTIVATIONS.items()}
-    if kind not in names:
-        raise AmulettError(f"the activation {kind.__name__} cannot be kept in a bundle; use Tanh or ReLU")
+    kind = policy.activation_fn
+    if kind not in ACTIVATIONS.values():
+        raise AmulettError(f"a bundle cannot hold the activation {kind.__name__}; use Tanh or ReLU")
     if not isinstance(last, torch.nn.Linear):
-        raise AmulettError("the policy's action is no linear function of its features")
+        raise AmulettError("a bundle cannot hold a policy whose action is not a linear function of its features")
     linear = [*(module for module in hidden if isinstance(module, torch.nn.Linear)), last]
-    layers = [
-        (layer.weight.detach().cpu().numpy().copy(), layer.bias.detach().cpu().numpy().copy()) for layer in linear
-    ]
-    if isinstance(extractor, StandardInputs):
-        layers[0] = _take_in(
-            layers[0], extractor, policy.mlp_extractor if isinstance(policy, ActorCriticPolicy) else None
-        )
+    layers = [(_array(layer.weight), _array(layer.bias)) for layer in linear]
+    if isinstance(extractor, StandardInputs):  # become part of the first layer
+        means, gains = _policy_inputs(extractor, networks)
+        raw = layers[0][0].astype(np.float64) * gains
+        layers[0] = raw.astype(np.float32), (layers[0][1] - raw @ means).astype(np.float32)
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
-    activation: Literal["tanh", "relu"] = "tanh" if names[kind] == "tanh" else "relu"
+    activation: Literal["tanh", "relu"] = "tanh" if kind is ACTIVATIONS["tanh"] else "relu"
     return layers, Network(layers=sizes, activation=activation, output="tanh" if squashes else "clip")
 
 
 def has_diverged(model: BaseAlgorithm) -> bool:
-    """Return whether a model has a weight that is not finite, or its policy one that is too large for a bundle."""
+    """Return whether a model has a weight that is not finite, or its policy one too large for a bundle."""
     if not all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters()):
         return True
     layers, _ = extract_network(model.policy)
@@ -72,11 +70,11 @@ def has_diverged(model: BaseAlgorithm) -> bool:
 
 
 def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[str, Any] | None = None) -> Path:
-    """Keep a model's policy as a bundle; `amulett_gym.load_policy` reads it without torch.
+    """Write a model's policy as a bundle; return its folder. `amulett_gym.load_policy` reads it without torch.
 
-    Works for any PPO, A2C or SAC with an ``MlpPolicy``, trained on `make_sb3_env`, in an `ActorView` and a
-    `VecFrameStack` or not, or on ``gym.make``. Of other wrappers, those that change the observation's size are refused;
-    one that changes actions goes unnoticed.
+    Works for PPO, A2C and SAC with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
+    `ActorView` or a `VecFrameStack`. Other wrappers that change the observation's size are refused; those that change
+    actions are not detected.
 
     Parameters
     ----------
@@ -85,12 +83,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     folder : str or Path
         Replaced if it holds a bundle.
     provenance : mapping, optional
-        JSON-serialisable; versions, seed and training steps are added, and the name of the environment's `reward_fn`.
-
-    Returns
-    -------
-    Path
-        The folder.
+        JSON-serialisable; versions, seed, training steps and the name of the environment's `reward_fn` are added.
 
     Raises
     ------
@@ -99,19 +92,14 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     """
     env = model.get_env()
     if env is None:
-        raise AmulettError("the model has no environment; make it with one, so that the bundle knows what actions mean")
+        raise AmulettError("the model has no environment, which defines its actions; make it with one")
     if model.get_vec_normalize_env() is not None:
-        raise AmulettError("VecNormalize's running statistics cannot be kept in a bundle; train without it")
+        raise AmulettError("a bundle cannot hold VecNormalize's running statistics; train without it")
     if not env.has_attr("tension_range"):
         raise AmulettError("the model was not trained in an AMULETT environment")
     layers, description = describe_policy(model)
-    about = {
-        **(provenance or {}),
-        "seed": model.seed,
-        "steps": int(model.num_timesteps),
-        "versions": versions(),
-        "git_revision": git_revision(),
-    }
+    origin = {"seed": model.seed, "steps": int(model.num_timesteps)}
+    about = {**(provenance or {}), **origin, "versions": versions(), "git_revision": git_revision()}
     reward_fn = env.get_attr("settings")[0].reward_fn
     if reward_fn is not None:  # code, which a bundle does not hold
         about["reward_fn"] = getattr(reward_fn, "__qualname__", repr(reward_fn))
@@ -122,7 +110,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
 
 
 def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
-    """Return the weights of a model's deterministic action, and all that is needed to act with them.
+    """Return the weights of a model's deterministic action with the complete description of its policy.
 
     Raises
     ------
@@ -134,8 +122,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     layers, network = extract_network(model.policy)
     names: tuple[str, ...] = OBSERVATIONS
     scales = OBSERVATION_SCALES
-    shows_all = env.get_attr("settings")[0].privileged and not isinstance(model.policy, TwoSightsPolicy)
-    if shows_all:
+    if env.get_attr("settings")[0].privileged and not isinstance(model.policy, AsymmetricPolicy):
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
@@ -143,9 +130,8 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     seen = FEATURES if view is not None and view.features else ()
     if network.layers[0] != history * (len(names) + len(seen)):
         raise AmulettError(
-            f"the policy sees {network.layers[0]} numbers, its environment shows {history} times "
-            f"{len(names) + len(seen)}; wrappers that change the observation cannot be kept in a bundle, but for "
-            "VecFrameStack and our own ActorView"
+            f"the policy has {network.layers[0]} inputs, its environment {history} times {len(names) + len(seen)}; of "
+            "the wrappers that change the observation, a bundle can hold VecFrameStack and our own ActorView"
         )
     return layers, PolicyDescription(
         network=network,
@@ -160,27 +146,19 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
 
 
 def start_from(model: PPO, bundle: Bundle) -> None:
-    """Let PPO's first policy be that of a bundle.
-
-    It acts as the bundle does. What the model is shown beyond what the bundle was has no weight yet.
-
-    Parameters
-    ----------
-    model : PPO
-        With its environment; see `save_policy` for which ones.
-    bundle : Bundle
+    """Give PPO the policy of a bundle; observations that the bundle did not have get the weight 0.
 
     Raises
     ------
     AmulettError
-        If the two differ in their hidden layers, or in what their observations and actions mean.
+        If the two differ in their hidden layers, or in the meaning of their observations or actions.
     """
     (_, mine), theirs = describe_policy(model), bundle.policy
     for what, own, given in (
         ("the activation", mine.network.activation, theirs.network.activation),
         ("the output", mine.network.output, theirs.network.output),
         ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
-        ("observations that no device has (privileged)", mine.is_privileged or not theirs.is_privileged, True),
+        ("observations of the hidden state (privileged)", mine.is_privileged or not theirs.is_privileged, True),
         ("features", bool(mine.features), bool(theirs.features)),
         ("history", mine.history, theirs.history),
         ("tension_range", mine.tension_range, theirs.tension_range),
@@ -198,7 +176,7 @@ def start_from(model: PPO, bundle: Bundle) -> None:
     first, bias = np.zeros((len(layers[0][1]), mine.history * mine.size)), layers[0][1]
     first[:, known] = layers[0][0]
     if isinstance(policy.features_extractor, StandardInputs):
-        means, gains = _seen_by_policy(policy.features_extractor, policy.mlp_extractor)
+        means, gains = _policy_inputs(policy.features_extractor, policy.mlp_extractor)
         first, bias = first / gains, bias + first @ means
     layers[0] = first, bias
     with torch.no_grad():
@@ -208,29 +186,21 @@ def start_from(model: PPO, bundle: Bundle) -> None:
             module.bias.copy_(torch.as_tensor(bias))
 
 
-def _take_in(
-    layer: tuple[NDArray[np.float32], NDArray[np.float32]], inputs: StandardInputs, sights: object
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the first layer as one of the observations themselves."""
-    means, gains = _seen_by_policy(inputs, sights)
-    weight, bias = layer
-    raw = weight.astype(np.float64) * gains
-    return raw.astype(np.float32), (bias - raw @ means).astype(np.float32)
+def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
+    return tensor.detach().cpu().numpy().copy()
 
 
-def _seen_by_policy(inputs: StandardInputs, sights: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the means and gains of what the policy sees, which may be less than its critic does."""
-    means, gains = inputs.means.numpy(), inputs.gains.numpy()
-    if isinstance(sights, TwoSights):
-        means, gains = means[sights.visible.numpy()], gains[sights.visible.numpy()]
-    return means, gains
+def _policy_inputs(inputs: StandardInputs, networks: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return means and gains of the policy's inputs, which may be fewer than its critic's."""
+    visible = networks.visible.numpy() if isinstance(networks, AsymmetricNetworks) else slice(None)
+    return inputs.means.numpy()[visible], inputs.gains.numpy()[visible]
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:
-    """Return the id and the keywords that make an environment again; an own profile goes in with all that it says."""
+    """Return the id and keywords for making an environment again; a profile of your own is a complete mapping."""
     settings = env.get_attr("settings")[0]
     if isinstance(settings, VectorSettings):
         steps = settings.max_episode_steps
-    else:  # the limit of Gymnasium's wrapper, if there is one
+    else:  # of Gymnasium's wrapper
         steps = env.get_attr("_max_episode_steps")[0] if env.has_attr("_max_episode_steps") else NO_LIMIT
     return TrainingEnv(id=env.get_attr("env_id")[0], keywords=settings.keywords(), max_episode_steps=steps)

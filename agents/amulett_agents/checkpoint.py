@@ -1,16 +1,16 @@
-"""Checkpoints: all that a training run's next rollout depends on, so that a resumed run gives the same bits.
+"""Checkpoints: the complete state of a training run before a rollout, so that a resumed run gives the same bits.
 
 A checkpoint is a folder ``checkpoints/<steps>`` of the run:
 
 ======================  =======================================================================================
 ``arrays.safetensors``  weights, optimisers, SAC's replay buffer and entropy coefficient, smooth exploration's noise,
                         random states, devices, last observations
-``run.json``            versions, recipe, profile, counters, validations, and what is yet to be logged
+``run.json``            versions, recipe, profile, counters, validations, values not yet logged
 ``best/``, ``last/``    the bundles of that moment
 ``manifest.json``       the SHA-256 of every other file
 ======================  =======================================================================================
 
-It is written beside its place and renamed; the one before it is kept. Nothing is unpickled.
+It is written under a temporary name and renamed; the previous one is kept. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -55,26 +55,26 @@ Arrays = dict[str, NDArray[Any]]
 
 
 class ModelState(Group):
-    """What of a model, its logger and the generators is no array."""
+    """State of a model, its logger and the random generators, without arrays."""
 
     steps: int = Field(ge=0)
     updates: int = Field(ge=0)
     progress_remaining: float
     episodes: list[dict[str, float | int]] = Field(description="returns and lengths of the last ones")
-    log: dict[str, list[Any]] = Field(description="name -> value in decimal digits, count, who does not get it")
+    log: dict[str, list[Any]] = Field(description="name -> value in decimal digits, count, excluded formats")
     python_random: list[Any]
     numpy_random: list[Any]
-    devices: dict[str, int | str | None] = Field(description="of the environment's state what is no array")
-    action_random: dict[str, Any] = Field(default={}, description="SAC: what random actions are drawn with")
-    replay_position: int = Field(default=0, ge=0, description="SAC: where the replay buffer goes on")
-    replay_full: bool = Field(default=False, description="SAC: whether it goes on over older transitions")
+    devices: dict[str, int | str | None] = Field(description="the environment's state, without arrays")
+    action_random: dict[str, Any] = Field(default={}, description="SAC: random generator of actions")
+    replay_position: int = Field(default=0, ge=0, description="SAC: next position in the replay buffer")
+    replay_full: bool = Field(default=False, description="SAC: whether older transitions are overwritten")
 
 
 class RunState(Group):
-    """What a training run keeps beside its model."""
+    """State of a training run in addition to its model."""
 
     seconds: float = Field(ge=0)
-    rows: list[dict[str, float | int]] = Field(description="of evaluations.csv")
+    rows: list[dict[str, float | int]] = Field(description="rows of evaluations.csv")
     best: int = Field(ge=0)
     validated_steps: int = Field(ge=-1)
     next_validation: int = Field(ge=0)
@@ -101,15 +101,7 @@ class Manifest(Group):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A verified checkpoint.
-
-    Attributes
-    ----------
-    folder : Path
-    content : Content
-    arrays : dict
-        name -> ndarray
-    """
+    """A verified checkpoint."""
 
     folder: Path
     content: Content
@@ -117,26 +109,21 @@ class Checkpoint:
 
 
 def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str, Any]) -> Path:
-    """Keep the state of a run that is about to start a rollout; the last checkpoint but one is removed.
+    """Write the state of a run before a rollout; return the checkpoint's folder. The last two checkpoints are kept.
 
     Parameters
     ----------
     out : Path
-        Folder of the run. The bundles in it, if there are any, become part of the checkpoint.
+        Folder of the run. Its bundles become part of the checkpoint.
     model : PPO or SAC
     run : RunState
     config : mapping
         The resolved recipe.
 
-    Returns
-    -------
-    Path
-        Folder of the checkpoint.
-
     Raises
     ------
     AmulettError
-        If it cannot be written. The earlier ones are left as they are.
+        If it cannot be written; earlier checkpoints are unchanged.
     """
     folder = out / FOLDER / f"{model.num_timesteps:012d}"
     temporary = folder.with_name(f".{folder.name}")
@@ -152,14 +139,13 @@ def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str
             if (out / name).is_dir():
                 shutil.copytree(out / name, temporary / name)
         digests = {name: _digest(temporary / name) for name in _files(temporary)}
-        manifest = Manifest(amulett_gym=version("amulett-gym"), sha256=digests)
-        write_json(temporary / MANIFEST, manifest.model_dump())
-        if folder.exists():  # a damaged one: else the run had gone on from it
+        write_json(temporary / MANIFEST, Manifest(amulett_gym=version("amulett-gym"), sha256=digests).model_dump())
+        if folder.exists():  # damaged: otherwise the run would have been resumed from it
             shutil.rmtree(folder)
         temporary.rename(folder)
         found = _found(out)
         newest = found.index(folder)
-        for other in [*found[:newest], *found[newest + _KEPT :]]:  # what is newer was found damaged, too
+        for other in [*found[:newest], *found[newest + _KEPT :]]:  # newer ones are damaged, too
             shutil.rmtree(other)
     except OSError as error:
         raise AmulettError(f"cannot write checkpoint '{folder}': {error.strerror or error}") from error
@@ -169,14 +155,9 @@ def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str
 
 
 def newest_checkpoint(out: Path) -> Checkpoint | None:
-    """Read a run's newest checkpoint.
+    """Return a run's newest checkpoint that is not damaged, or None if there is no checkpoint.
 
-    If it is damaged, the one before it is taken with a warning: a run resumed from there comes to the same end.
-
-    Returns
-    -------
-    Checkpoint or None
-        None if there is none.
+    A damaged one causes a warning; a run resumed from the previous one ends with the same bits.
 
     Raises
     ------
@@ -187,9 +168,9 @@ def newest_checkpoint(out: Path) -> Checkpoint | None:
     for folder in _found(out):
         try:
             checkpoint = read_checkpoint(folder)
+        except _OtherVersionError:
+            raise
         except AmulettError as error:
-            if isinstance(error, _OtherVersionError):
-                raise
             damages.append(str(error))
             continue
         for damage in damages:
@@ -228,19 +209,19 @@ def read_checkpoint(folder: Path) -> Checkpoint:
         return Checkpoint(folder, _parse(Content, folder / STATE), arrays)
     except OSError as error:
         raise AmulettError(f"cannot read checkpoint '{folder}': {error.strerror or error}") from error
+    except AmulettError:
+        raise
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, AmulettError):
-            raise
         raise AmulettError(f"checkpoint '{folder}' is damaged: '{ARRAYS}': {error}") from error
 
 
 def remove_checkpoints(out: Path) -> None:
-    """Remove a run's checkpoints, for it is finished."""
+    """Remove the checkpoints of a finished run."""
     shutil.rmtree(out / FOLDER, ignore_errors=True)
 
 
 def capture(model: Model) -> tuple[ModelState, Arrays]:
-    """Return the state of a model that is about to start a rollout, and of the random generators of the process."""
+    """Return the state of a model before a rollout, with that of the process's random generators."""
     adapter = _adapter(model)
     devices, arrays = _flatten(adapter.get_state(), "devices")
     for name, tensor in model.policy.state_dict().items():
@@ -251,7 +232,7 @@ def capture(model: Model) -> tuple[ModelState, Arrays]:
                 arrays[f"{optimizer}.{index}.{name}"] = _array(tensor)
     for name in _noise_of(model):
         arrays[f"noise.{name}"] = _array(getattr(model.policy.action_dist, name))
-    generator, words, *rest = np.random.get_state()  # noqa: NPY002  (what PPO shuffles with)
+    generator, words, *rest = np.random.get_state()  # noqa: NPY002  (PPO shuffles with it)
     arrays["random.numpy"], arrays["random.torch"] = np.asarray(words), _array(torch.get_rng_state())
     arrays["last.observations"] = np.array(model._last_obs)
     arrays["last.episode_starts"] = np.array(model._last_episode_starts)
@@ -288,13 +269,7 @@ def capture(model: Model) -> tuple[ModelState, Arrays]:
 
 
 def restore(model: Model, checkpoint: Checkpoint) -> None:
-    """Bring a new model of the same recipe, in its first rollout's start, to a checkpoint's state.
-
-    Raises
-    ------
-    AmulettError
-        If the checkpoint is not of such a model.
-    """
+    """Load a checkpoint into a new model of the same recipe before its first rollout; AmulettError if unsuitable."""
     state, arrays, policy = checkpoint.content.model, checkpoint.arrays, model.policy
     adapter, optimizers = _adapter(model), _optimizers(model)
     try:
@@ -350,10 +325,9 @@ def _restore_sac(model: SAC, state: ModelState, arrays: Arrays) -> None:
     assert replay is not None
     for name in _REPLAY:
         kept, place = arrays[f"replay.{name}"], getattr(replay, name)
-        if kept.shape[1:] != place.shape[1:] or len(kept) != (
-            len(place) if state.replay_full else state.replay_position
-        ):
-            raise ValueError(f"'replay.{name}' has shape {kept.shape}; the replay buffer's is another")
+        filled = len(place) if state.replay_full else state.replay_position
+        if kept.shape != (filled, *place.shape[1:]):
+            raise ValueError(f"'replay.{name}' has shape {kept.shape}; that of the replay buffer differs")
         place[: len(kept)] = kept
     replay.pos, replay.full = state.replay_position, state.replay_full
     model.action_space.np_random.bit_generator.state = state.action_random
@@ -388,7 +362,7 @@ def _noise_of(model: Model) -> tuple[str, ...]:
 
 
 def _flatten(tree: Mapping[str, Any], name: str) -> tuple[dict[str, Any], Arrays]:
-    """Return the leaves of a tree by their dotted names: those that are no arrays, and the arrays, without fields."""
+    """Return a tree's leaves by dotted names: first those that are not arrays, then the arrays, as plain types."""
     plain: dict[str, Any] = {}
     arrays: Arrays = {}
     for key, value in tree.items():
@@ -408,7 +382,7 @@ def _flatten(tree: Mapping[str, Any], name: str) -> tuple[dict[str, Any], Arrays
 
 
 def _unflatten(template: Mapping[str, Any], name: str, plain: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
-    """Return a tree like `template` with the leaves that `_flatten` gave; raise ValueError if they are of another."""
+    """Return a tree like `template` from the results of `_flatten`; ValueError if they do not fit."""
     tree: dict[str, Any] = {}
     for key, value in template.items():
         path = f"{name}.{key}"
@@ -421,7 +395,7 @@ def _unflatten(template: Mapping[str, Any], name: str, plain: Mapping[str, Any],
             if value.dtype.names and array.size == value.nbytes and plain[path] == _layout(value.dtype):
                 array = array.view(value.dtype).reshape(value.shape)
             if array.dtype != value.dtype or array.shape != value.shape:
-                raise ValueError(f"'{path}' is {array.dtype} of shape {array.shape}; the environment's is another")
+                raise ValueError(f"'{path}' is {array.dtype} of shape {array.shape}; that of the environment differs")
             tree[key] = array
     return tree
 
@@ -439,7 +413,7 @@ def _tensor(array: NDArray[Any]) -> torch.Tensor:
 
 
 def _found(out: Path) -> Sequence[Path]:
-    """Return the folders of a run's checkpoints, the newest first."""
+    """Return the folders of a run's checkpoints, newest first."""
     folder = out / FOLDER
     if not folder.is_dir():
         return []

@@ -1,4 +1,4 @@
-"""What learns, and where: a recipe's model with its training environment, and the environment that judges it."""
+"""A recipe's learner, with its training environment."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.bundles import start_from
 from amulett_agents.config import TrainConfig
-from amulett_agents.networks import look_at_inputs
-from amulett_agents.ppo import make_ppo, sees_more
+from amulett_agents.networks import measure_inputs
+from amulett_agents.ppo import has_privileged_critic, make_ppo
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
@@ -28,29 +28,25 @@ Model = PPO | SAC
 
 
 def make_model(config: TrainConfig, resumed: bool = False, progress: bool = False) -> Model:
-    """Make a recipe's learner and its training environment.
+    """Make a recipe's learner with its training environment.
+
+    Its first policy is a constant tension, or that of `network.start`. It has no logger.
 
     Parameters
     ----------
     config : TrainConfig
     resumed : bool
-        Its weights are about to be those of a checkpoint: `network.start`, which may be gone by now, is not read.
+        A checkpoint's weights will be loaded: `network.start`, which may no longer exist, is not read.
     progress : bool
         Show progress on stderr while inputs are measured and, at the first rollout, devices are staggered.
-
-    Returns
-    -------
-    stable_baselines3.PPO or stable_baselines3.SAC
-        Its first policy is a constant tension, or that of `network.start`. Nothing is logged until it is given a
-        logger.
 
     Raises
     ------
     AmulettError
-        If the environment refuses its settings, or the policy cannot start as that of `network.start`.
+        If the environment's settings are wrong, or the policy cannot start as that of `network.start`.
     """
     settings, algorithm = config.env, config.ppo if config.algorithm == "ppo" else config.sac
-    keywords = settings.keywords() | {"privileged": settings.privileged or sees_more(config)}
+    keywords = settings.keywords() | {"privileged": settings.privileged or has_privileged_critic(config)}
     steps = settings.max_episode_steps
     low, high = settings.tension_range
     tension = config.network.initial_tension
@@ -64,12 +60,12 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
     inputs = None
     if config.network.standard_inputs:
         shown = (low, high) if config.network.features else None
-        inputs = look_at_inputs(settings.id, keywords, steps, first_action, settings.history, shown, progress)
+        inputs = measure_inputs(settings.id, keywords, steps, first_action, settings.history, shown, progress)
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
         start_from(model, read_bundle(_start_folder(config.network.start)))
     env.seed(config.first_scenario)
-    model.set_logger(Logger(None, []))  # SB3's own makes a folder, to be left behind empty
+    model.set_logger(Logger(None, []))  # SB3's own would create an empty folder
     return model
 
 
@@ -84,7 +80,7 @@ def _start_folder(start: str) -> Path:
 
 
 def callbacks(config: TrainConfig) -> list[BaseCallback]:
-    """Return what a recipe's model needs for its `learn`."""
+    """Return the callbacks that a recipe's model needs in `learn`."""
     ppo = config.ppo
     if config.algorithm != "ppo":
         return []

@@ -1,4 +1,4 @@
-"""What differs from SB3's own networks: inputs of a common size, and a critic that may see more than the policy."""
+"""Extensions of SB3's policy networks."""
 
 from __future__ import annotations
 
@@ -23,24 +23,18 @@ ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": 
 EPISODES = 256
 SEED = 0
 LEAST_DEVIATION = 0.2
-"""Of the range that an entry may have: what hardly ever changes is not blown up by more than five times."""
+"""Lower bound on an entry's standard deviation: entries are scaled by a factor of at most five."""
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What observations are like before anything is learned.
-
-    Attributes
-    ----------
-    means, deviations : ndarray of float32, shape (entries,)
-        Of each entry of what the networks are shown.
-    """
+    """Means and standard deviations of the networks' inputs before learning, shape (entries,)."""
 
     means: NDArray[np.float32]
     deviations: NDArray[np.float32]
 
 
-def look_at_inputs(
+def measure_inputs(
     env_id: str,
     keywords: dict[str, Any],
     steps: int,
@@ -49,24 +43,22 @@ def look_at_inputs(
     tension_range: tuple[float, float] | None = None,
     progress: bool = False,
 ) -> Inputs:
-    """Return what observations are like under a first policy, a constant tension.
+    """Return the observations' means and deviations under a constant action, over episodes of `steps` agent steps.
 
-    They are measured once, in training scenarios that are always the same, and never again: nothing drifts, and a
-    bundle holds them within its first layer's weights. The environment's own scales span all that can happen; of a
-    velocity that leaves a network 4 % of its range.
+    They are measured once, in fixed training scenarios: nothing drifts, and a bundle holds them within its first
+    layer's weights. The environment's own scales cover every possible value, so typical velocities are below 0.04.
 
     Parameters
     ----------
     env_id : str
     keywords : dict
-        Of the environment.
+        Keywords of the environment.
     steps : int
-        Length of an episode.
     first_action : float
     history : int
-        Observations that the policy sees; all of them are like the last one.
+        Number of stacked observations, to which the same values are applied.
     tension_range : (float, float), optional
-        Tensions at action -1 and +1 [N], for networks that see features, too.
+        Tensions at action -1 and +1 [N], if features are appended.
     progress : bool
         Show progress on stderr.
     """
@@ -86,7 +78,7 @@ def look_at_inputs(
 
 
 class StandardInputs(FlattenExtractor):
-    """Observations less their mean, divided by their deviation, both fixed."""
+    """Standardises observations by fixed means and deviations."""
 
     means: torch.Tensor
     gains: torch.Tensor
@@ -97,13 +89,13 @@ class StandardInputs(FlattenExtractor):
         self.register_buffer("gains", 1.0 / torch.as_tensor(inputs.deviations))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """Return observations of a common size, shape (N, entries)."""
+        """Return standardised observations, shape (N, entries)."""
         features: torch.Tensor = super().forward(observations)
         return (features - self.means) * self.gains
 
 
 def policy_keywords(network: NetworkSettings, critic: Literal["vf", "qf"], inputs: Inputs | None) -> dict[str, Any]:
-    """Return SB3's ``policy_kwargs`` for a recipe's networks; `critic` is what the algorithm calls its critic's."""
+    """Return SB3's ``policy_kwargs`` for a recipe's networks; `critic` is the algorithm's key for its critic."""
     keywords: dict[str, Any] = {
         "net_arch": {"pi": list(network.hidden), critic: list(network.critic_hidden or network.hidden)},
         "activation_fn": ACTIVATIONS[network.activation],
@@ -113,8 +105,8 @@ def policy_keywords(network: NetworkSettings, critic: Literal["vf", "qf"], input
     return keywords
 
 
-class TwoSights(torch.nn.Module):
-    """A policy that sees some of the features beside a critic that sees all: what SB3 calls an ``mlp_extractor``."""
+class AsymmetricNetworks(torch.nn.Module):
+    """SB3's ``mlp_extractor`` with a policy that gets only the `visible` features, and a critic that gets all."""
 
     visible: torch.Tensor
 
@@ -133,7 +125,7 @@ class TwoSights(torch.nn.Module):
         self.latent_dim_pi, self.latent_dim_vf = hidden[-1], critic[-1]
 
     def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what the policy's action and the critic's value are linear functions of."""
+        """Return the last features of policy and critic."""
         return self.forward_actor(features), self.forward_critic(features)
 
     def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
@@ -145,8 +137,8 @@ class TwoSights(torch.nn.Module):
         return self.value_net(features)
 
 
-class TwoSightsPolicy(ActorCriticPolicy):
-    """SB3's actor-critic policy with :class:`TwoSights`."""
+class AsymmetricPolicy(ActorCriticPolicy):
+    """SB3's actor-critic policy with :class:`AsymmetricNetworks`."""
 
     def __init__(self, *args: Any, visible: Sequence[int], **kwargs: Any) -> None:
         self.visible = list(visible)
@@ -154,11 +146,11 @@ class TwoSightsPolicy(ActorCriticPolicy):
 
     def _build_mlp_extractor(self) -> None:
         sizes: Any = self.net_arch
-        self.mlp_extractor = TwoSights(  # type: ignore[assignment]
+        self.mlp_extractor = AsymmetricNetworks(  # type: ignore[assignment]
             self.features_dim, self.visible, sizes["pi"], sizes["vf"], self.activation_fn
         )
 
 
 def visible_entries(shown: int, known: int, history: int) -> list[int]:
-    """Return where the `known` first entries of each observation are in a stack of `history`, each of `shown`."""
+    """Return the indices of each observation's first `known` entries in a stack of `history`, `shown` entries each."""
     return [frame * shown + entry for frame in range(history) for entry in range(known)]

@@ -1,4 +1,4 @@
-"""SAC of Stable-Baselines3, made from a recipe."""
+"""Stable-Baselines3's SAC from a recipe."""
 
 from __future__ import annotations
 
@@ -13,35 +13,29 @@ from amulett_agents.networks import Inputs, policy_keywords
 from amulett_agents.schedules import learning_rate
 
 _NEARLY_ONE = 0.999
-"""Where tanh is cut off: a first policy at an end of the range has to be a finite number before it."""
+"""Bound on the first action, so that its inverse tanh is finite."""
+_SAME = {
+    "buffer_size",
+    "learning_starts",
+    "batch_size",
+    "tau",
+    "gamma",
+    "train_freq",
+    "gradient_steps",
+    "target_entropy",
+}
+"""Settings with the same name in Stable-Baselines3."""
 
 
 def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> SAC:
-    """Make SAC from a recipe.
-
-    Parameters
-    ----------
-    config : TrainConfig
-    env : VecEnv
-    first_action : float
-        What its first policy does in every state, but for the exploration.
-    inputs : Inputs or None
-        What observations are like; None: they are taken as they are.
-    """
+    """Return SAC whose first policy has the constant mean `first_action`; `inputs` standardise its observations."""
     sac = config.sac
     model = SAC(
         "MlpPolicy",
         env,
+        **sac.model_dump(include=_SAME),
         learning_rate=learning_rate(sac.learning_rate, sac.anneal),
-        buffer_size=sac.buffer_size,
-        learning_starts=sac.learning_starts,
-        batch_size=sac.batch_size,
-        tau=sac.tau,
-        gamma=sac.gamma,
-        train_freq=sac.train_freq,
-        gradient_steps=sac.gradient_steps,
         ent_coef=f"auto_{sac.initial_ent_coef}" if sac.ent_coef is None else sac.ent_coef,
-        target_entropy=sac.target_entropy,
         stats_window_size=config.num_envs,
         policy_kwargs=policy_keywords(config.network, "qf", inputs),
         seed=config.seed,

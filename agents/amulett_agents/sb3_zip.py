@@ -1,4 +1,4 @@
-"""Policies from Stable-Baselines3's zips, which are pickles: only for those who trust their makers."""
+"""Loading of policies from Stable-Baselines3's zips, which are pickles and need trust."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}
 
 
 class About(Group):
-    """What a policy's observations and actions mean, which its zip does not say: content of ``<zip's name>.json``."""
+    """Meaning of a policy's observations and actions, which its zip does not hold: content of ``<zip's name>.json``."""
 
     env_id: str = Field(description="environment that it was trained in; its version is that of the observations")
     agent_period: float = Field(gt=0, le=100, description="time an action is held [s]")
@@ -47,50 +47,44 @@ def load_sb3_zip(
     trust_pickle: bool = False,
     about: Mapping[str, Any] | None = None,
 ) -> Own:
-    """Make a contender of a model that Stable-Baselines3 saved; it acts deterministically.
+    """Return a model that Stable-Baselines3 saved as a contender, which acts deterministically.
 
-    A zip does not say for how long its actions are held, nor which tensions they mean. That has to be given: by
-    `about`, by a file of the same name that ends in ``.json`` (:class:`About`), or by the recipe (``config.yaml``) of
-    our own training beside it. What stands between a recipe's network and the environment (features, a low-pass, a
-    history) is not in a zip: one of such a run is refused, for there is a bundle beside it.
+    A zip holds neither the time between actions nor the tensions that they mean. Give them by `about`, by a file of the
+    same name that ends in ``.json`` (:class:`About`), or by the recipe (``config.yaml``) of our own training in the
+    same folder. The zip of a run with features, a low-pass or a history, which it does not hold, is refused: use the
+    run's bundle.
 
     Parameters
     ----------
     path : str or Path
-        The zip of any algorithm whose policy maps 13 observations to 1 action, recurrent ones too.
+        Zip of any algorithm, also recurrent, whose policy maps 13 observations to 1 action.
     profile : Profile
+        Unused, as `env_id`: the meaning of an action is stored in N.
     env_id : str
-        Neither changes anything any more: what an action means is kept in N.
     trust_pickle : bool
-        Whether the zip's maker is trusted: to open it means to run what is in it.
+        Whether the zip's author is trusted: loading a zip can run any code in it.
     about : mapping, optional
         ``env_id``, ``agent_period`` [s] and ``tension_range`` [N] of the training.
-
-    Returns
-    -------
-    Own
 
     Raises
     ------
     AmulettError
-        If the zip is not trusted, cannot be read, holds no such policy or not all of it, or if nothing says what its
-        actions mean.
+        If the zip is not trusted, cannot be read, holds no complete policy of this kind, or its actions' meaning is
+        not given.
     """
     path = user_path(path)
     if not trust_pickle:
         raise AmulettError(
-            f"'{path}' is a zip of Stable-Baselines3: parts of it are pickles, and to open a pickle is to run whatever "
-            "code its maker put into it. If you trust its maker, say so with --trust-pickle (trust_pickle=True); "
-            "policy bundles are data, and need no trust"
+            f"'{path}' is a zip of Stable-Baselines3: parts of it are pickles, and opening a pickle runs any code in "
+            "it. If you trust its author, use --trust-pickle (trust_pickle=True); policy bundles need no trust"
         )
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
-    keywords = _keywords(path, about)
-    return Own(str(path), keywords, act=_Acting(_load(path)))
+    return Own(str(path), _keywords(path, about), act=_Acting(_load(path)))
 
 
 class _Acting:
-    """A policy that acts; of a recurrent one it keeps the state from step to step."""
+    """A deterministic policy with the state of its recurrent layers."""
 
     def __init__(self, policy: BasePolicy) -> None:
         self._policy = policy
@@ -114,7 +108,7 @@ def _load(path: Path) -> BasePolicy:
         if data is None:
             raise ValueError("it has no data")
         keywords: dict[str, Any] = dict(data["policy_kwargs"])
-        if issubclass(data["policy_class"], ActorCriticPolicy):  # others have it among their keywords
+        if issubclass(data["policy_class"], ActorCriticPolicy):  # others hold it in their keywords
             keywords["use_sde"] = data["use_sde"]
         policy = data["policy_class"](data["observation_space"], data["action_space"], lambda _: 0.0, **keywords)
         policy.load_state_dict(parameters["policy"])
@@ -123,28 +117,28 @@ def _load(path: Path) -> BasePolicy:
     shapes = {"observation": policy.observation_space.shape, "action": policy.action_space.shape}
     for name, shape in _SHAPES.items():
         if shapes[name] != shape:
-            raise AmulettError(f"the {name}s of '{path}' have shape {shapes[name]}; they have to have {shape}")
+            raise AmulettError(f"the {name}s of '{path}' have shape {shapes[name]}; it has to be {shape}")
     policy.set_training_mode(False)
     return policy
 
 
 def _keywords(path: Path, about: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the environment's keywords that a zip's actions are meant for."""
-    beside, recipe = path.with_suffix(".json"), path.with_name("config.yaml")
-    if about is None and not beside.is_file() and recipe.is_file():
-        return _keywords_of(recipe)
-    if about is None and not beside.is_file():
+    """Return the environment's keywords for a zip's actions."""
+    description, recipe = path.with_suffix(".json"), path.with_name("config.yaml")
+    if about is None and not description.is_file():
+        if recipe.is_file():
+            return _keywords_of(recipe)
         example = {"env_id": ENV_IDS[0], "agent_period": 0.02, "tension_range": [4.0, 15.0]}
         raise AmulettError(
-            f"'{path}' does not say for how long its actions are held, nor which tensions they mean. Write what it was "
-            f"trained with into '{beside}', for example {json.dumps(example)}; or keep it as a bundle, which says so "
-            "itself (amulett_agents.save_policy)"
+            f"'{path}' holds neither the time between actions nor the tensions that they mean. Write the training's "
+            f"into '{description}', for example {json.dumps(example)}; or use a bundle, which holds them "
+            "(amulett_agents.save_policy)"
         )
-    content = read_json(beside, "description of a zip") if about is None else dict(about)
+    content = read_json(description, "description of a zip") if about is None else dict(about)
     try:
         found = About.model_validate(content)
     except ValidationError as error:
-        raise describe(error, About, f"'{beside}'" if about is None else "about") from error
+        raise describe(error, About, f"'{description}'" if about is None else "about") from error
     return {"agent_period": found.agent_period, "tension_range": found.tension_range}
 
 
@@ -153,8 +147,7 @@ def _keywords_of(recipe: Path) -> dict[str, Any]:
     env = config.env
     if config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:
         raise AmulettError(
-            f"'{recipe}' says that the network sees or does something else than the environment shows and wants "
-            "(network.features, env.follow_time, env.history, env.privileged), which its zip does not hold; use the "
-            f"bundle '{recipe.parent / 'last'}' instead"
+            f"'{recipe}' sets network.features, env.follow_time, env.history or env.privileged, which its zip does not "
+            f"hold; use the bundle '{recipe.parent / 'last'}' instead"
         )
     return {"agent_period": env.agent_period, "tension_range": env.tension_range}

@@ -1,4 +1,4 @@
-"""What changes over a training run: the learning rate, the exploration, and whether the policy learns."""
+"""Schedules over a training run."""
 
 from __future__ import annotations
 
@@ -11,19 +11,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 
 def learning_rate(rate: float, anneal: bool) -> float | Callable[[float], float]:
-    """Return what SB3 takes for a learning rate: `rate`, or what falls from it to 0 with the share of the run left."""
-    # The last rollout may end beyond total_steps: there the share is negative.
+    """Return SB3's learning rate: constant, or falling linearly from `rate` to 0."""
+    # The last rollout may end beyond total_steps, with a negative share left.
     return (lambda left: max(left, 0.0) * rate) if anneal else rate
 
 
 class FadingExploration(BaseCallback):
-    """Lets the exploration fall from its initial to a final standard deviation over a run, by a constant factor a step.
-
-    Parameters
-    ----------
-    initial, final : float
-        Standard deviation of the exploration, in the action's unit.
-    """
+    """Reduces the exploration's standard deviation, in the action's unit, exponentially from `initial` to `final`."""
 
     def __init__(self, initial: float, final: float) -> None:
         super().__init__()
@@ -41,14 +35,9 @@ class FadingExploration(BaseCallback):
 
 
 class CriticFirst(BaseCallback):
-    """Lets PPO's critic learn alone at the beginning of a run.
+    """Trains only PPO's critic until the first rollout that begins after `steps` agent steps.
 
-    An untrained critic's advantages are noise, by which a policy that starts from a bundle would get worse.
-
-    Parameters
-    ----------
-    steps : int
-        The policy learns, too, from the first rollout on that begins after so many.
+    An untrained critic's advantages are noise, which would make a policy from a bundle worse.
     """
 
     def __init__(self, steps: int) -> None:

@@ -1,4 +1,4 @@
-"""How fast learning is: PPO's throughput beside the same PPO on a null environment, and the time to beat eq. 6."""
+"""Speed of learning with PPO: throughput relative to a null environment; time until it beats eq. 6."""
 
 from __future__ import annotations
 
@@ -20,34 +20,28 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import callbacks, make_model
-from amulett_agents.validation import evaluate, torch_threads, warm_up
+from amulett_agents.validation import evaluate, make_validation_env, torch_threads, warm_up
 from amulett_gym.envs.action import tension_to_action
 
 TURNS = 9
 CONSTANTS = tuple(np.arange(4.0, 15.01, 0.5).tolist())
-"""Constant tensions that a policy has to beat [N]: the range of tensions that the environment offers by default."""
+"""Constant tensions that a policy has to beat [N]: the environment's default range."""
 HELD_OUT_SEED = 10_000
 EVALUATION_PAUSE = 0.5
-"""Least training time between two evaluations [s]."""
+"""Minimum training time between two evaluations [s]."""
 
 Watch = Callable[[], object]
 
 
 class ConstantVecEnv(VecEnv):
-    """A null environment: always the same observations and rewards, and no episode ever ends.
-
-    Parameters
-    ----------
-    num_envs : int
-    observation_space, action_space : gymnasium.Space
-    """
+    """A null environment: constant observations and rewards, endless episodes."""
 
     def __init__(
         self, num_envs: int, observation_space: gym.Space[Any], action_space: gym.Space[Any], seed: int = 0
     ) -> None:
         super().__init__(num_envs, observation_space, action_space)
         shape = (num_envs, *(observation_space.shape or ()))
-        # Not all zeros, which arithmetic might get done more quickly.
+        # Not all zeros, with which arithmetic might be faster.
         self._observations = np.random.default_rng(seed).uniform(-1, 1, shape).astype(np.float32)
         self._rewards = np.full(num_envs, -0.002, dtype=np.float32)
         self._dones = np.zeros(num_envs, dtype=bool)
@@ -61,14 +55,14 @@ class ConstantVecEnv(VecEnv):
         """Do nothing."""
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Return what was always there."""
+        """Return the constants."""
         return self._observations, self._rewards, self._dones, self._infos
 
     def close(self) -> None:
         """Do nothing."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return None for each device: there is nothing to ask for."""
+        """Return None for each device."""
         return [None for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -84,7 +78,7 @@ class ConstantVecEnv(VecEnv):
 
 
 class RolloutClock(BaseCallback):
-    """Adds up the time that rollouts take, updates aside [s]."""
+    """Adds up the duration of rollouts, without updates [s]."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -101,11 +95,10 @@ class RolloutClock(BaseCallback):
 
 
 def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) -> dict[str, Any]:
-    """Let the same PPO learn on our environment and on a null environment, rollout by rollout in turns.
+    """Return the throughput of the same PPO on our environment and on a null environment, measured in turns.
 
-    A turn is as many rollouts of each as an episode takes, so that every turn has its share of episodes' ends, which
-    the null environment has none of. Every update takes all its epochs: `target_kl`, which ends one early, would have
-    the two do unequal work.
+    A turn has one episode's length of rollouts of each, so that every turn includes ends of episodes. Every update runs
+    all its epochs: with `target_kl`, which ends updates early, the two would do different work.
 
     Parameters
     ----------
@@ -118,9 +111,9 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
     Returns
     -------
     dict
-        ``env`` and ``null``, the medians of the agent steps a second; ``ratio``, the median of env to null in the same
-        turn, and ``ratio_spread``, its least and most; ``step_ms``, of both, what a step of all devices takes of a
-        ``rollout`` and of an ``update`` [ms].
+        ``env`` and ``null``, medians of agent steps per second; ``ratio``, the median of env to null in the same turn;
+        ``ratio_spread``, its minimum and maximum; ``step_ms``, of both, the duration of a step of all devices within
+        a ``rollout`` and an ``update`` [ms].
     """
     config = config.model_copy(update={"ppo": config.ppo.model_copy(update={"target_kl": None})})
     with torch_threads(config.threads):
@@ -160,36 +153,23 @@ def ppo_throughput(config: TrainConfig, turns: int = TURNS, watch: Watch = int) 
     }
 
 
-def from_the_middle(config: TrainConfig) -> TrainConfig:
-    """Return a recipe whose first policy is the middle of the tensions that the environment offers by default.
+def with_neutral_start(config: TrainConfig) -> TrainConfig:
+    """Return a recipe with the environment's default tension range, whose first policy is the middle of it.
 
-    A recipe may know where good tensions are and choose from a narrower range; a fair start does not.
+    A fair start does not use a recipe's knowledge of good tensions.
     """
-    return config.model_copy(
-        update={
-            "env": config.env.model_copy(update={"tension_range": [CONSTANTS[0], CONSTANTS[-1]]}),
-            "network": config.network.model_copy(update={"initial_tension": None}),
-        }
-    )
+    env = config.env.model_copy(update={"tension_range": [CONSTANTS[0], CONSTANTS[-1]]})
+    network = config.network.model_copy(update={"initial_tension": None})
+    return config.model_copy(update={"env": env, "network": network})
 
 
 @dataclass(frozen=True)
-class Lines:
-    """What a policy has to cost less than, on fixed scenarios.
+class Baselines:
+    """Costs that a policy has to beat on fixed scenarios."""
 
-    Attributes
-    ----------
-    eq6 : float
-        Cost of eq. 6 inside the loop.
-    constant : float
-        Cost of the best constant of `CONSTANTS`.
-    constant_tension : float
-        Which one that is [N].
-    """
-
-    eq6: float
-    constant: float
-    constant_tension: float
+    eq6: float  # of eq. 6 inside the loop
+    constant: float  # of the best of `CONSTANTS`
+    constant_tension: float  # [N]
 
     @property
     def lower(self) -> float:
@@ -201,13 +181,8 @@ class Lines:
 class Run:
     """One seed's learning curve.
 
-    Attributes
-    ----------
-    seed : int
-    curve : list of tuple
-        Training time [s], agent steps and cost on the validation scenarios.
-    eq6, lower : float or None
-        Training time after which the policy first cost less than eq. 6, and less than the lower line [s].
+    `curve` holds training time [s], agent steps and cost on the validation scenarios; `eq6` and `lower` are the
+    training times [s] until the policy first beat eq. 6 and the lower baseline.
     """
 
     seed: int
@@ -216,48 +191,41 @@ class Run:
     lower: float | None = None
 
 
-class Referee:
-    """Judges policies on fixed scenarios: those of the split `validation`, and, to confirm, `held-out` ones.
+class Evaluator:
+    """Compares policies with the baselines on fixed scenarios of a recipe's environment.
 
-    A policy counts as better than a line only if it is so on both: among many looks at a hundred scenarios one might
-    be lucky.
-
-    Parameters
-    ----------
-    config : TrainConfig
-        Its environment, and the number and seed of the validation's episodes.
+    A policy has to beat a baseline on the split `validation`, then on `held-out`: among many evaluations on the same
+    scenarios, one can be better by chance.
     """
 
     def __init__(self, config: TrainConfig) -> None:
         self.seeds = {"validation": config.validation.seed, "held-out": HELD_OUT_SEED}
-        self.envs = {split: _fixed(config, split, "agent") for split in self.seeds}
-        self.lines = {split: self._lines(config, split) for split in self.seeds}
+        self.envs = {split: make_validation_env(config, split) for split in self.seeds}
+        self.baselines = {split: self._baselines(config, split) for split in self.seeds}
 
     def cost(self, model: PPO, split: str = "validation") -> float:
         """Return the mean cost of an episode of a model's deterministic policy."""
         return evaluate(model, self.envs[split], self.seeds[split])["cost"]
 
-    def beats(self, model: PPO, cost: float, line: str) -> bool:
-        """Return whether a model with this cost on the validation scenarios is below a line on both splits."""
-        if cost >= getattr(self.lines["validation"], line):
+    def beats(self, model: PPO, cost: float, baseline: str) -> bool:
+        """Return whether a model with this cost on the validation scenarios beats a baseline on both splits."""
+        if cost >= getattr(self.baselines["validation"], baseline):
             return False
-        return self.cost(model, "held-out") < getattr(self.lines["held-out"], line)
+        return self.cost(model, "held-out") < getattr(self.baselines["held-out"], baseline)
 
-    def _lines(self, config: TrainConfig, split: str) -> Lines:
-        seed = self.seeds[split]
-        wide = from_the_middle(config)
-        low, high = wide.env.tension_range
-        with contextlib.closing(_fixed(wide, split, "agent")) as env:
-            actions = tension_to_action(np.array(CONSTANTS), (low, high))
-            costs = [held_cost(env, float(action), seed) for action in actions]
-        with contextlib.closing(_fixed(wide, split, "eq6")) as env:
-            eq6 = held_cost(env, 0.0, seed)
+    def _baselines(self, config: TrainConfig, split: str) -> Baselines:
+        seed, wide = self.seeds[split], with_neutral_start(config)
+        actions = tension_to_action(np.array(CONSTANTS), (CONSTANTS[0], CONSTANTS[-1]))
+        with contextlib.closing(make_validation_env(wide, split)) as env:
+            costs = [constant_cost(env, float(action), seed) for action in actions]
+        with contextlib.closing(make_validation_env(wide, split, "eq6")) as env:
+            eq6 = constant_cost(env, 0.0, seed)
         best = int(np.argmin(costs))
-        return Lines(eq6, costs[best], CONSTANTS[best])
+        return Baselines(eq6, costs[best], CONSTANTS[best])
 
 
-def held_cost(env: gym.vector.VectorEnv[Any, Any, Any], action: float, seed: int) -> float:
-    """Return the mean cost of an episode in which one action is held."""
+def constant_cost(env: gym.vector.VectorEnv[Any, Any, Any], action: float, seed: int) -> float:
+    """Return the mean cost of an episode with a constant action."""
     env.reset(seed=seed)
     actions = np.full((env.num_envs, 1), action, dtype=np.float32)
     playing = np.ones(env.num_envs, dtype=bool)
@@ -269,39 +237,26 @@ def held_cost(env: gym.vector.VectorEnv[Any, Any, Any], action: float, seed: int
     return cost
 
 
-def time_to_beat(config: TrainConfig, referee: Referee, limit: float, watch: Watch = int) -> Run:
-    """Train until the policy costs less than the lower line, and tell after how many seconds it crossed each line.
+def time_to_beat(config: TrainConfig, evaluator: Evaluator, limit: float, watch: Watch = int) -> Run:
+    """Train until the policy beats the lower baseline, for at most `limit` seconds; return the learning curve.
 
-    The clock runs from the making of the model on, through rollouts and updates; it stands while the policy is judged.
-    Compiling is done before.
-
-    Parameters
-    ----------
-    config : TrainConfig
-        The recipe, with its seed.
-    referee : Referee
-    limit : float
-        Training time after which it ends at the latest [s].
-    watch : callable
-        Called after each evaluation.
+    The time includes making the model, rollouts and updates, but neither evaluations, after each of which `watch` is
+    called, nor compilation.
     """
     run = Run(config.seed)
     with torch_threads(config.threads):
         warm_up(config)
         clock = _Clock()
         model = make_model(config)
-        model.learn(config.total_steps, callback=[*callbacks(config), _Judge(run, referee, clock, limit, watch)])
+        model.learn(config.total_steps, callback=[*callbacks(config), _Evaluation(run, evaluator, clock, limit, watch)])
     return run
 
 
-def describe_beats(config: TrainConfig, referee: Referee, runs: Sequence[Run], limit: float) -> dict[str, Any]:
-    """Return plain data: the seconds of all runs, and what is needed to judge them.
+def describe_beats(config: TrainConfig, evaluator: Evaluator, runs: Sequence[Run], limit: float) -> dict[str, Any]:
+    """Return the results as JSON types.
 
-    Returns
-    -------
-    dict
-        ``time_to_beat_s`` and ``time_to_beat_lower_s``, each run's seconds until it was below eq. 6 and below the lower
-        line (None where that was not reached), and ``time_to_beat``: lines, curves, recipe.
+    ``time_to_beat_s`` and ``time_to_beat_lower_s`` are each run's seconds until it beat eq. 6 and the lower baseline
+    (None: never); ``time_to_beat`` holds baselines, curves, recipe.
     """
     low, high = config.env.tension_range
     initial = config.network.initial_tension
@@ -309,7 +264,7 @@ def describe_beats(config: TrainConfig, referee: Referee, runs: Sequence[Run], l
         "time_to_beat_s": [run.eq6 for run in runs],
         "time_to_beat_lower_s": [run.lower for run in runs],
         "time_to_beat": {
-            "lines": {split: {**asdict(lines), "lower": lines.lower} for split, lines in referee.lines.items()},
+            "lines": {split: {**asdict(costs), "lower": costs.lower} for split, costs in evaluator.baselines.items()},
             "episodes": config.validation.episodes,
             "initial_tension": (low + high) / 2 if initial is None else initial,
             "limit_s": limit,
@@ -321,64 +276,53 @@ def describe_beats(config: TrainConfig, referee: Referee, runs: Sequence[Run], l
 
 
 def available_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Clock:
-    """A stopwatch that can be halted."""
+    """A stopwatch that can be paused."""
 
     def __init__(self) -> None:
-        self._started, self._halted = time.perf_counter(), 0.0
+        self._started, self._paused = time.perf_counter(), 0.0
 
     def __call__(self) -> float:
-        return time.perf_counter() - self._started - self._halted
+        return time.perf_counter() - self._started - self._paused
 
     @contextlib.contextmanager
-    def halted(self) -> Iterator[None]:
+    def paused(self) -> Iterator[None]:
         since = time.perf_counter()
         yield
-        self._halted += time.perf_counter() - since
+        self._paused += time.perf_counter() - since
 
 
-class _Judge(BaseCallback):
-    """Has the policy judged between an update and the next rollout."""
+class _Evaluation(BaseCallback):
+    """Evaluates the policy between an update and the next rollout."""
 
-    def __init__(self, run: Run, referee: Referee, clock: _Clock, limit: float, watch: Watch) -> None:
+    def __init__(self, run: Run, evaluator: Evaluator, clock: _Clock, limit: float, watch: Watch) -> None:
         super().__init__()
-        self.run, self.referee, self.clock, self.limit, self.watch = run, referee, clock, limit, watch
+        self.run, self.evaluator, self.clock, self.limit, self.watch = run, evaluator, clock, limit, watch
         self._next = 0.0
 
     def _on_rollout_start(self) -> None:
         passed = self.clock()
         if passed >= self._next:
-            self._judge(passed)
+            self._evaluate(passed)
             self._next = passed + EVALUATION_PAUSE
 
     def _on_training_end(self) -> None:
         if self.run.lower is None:
-            self._judge(self.clock())
+            self._evaluate(self.clock())
 
-    def _judge(self, passed: float) -> None:
-        with self.clock.halted():
+    def _evaluate(self, passed: float) -> None:
+        with self.clock.paused():
             assert isinstance(self.model, PPO)
-            cost = self.referee.cost(self.model)
+            cost = self.evaluator.cost(self.model)
             self.run.curve.append((passed, self.num_timesteps, cost))
-            for line in ("eq6", "lower"):
-                if getattr(self.run, line) is None and self.referee.beats(self.model, cost, line):
-                    setattr(self.run, line, passed)
+            for baseline in ("eq6", "lower"):
+                if getattr(self.run, baseline) is None and self.evaluator.beats(self.model, cost, baseline):
+                    setattr(self.run, baseline, passed)
             self.watch()
 
     def _on_step(self) -> bool:
         return self.run.lower is None and self.clock() < self.limit
-
-
-def _fixed(config: TrainConfig, split: str, tension_law: str) -> gym.vector.VectorEnv[Any, Any, Any]:
-    return gym.make_vec(
-        config.env.id,
-        num_envs=config.validation.episodes,
-        split=split,
-        tension_law=tension_law,
-        max_episode_steps=config.env.max_episode_steps,
-        **config.env.keywords(),
-    )

@@ -1,4 +1,4 @@
-"""The value of what follows an episode's time limit, added to PPO's rewards for all devices at once."""
+"""Bootstrap values at time limits, for all devices at once."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 
 class ValuesAtTimeLimits(BaseCallback):
-    """Adds to an episode's last reward what its end would have been worth, if only the time limit ended it.
+    """Adds the critic's discounted value to the last reward of an episode that the time limit ended.
 
-    SB3's rollouts do the same, one device after the other: a hundredth of the time that learning takes where episodes
-    end together. What is added here is no longer marked as truncated, so that SB3 does not add it once more. For PPO:
-    SAC's buffer wants the marks.
+    SB3's rollouts do this one device after the other, which is slow where episodes end together. Here the mark
+    ``TimeLimit.truncated`` is removed, so that SB3 does not add the value again. For PPO only: SAC needs the marks.
     """
 
     def _on_step(self) -> bool:

@@ -22,12 +22,15 @@ _WATCHED = 50
 """Steps between two calls of `watch` in a validation."""
 
 
-def make_validation_env(config: TrainConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Return the environment in which a run's policies are compared: the split `validation` of its suite."""
+def make_validation_env(
+    config: TrainConfig, split: str = "validation", tension_law: str = "agent"
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Return the environment in which a run's policies are compared."""
     return gym.make_vec(
         config.env.id,
         num_envs=config.validation.episodes,
-        split="validation",
+        split=split,
+        tension_law=tension_law,
         max_episode_steps=config.env.max_episode_steps,
         **config.env.keywords(),
     )

@@ -1,4 +1,4 @@
-"""What stands between the adapter and a learner: what its networks see and do, and rewards of a useful size."""
+"""Wrappers between the adapter and a learner."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from amulett_gym.reporting.progress import Progress
 
 
 class Staggered(VecEnvWrapper):
-    """The adapter's devices, each at another time of its episode.
+    """Starts the devices' episodes at different times.
 
     Parameters
     ----------
     venv : SB3VecEnv
     action : float
-        That all devices hold for the first `steps` steps of a run, which are not learned from.
+        Action of all devices in the first `steps` steps of a run, which are not used for learning.
     steps : int
-        Length of an episode.
+        Length of an episode [agent steps].
     progress : bool
         Show progress on stderr at a reset.
     """
@@ -34,7 +34,7 @@ class Staggered(VecEnvWrapper):
         self._adapter, self._action, self._steps, self._progress = venv, action, steps, progress
 
     def reset(self) -> Any:
-        """Start anew with all devices."""
+        """Start an episode with all devices, one after the other."""
         self._adapter.reset()
         with Progress(self._steps, "starting the devices", "steps", self._progress) as bar:
             return self._adapter.stagger(self._action, self._steps, bar.update)
@@ -45,7 +45,7 @@ class Staggered(VecEnvWrapper):
 
 
 class ActorView(VecEnvWrapper):
-    """The environment as an `amulett_gym.laws.actor.Actor`'s network sees it, and acts in it.
+    """The environment from the view of the network of an `amulett_gym.laws.actor.Actor`.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ class ActorView(VecEnvWrapper):
     tension_range : (float, float)
         Tensions at action -1 and +1 [N].
     features : bool
-        Whether observations are shown with their features.
+        Whether features are appended to the observations.
     share : float
-        Of the way from the present setpoint to what the network wants, how much an action goes.
+        Share of the way from the present setpoint to the network's output that an action covers.
 
     Attributes
     ----------
     seen : ndarray of float32, shape (num_envs, entries)
-        The present observations, as they are shown.
+        The present observations of the network.
     """
 
     def __init__(self, venv: VecEnv, tension_range: tuple[float, float], features: bool, share: float) -> None:
@@ -76,7 +76,7 @@ class ActorView(VecEnvWrapper):
         return self.seen
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Go towards what the network wants."""
+        """Send the low-pass filtered actions."""
         self.venv.step_async(follow(actions, self.seen, self.share))
 
     def step_wait(self) -> Any:
@@ -95,7 +95,7 @@ class ActorView(VecEnvWrapper):
 
 
 class ScaledRewards(VecEnvWrapper):
-    """Rewards times a fixed factor: what is learned from; the environment inside logs returns as they are."""
+    """Multiplies the rewards for the learner by a fixed factor; logged returns stay unscaled."""
 
     def __init__(self, venv: VecEnv, factor: float) -> None:
         super().__init__(venv)

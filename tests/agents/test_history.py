@@ -241,5 +241,5 @@ def test_wrappers_that_change_what_is_seen_cannot_be_kept(tmp_path, one_thread):
 
     env = gym.wrappers.FlattenObservation(gym.wrappers.FrameStackObservation(gym.make(SCALING), 2))
     model = PPO("MlpPolicy", env, n_steps=4, batch_size=4, device="cpu")
-    with pytest.raises(AmulettError, match="sees 26 numbers, its environment shows 1 times 13"):
+    with pytest.raises(AmulettError, match="has 26 inputs, its environment 1 times 13"):
         save_policy(model, tmp_path / "bundle")

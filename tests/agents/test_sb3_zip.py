@@ -82,7 +82,7 @@ def test_without_trust_nothing_in_a_zip_is_run(tmp_path, capsys):
         archive.writestr("data", json.dumps({"policy_class": {":type:": "?", ":serialized:": serialized}}))
     assert main(["evaluate", "--policies", str(path), "--episodes", "1"]) == 2
     message = capsys.readouterr().err
-    assert "to open a pickle is to run whatever code its maker put into it" in message
+    assert "opening a pickle runs any code in it" in message
     assert "--trust-pickle" in message
     with pytest.raises(AmulettError, match="load_sb3_zip"):
         evaluate([str(path)], episodes=1)
@@ -102,7 +102,7 @@ def test_what_is_no_model_is_refused(tmp_path, content):
 
 
 def test_a_model_of_another_environment_is_refused(tmp_path):
-    with pytest.raises(AmulettError, match=r"the observations of .* have shape \(3,\); they have to have \(13,\)"):
+    with pytest.raises(AmulettError, match=r"the observations of .* have shape \(3,\); it has to be \(13,\)"):
         load_sb3_zip(saved(tmp_path, env="Pendulum-v1"), TESTBED, trust_pickle=True)
 
 
@@ -115,7 +115,9 @@ def test_what_its_actions_mean_is_asked_for_and_used(tmp_path):
     given = load_sb3_zip(path, TESTBED, trust_pickle=True, about={**ABOUT, "agent_period": 0.05})
     assert given.env_keywords["agent_period"] == 0.05
     path.with_suffix(".json").unlink()
-    with pytest.raises(AmulettError, match=r"does not say for how long .*PPO\.json', for example .*agent_period"):
+    with pytest.raises(
+        AmulettError, match=r"holds neither the time between actions .*PPO\.json', for example .*agent_period"
+    ):
         load_sb3_zip(path, TESTBED, trust_pickle=True)
 
 

@@ -106,7 +106,7 @@ def test_the_causal_reference_starts_as_the_shipped_policy():
         (["network.activation=tanh"], "the activation tanh; this recipe's has relu"),
         (["network.features=false"], "features False; this recipe's has True"),
         (["env.history=2"], "history 2; this recipe's has 1"),
-        (["env.privileged=true"], r"observations that no device has \(privileged\) True; this recipe's has False"),
+        (["env.privileged=true"], r"observations of the hidden state \(privileged\) True; this recipe's has False"),
         (["env.tension_range=[5.0, 9.0]", "network.initial_tension=6"], r"tension_range \[5.0, 9.0\]"),
         (["env.agent_period=0.05"], "agent_period 0.05; this recipe's has 0.02"),
         (["env.follow_time=0"], "agent_period / follow_time 1.0; this recipe's has 0.4"),

@@ -100,15 +100,14 @@ def _ppo(settings: Settings, data: Data, recipe: Any) -> None:
 
 def _time_to_beat(settings: Settings, data: Data, recipe: Any) -> None:
     speed = load_learning("speed")
-    recipe = speed.from_the_middle(recipe)
-    referee = speed.Referee(recipe)
+    recipe = speed.with_neutral_start(recipe)
+    evaluator = speed.Evaluator(recipe)
     runs: list[Any] = []
     for seed in range(settings.seed, settings.seed + settings.seeds):
         with Progress(None, f"time to beat, seed {seed}", "validations") as bar:
-            runs.append(
-                speed.time_to_beat(recipe.model_copy(update={"seed": seed}), referee, settings.limit, watch=bar.update)
-            )
-        data.update(speed.describe_beats(recipe, referee, runs, settings.limit))
+            seeded = recipe.model_copy(update={"seed": seed})
+            runs.append(speed.time_to_beat(seeded, evaluator, settings.limit, watch=bar.update))
+        data.update(speed.describe_beats(recipe, evaluator, runs, settings.limit))
 
 
 def _scale(settings: Settings, data: Data, recipe: Any) -> None:

@@ -320,48 +320,48 @@ def test_the_null_environment_returns_constants(recipe):
     PPO("MlpPolicy", env, n_steps=8, batch_size=24, n_epochs=1, device="cpu").learn(24)
 
 
-def test_the_lines_are_what_eq6_and_the_best_constant_cost(recipe):
-    from amulett_agents.speed import CONSTANTS, Referee, from_the_middle
+def test_the_baselines_are_what_eq6_and_the_best_constant_cost(recipe):
+    from amulett_agents.speed import CONSTANTS, Evaluator, with_neutral_start
     from amulett_gym.evaluation.runner import evaluate
 
-    referee = Referee(from_the_middle(recipe))
-    lines = referee.lines["validation"]
+    evaluator = Evaluator(with_neutral_start(recipe))
+    baselines = evaluator.baselines["validation"]
     names = [f"constant:{tension:g}" for tension in CONSTANTS]
     results = evaluate(["eq6", *names], "mixed", split="validation", episodes=4, duration=1.25, agent_period=0.05)
     costs = {name: values["cost"].mean() for name, values in results.values.items()}
-    assert lines.eq6 == pytest.approx(costs["eq6"], rel=1e-6) and lines.eq6 > 0.0
-    assert lines.constant == pytest.approx(min(costs[name] for name in names), rel=1e-3)
-    assert lines.lower == min(lines.eq6, lines.constant)
+    assert baselines.eq6 == pytest.approx(costs["eq6"], rel=1e-6) and baselines.eq6 > 0.0
+    assert baselines.constant == pytest.approx(min(costs[name] for name in names), rel=1e-3)
+    assert baselines.lower == min(baselines.eq6, baselines.constant)
 
 
-def referee_of(costs: list[float], held_out: float) -> Any:
-    """Return a referee who gives these costs one after another, and lines at 1 and 0.5."""
-    from amulett_agents.speed import Lines, Referee
+def evaluator_of(costs: list[float], held_out: float) -> Any:
+    """Return an evaluator with these costs one after another, and baselines at 1 and 0.5."""
+    from amulett_agents.speed import Baselines, Evaluator
 
-    referee = object.__new__(Referee)
-    referee.lines = dict.fromkeys(("validation", "held-out"), Lines(1.0, 0.5, 5.0))
+    evaluator = object.__new__(Evaluator)
+    evaluator.baselines = dict.fromkeys(("validation", "held-out"), Baselines(1.0, 0.5, 5.0))
     given = iter(costs)
-    referee.cost = lambda model, split="validation": held_out if split == "held-out" else next(given)  # type: ignore
-    return referee
+    evaluator.cost = lambda model, split="validation": held_out if split == "held-out" else next(given)  # type: ignore
+    return evaluator
 
 
-def test_judging_is_not_counted(recipe, clock, monkeypatch):
+def test_evaluations_are_not_counted(recipe, clock, monkeypatch):
     from amulett_agents import speed as benchmark
 
     monkeypatch.setattr(benchmark, "warm_up", lambda config: None)
-    referee = referee_of([2.0, 0.9, 0.4], held_out=0.3)
-    slow = referee.cost
-    referee.cost = lambda model, split="validation": ([clock() for _ in range(1000)], slow(model, split))[1]
-    run = benchmark.time_to_beat(recipe, referee, limit=1000.0)
+    evaluator = evaluator_of([2.0, 0.9, 0.4], held_out=0.3)
+    slow = evaluator.cost
+    evaluator.cost = lambda model, split="validation": ([clock() for _ in range(1000)], slow(model, split))[1]
+    run = benchmark.time_to_beat(recipe, evaluator, limit=1000.0)
     assert [cost for *_, cost in run.curve] == [2.0, 0.9, 0.4]
     assert 0 < run.curve[0][0] < run.eq6 < run.lower < 200
     assert run.eq6 == run.curve[1][0]
 
 
-def test_a_line_counts_only_if_held_out_scenarios_confirm_it(recipe, clock):
+def test_a_baseline_counts_as_beaten_only_if_held_out_scenarios_confirm_it(recipe, clock):
     from amulett_agents import speed as benchmark
 
-    run = benchmark.time_to_beat(recipe, referee_of([0.4] * 1000, held_out=0.8), limit=1e6)
+    run = benchmark.time_to_beat(recipe, evaluator_of([0.4] * 1000, held_out=0.8), limit=1e6)
     assert run.eq6 == run.curve[0][0]
     assert run.lower is None
     assert run.curve[-1][1] == recipe.total_steps
@@ -370,7 +370,7 @@ def test_a_line_counts_only_if_held_out_scenarios_confirm_it(recipe, clock):
 def test_a_run_ends_at_its_limit(recipe, clock):
     from amulett_agents import speed as benchmark
 
-    run = benchmark.time_to_beat(recipe, referee_of([2.0] * 1000, held_out=2.0), limit=100.0)
+    run = benchmark.time_to_beat(recipe, evaluator_of([2.0] * 1000, held_out=2.0), limit=100.0)
     assert run.curve[-1][1] < recipe.total_steps
     assert run.eq6 is None
 
