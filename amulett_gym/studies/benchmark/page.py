@@ -45,7 +45,7 @@ CAPTIONS = {
     "responses": "The same step with each contender: joint angle, and the antagonist's tension with its setpoint.",
     "profiles": "Performance profiles: the share of episodes whose cost is at most the value on the axis; for learned "
     "policies with 95 % intervals.",
-    "families": "The headline suite by family: cost divided by eq. 6's, with the number of scenarios in parentheses.",
+    "families": "The main suite by family: cost divided by eq. 6's, with the number of scenarios in parentheses.",
     "constants": "Cost of a constant tension on each suite's split train, divided by that of the suite's best "
     "constant: the best constant depends on the suite.",
     "learning": "Validation cost of every training run over agent steps and over wall-clock time. Dotted: cost of the "

@@ -55,8 +55,8 @@ CAPTIONS = {
     "figure_8_variable_stiffness": "Step response with variable stiffness: (a) simulation, (b) testbed. Force, of "
     "the antagonist's string: thick the estimate that is fed back, thin the true force. Dashed: error margins.",
     "figure_9_switching": "Steps with tension control and a switching agonist, on the testbed. The force fed back "
-    "(thick) switches between the strings. Right: around one switch, with the angle that each switch omitted would "
-    "give.",
+    "(thick) switches between the strings. Right: the time around one switch, with the angle that would "
+    "result without that switch.",
 }
 """Name -> caption of the figures of `paper_figures`, in its order; `remarks` add the results on given devices."""
 
@@ -161,8 +161,8 @@ def slack_in_words(name: str, trajectory: Trajectory) -> str:
         after = force[np.flatnonzero(slack)[-1] :].max()
         return (
             f"{where} the antagonist goes slack far from the setpoint: the true force is below {SLACK:g} N for "
-            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then. Pulled "
-            f"taut again, the string reaches {after:.3g} N."
+            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then. "
+            f"Tensioned again, the string reaches {after:.3g} N."
         )
     least = int(np.argmin(force))
     return f"{where} the true force falls to {force[least]:.2g} N, where the estimate is {estimate[least]:.2g} N."

@@ -262,7 +262,7 @@ def force_rise_table(evidence: Evidence) -> Table:
         ],
         "Time after the step until the string force is within 5 % of its setpoint (section 2.2). The paper defines "
         "this rise time and prints no number. Force and setpoint are those of Table 4; 0 s: the step finds the force "
-        "within the margin. On the testbed, noise takes the estimate out of the margin again and again: the last entry "
+        "within the margin. On the testbed, noise takes the estimate out of the margin repeatedly: the last entry "
         "is when it last came back.",
         left=(0, 1),
     )
@@ -289,7 +289,7 @@ def readings_table(evidence: Evidence) -> Table:
         "Readings",
         ("interpretation", *_EACH, "closer", "less close", "explained after a new fit", "cost"),
         body,
-        "Interpretations of what the paper leaves open; one differs from the chosen ones in each row. How many "
+        "Interpretations of what the paper leaves open; each line changes one of the chosen ones. How many "
         "numbers of each table it explains (of 8, 8, 8 and 16), and how many are closer to the paper's or less close "
         "than with the chosen ones. The last two columns: how many of all it explains when the parameters are fitted "
         "again with it, and the cost of that fit. The cost is a smooth count of the rows that are out of their "
@@ -467,9 +467,9 @@ def counts_in_words(evidence: Evidence) -> str:
     return (
         f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: {by_table}. "
         f"{hold[0]} of {len(claims)} claims of sections 3 to 5 hold on our devices"
-        f"{f', {undecided} cannot be decided' if undecided else ''}. The paper's own tables contradict "
-        f"{len(tried) - len(borne_out)} of the {len(tried)} that are about them; of the others, {hold[1]} of "
-        f"{len(borne_out)} hold on the simulated devices."
+        f"{f', {undecided} cannot be decided' if undecided else ''}. {len(tried)} of the {len(claims)} claims are "
+        f"about the paper's tables. The tables themselves contradict {len(tried) - len(borne_out)} of these {len(tried)}. "
+        f"Of the remaining {len(borne_out)}, {hold[1]} hold on the simulated devices."
     )
 
 

@@ -519,9 +519,10 @@ def spread_table(content: Mapping[str, Any]) -> Table:
             for item in content["spread"]
         ],
         f"Equally good: parameter sets whose cost is within {content['ensemble']['equal_cost']:g} of the lowest one. "
-        f"Determined: those sets cover at most {100.0 * DETERMINED:g} % of the searched range, which is logarithmic "
-        "but for `length_ratio`, and stay clear of its bounds; for the control period, which has five choices, they "
-        "are at most two neighbouring ones. For comparison with the inertia: the weight of the damping experiment "
+        f"A parameter is determined if the equally good sets cover at most {100.0 * DETERMINED:g} % of its searched "
+        "range and do not reach its ends. Shares are measured on a logarithmic scale, except for `length_ratio`. The "
+        "control period has five possible values; it is determined if the equally good sets use one value or two "
+        "neighbouring ones. For comparison with the inertia: the weight of the damping experiment "
         f"alone, {1000.0 * PROTOCOL.damping_mass:g} g at {1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
         left=(0, 2, 6),
     )

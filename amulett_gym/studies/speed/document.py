@@ -72,7 +72,7 @@ def _ppo(data: Data) -> list[Table]:
         for name, label in (("env", "simulated environment"), ("null", "null environment"))
     ]
     note = (
-        f"The recipe of `amulett train`, {ppo['num_envs']} devices. The two environments take turns. One "
+        f"The recipe of `amulett train`, {ppo['num_envs']} devices. The two environments run alternately. One "
         "turn is enough rollouts, each followed by its update, to cover one episode. Ratio per turn, simulated to null "
         "environment: median (minimum-maximum). Times are averages per step of all devices: rollout time per step, and "
         "update time divided by the steps of a rollout."
