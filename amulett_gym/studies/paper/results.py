@@ -468,8 +468,8 @@ def counts_in_words(evidence: Evidence) -> str:
         f"{sum(row.explained for row in rows)} of the {len(rows)} numbers of Tables 2-5 are explained: {by_table}. "
         f"{hold[0]} of {len(claims)} claims of sections 3 to 5 hold on our devices"
         f"{f', {undecided} cannot be decided' if undecided else ''}. {len(tried)} of the {len(claims)} claims are "
-        f"about the paper's tables. The tables themselves contradict {len(tried) - len(borne_out)} of these {len(tried)}. "
-        f"Of the remaining {len(borne_out)}, {hold[1]} hold on the simulated devices."
+        f"about the paper's tables. The tables themselves contradict {len(tried) - len(borne_out)} of these "
+        f"{len(tried)}. Of the remaining {len(borne_out)}, {hold[1]} hold on the simulated devices."
     )
 
 
