@@ -208,7 +208,7 @@ def references(found: Content) -> Table:
     )
     note = (
         f"Share of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Clairvoyant: the "
-        "best schedule of each scenario, found with everything known, the sensor noise included; foresight: with "
+        "best schedule of each scenario, found with everything known, including the sensor noise; foresight: with "
         "everything known except the noise, evaluated during the search with other draws of it. Other noise: cost of "
         "the schedules with new draws of the noise. Gain in the last quarter: by how much the mean cost fell in the "
         "last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
