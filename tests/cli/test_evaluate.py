@@ -19,7 +19,7 @@ def test_a_backend_that_is_not_installed_loses_nothing(tmp_path):
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert not {"Traceback", "matplotlib", "backend"} & set(done.stderr.replace(".", " ").split())  # progress at most
     assert "eq6" in json.loads((tmp_path / "results.json").read_text())["policies"]
     assert {"report.html", "cost.png", "responses.png"} <= {path.name for path in tmp_path.iterdir()}
 
