@@ -43,6 +43,7 @@ HELD = """
 import json, signal
 from numpy import uint64
 from amulett_gym.jit.notice import announce_compilation
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts processes in the background without it
 lines, ended = [], "not interrupted"
 announce_compilation(lambda line: (lines.append(line), len(lines) == 1 and signal.raise_signal(signal.SIGINT)))
 from amulett_gym.simulation.random import noise
