@@ -26,7 +26,7 @@ for _id, _name in zip(ENV_IDS, ("Scaling", "Tension"), strict=True):
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs the compiled kernel only when it is asked for, so that the import stays quick."""
+    """Import `load_policy` at its first use: it needs the compiled kernel, which takes long to import."""
     if name == "load_policy":
         from amulett_gym.laws.policies import load_policy
 

@@ -1,4 +1,4 @@
-"""Errors that name the key, the value, what is allowed and the nearest valid choice."""
+"""Errors of wrong input; they name the key, the value, the allowed ones, the nearest choice."""
 
 from __future__ import annotations
 

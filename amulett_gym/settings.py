@@ -1,4 +1,4 @@
-"""Typed settings: pydantic groups, their conversion to plain data, and their error messages."""
+"""Typed settings in pydantic groups."""
 
 from __future__ import annotations
 
@@ -74,15 +74,15 @@ def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
         return place
     files = [file for kind in ("yaml", "json") for file in visible(packaged, f"**/*.{kind}")]
     names = sorted(file.relative_to(packaged).as_posix() for file in files)
-    asked = Path(path).as_posix().removeprefix("configs/")
+    wanted = Path(path).as_posix().removeprefix("configs/")
     for name in names:
-        if asked in (name, name.rpartition(".")[0]):
+        if wanted in (name, name.rpartition(".")[0]):
             return packaged / name
     if exists:
         return place  # a folder: its reader raises
     raise AmulettError(
         f"cannot read {what} '{shorten(str(path))}': No such file or directory; packaged are {', '.join(names)}"
-        f"{nearest(asked, names)}"
+        f"{nearest(wanted, names)}"
     )
 
 

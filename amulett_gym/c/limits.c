@@ -1,11 +1,11 @@
-/* What one core of this machine can do at most: floating-point operations, divisions and memory traffic a second. */
+/* Limits of one core: floating-point operations, divisions and memory traffic per second. */
 
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-#define CHAINS 16 /* independent, so that no operation waits for the one before */
+#define CHAINS 16 /* independent, so that no operation waits for the previous one */
 #define ROUNDS 2000000
 #define BYTES (64u << 20) /* beyond any cache's share of a core */
 

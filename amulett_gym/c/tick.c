@@ -1,9 +1,9 @@
-/* The tick of amulett_gym/simulation/kernel.py in plain C: a yardstick for its speed, used for nothing else.
+/* The tick of amulett_gym/simulation/kernel.py in plain C: a yardstick for its speed only.
 
-   Same names and order of operations as there. layout.h is generated from the dtypes of simulation/layout.py.
-   A `real` is WIDTH devices side by side: with WIDTH 1 a double, and each device runs through the whole tick before the
-   next one, as in the kernel; with WIDTH 8 a vector, and the block's devices run through it in step, both sides of each
-   choice computed. The equations are the same text in both. */
+   Names and order of operations are those of the kernel. layout.h is generated from the dtypes of simulation/layout.py.
+   A `real` holds WIDTH devices: with WIDTH 1 it is a double, and each device does the whole tick before the next one;
+   with WIDTH 8 it is a vector, and the block's devices do it together, with both sides of each choice computed. The
+   equations are the same text in both. */
 
 #include <math.h>
 #include <stdbool.h>
@@ -17,7 +17,7 @@ typedef double real;
 typedef int64_t integer;
 typedef uint64_t word;
 typedef bool mask;
-typedef double stored_real; /* what a scenario's fields are stored as */
+typedef double stored_real; /* storage type of a scenario's fields */
 typedef float stored_float;
 typedef int8_t stored_byte;
 typedef uint64_t stored_word;
@@ -39,7 +39,7 @@ typedef int64_t integer __attribute__((vector_size(8 * WIDTH)));
 typedef uint64_t word __attribute__((vector_size(8 * WIDTH)));
 typedef integer mask; /* all bits of a lane are set, or none */
 typedef double row __attribute__((vector_size(32), aligned(8)));
-/* What a scenario's fields are stored as: a block of scenarios does not fill whole cache lines. */
+/* Storage types of a scenario's fields: a block of scenarios does not fill whole cache lines. */
 typedef double stored_real __attribute__((vector_size(8 * WIDTH), aligned(8)));
 typedef float stored_float __attribute__((vector_size(4 * WIDTH), aligned(4)));
 typedef int8_t stored_byte __attribute__((vector_size(WIDTH), aligned(1)));
@@ -71,9 +71,9 @@ INLINE bool any(mask a) {
 #include "layout.h"
 
 #if WIDTH > 1
-typedef integer field __attribute__((may_alias)); /* the lanes of any field of a block, whatever they hold */
+typedef integer field __attribute__((may_alias)); /* the lanes of any field of a block */
 
-/* Give some lanes of a block back what they had. */
+/* Restore some lanes of a block. */
 INLINE void keep(states *s, const states *before, mask lanes) {
     const field *then = (const field *)before;
     field *now = (field *)s;
@@ -85,7 +85,7 @@ typedef const parameters *restrict Parameters;
 typedef const scenarios *restrict Scenarios;
 typedef states *restrict States;
 
-/* Python's min and max: the first argument unless the second is truly less, more. */
+/* Python's min and max: the first argument unless the second is less, greater. */
 INLINE real least(real a, real b) { return select(b < a, b, a); }
 INLINE real greatest(real a, real b) { return select(b > a, b, a); }
 INLINE real square(real a) { return a * a; }
@@ -129,7 +129,7 @@ INLINE real sine(real a) {
 #endif
 #endif
 
-/* By their bits, which hold under fast math too. */
+/* By their bits, which is valid under fast math too. */
 INLINE mask is_nan(real a) { return (bits_of(a) << 1) > 0xFFE0000000000000u; }
 INLINE mask is_near(real a) { return (bits_of(a) << 1) <= (bits_of(all(FARTHEST)) << 1); }
 
@@ -152,7 +152,7 @@ INLINE real noise(word key, word counter) {
 /* ---- model/ and control/ ---- */
 
 typedef struct {
-    real w, k0, k1, k2, k3; /* how far into its cell a position lies, and the cell's coefficients */
+    real w, k0, k1, k2, k3; /* position within its cell, and the cell's coefficients */
 } cubic;
 
 INLINE cubic find_cell(const double table[CELLS][4], real position) {
@@ -542,7 +542,7 @@ INLINE void begin_step(States s, int64_t i, mask begins, real time, real target,
     s->step_count[i] += select(begins & (change != 0.0), all(1.0), all(0.0));
 }
 
-/* Where a scenario's move k starts from; a k of -1 is no move. */
+/* Start angle of a scenario's move k; a k of -1 is no move. */
 INLINE real start_of(Scenarios c, int64_t i, integer k) {
     integer last = either(k > 0, k - 1, all_integers(0));
     return select(k > 0, at(c->move_angle, last), c->initial_angle[i]);
@@ -630,7 +630,7 @@ INLINE void track_step(Parameters p, Scenarios c, States s, int64_t i, real coun
     }
 }
 
-/* The control tick of a device comes too late: its commands are held for one more period. */
+/* Whether a device misses its control tick: its commands are held for one more period. */
 INLINE mask is_late(Scenarios c, States s, int64_t i) {
     real probability = to_real(c->late_probability[i]);
     mask may_be = probability > 0.0;

@@ -1,4 +1,4 @@
-"""The sensors' readings: quantised, noisy angles and spring deflections."""
+"""The sensors' quantised, noisy readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Memory layout of parameters, scenarios and states.
+"""Memory layout of the simulation's records.
 
 Devices are stored in blocks of `LANES`: a *structure of arrays*, so that ``state.angle[lane]`` of neighbouring devices
 are neighbours in memory. Everything that changes during an episode is in one array of `STATE_BLOCK` records, so that a

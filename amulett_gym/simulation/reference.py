@@ -208,13 +208,13 @@ def replay_control(
             rows.append((command["biceps"], command["triceps"], pulls[leader]))
             continue
         estimate = float(trajectory[f"estimate_{follower}"][row])
-        blind = bool(trajectory[f"untrusted_{follower}"][row])
+        untrusted = bool(trajectory[f"untrusted_{follower}"][row])
         lack = float(trajectory["tension_setpoint"][row + 1]) - estimate
-        if blind and profile.sensors.below_floor == "ignore":
+        if untrusted and profile.sensors.below_floor == "ignore":
             lack = 0.0
         if leader == before:
             wound = command[follower] * pulls[follower]
-            room = wound < limit and stretch[follower] < sensor_end, wound > -limit and not blind
+            room = wound < limit and stretch[follower] < sensor_end, wound > -limit and not untrusted
             pull = tension.update(lack, -estimate, *room)
         else:
             # Both drives continue from their angles: the tension controller restarts with output zero.

@@ -1,4 +1,4 @@
-"""A measured force-deflection curve: read from a CSV file, checked, and kept with the profile as CSV text."""
+"""A measured force-deflection curve, kept with the profile as CSV text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading of untrusted files: size and depth are limited, and only ordinary files are opened."""
+"""Reading of untrusted files, within limits of size, depth, type of file."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ class _Loader(yaml.SafeLoader):
     def _add(self, count: int) -> None:
         self._count += count
         if self._count > MAX_NODES:
-            raise ValueError(f"it stands for more than {MAX_NODES} keys and values")
+            raise ValueError(f"it has more than {MAX_NODES} keys and values")
 
 
 class _Dumper(yaml.SafeDumper):

@@ -1,4 +1,4 @@
-"""A scenario: one episode as plain data, with setpoint, disturbances, load and the device's deviations.
+"""A scenario: one episode as plain data.
 
 A scenario can be written as JSON or YAML, read back and replayed bit for bit. Packed, times, torques, stiffnesses,
 factors and sensor offsets keep 7 digits (see `simulation.layout`).
