@@ -145,7 +145,7 @@ def test_an_output_that_is_full_is_reported_in_one_line(words, faults):
             [sys.executable, "-m", "amulett_gym", *words], stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert done.returncode == 2
-    printed = done.stderr.removeprefix(f"{notice.TEXT}\n")  # where the code is not compiled yet
+    printed = done.stderr.removeprefix(f"{notice.COMPILING}\n")  # where the code is not compiled yet
     assert printed == "amulett: error: the system refuses: No space left on device\n"
     faults("survived", 1)
 
@@ -180,7 +180,6 @@ def test_a_folder_that_vanished_is_made_again(tmp_path, results, monkeypatch, fa
 
 HOLD = """
 import sys
-from amulett_gym.jit import notice
 from amulett_gym.storage.lock import locked_folder
 with locked_folder(sys.argv[1]):
     print("locked", flush=True)
