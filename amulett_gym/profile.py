@@ -284,7 +284,7 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
         raise AmulettError(f"profile is {profile!r}; it has to be a name, a YAML file or a mapping")
     if str(profile) in profile_names():
         return _shipped(str(profile))
-    if Path(profile).suffix.lower() not in (".yaml", ".yml"):
+    if Path(profile).suffix.lower() not in (".yaml", ".yml", ".json"):
         raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
     path = find_config(profile, "profile")
     content = read_yaml(path, "profile")

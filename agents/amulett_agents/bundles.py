@@ -73,8 +73,8 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     """Write a model's policy as a bundle; return its folder. `amulett_gym.load_policy` reads it without torch.
 
     Works for PPO, A2C and SAC with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
-    `ActorView` or a `VecFrameStack`. Other wrappers that change the observation's size are refused; those that change
-    actions are not detected.
+    `ActorView` or a `VecFrameStack`. Other wrappers that change the size or the range of observations or actions
+    are refused; those that change values within the same range are not detected.
 
     Parameters
     ----------
@@ -97,6 +97,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
         raise AmulettError("a bundle cannot hold VecNormalize's running statistics; train without it")
     if not env.has_attr("tension_range"):
         raise AmulettError("the model was not trained in an AMULETT environment")
+    _check_spaces(model, env)
     layers, description = describe_policy(model)
     origin = {"seed": model.seed, "steps": int(model.num_timesteps)}
     about = {**(provenance or {}), **origin, "versions": versions(), "git_revision": git_revision()}
@@ -107,6 +108,21 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     if not description.is_privileged:
         training_env.keywords.pop("privileged", None)
     return write_bundle(folder, layers, description, training_env, about)
+
+
+def _check_spaces(model: BaseAlgorithm, env: VecEnv) -> None:
+    """Raise an AmulettError if a wrapper has changed the bounds of actions or observations."""
+    if isinstance(env.get_attr("settings")[0], VectorSettings):
+        return
+    own = env.get_attr("unwrapped")[0]
+    for what, found, expected in (
+        ("actions", model.action_space, own.action_space),
+        ("observations", model.observation_space, own.observation_space),
+    ):
+        if found.shape == expected.shape and found != expected:
+            raise AmulettError(
+                f"a wrapper changes the range of the {what}, which a bundle cannot hold; train without it"
+            )
 
 
 def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
@@ -203,4 +219,4 @@ def describe_env(env: VecEnv) -> TrainingEnv:
         steps = settings.max_episode_steps
     else:  # of Gymnasium's wrapper
         steps = env.get_attr("_max_episode_steps")[0] if env.has_attr("_max_episode_steps") else NO_LIMIT
-    return TrainingEnv(id=env.get_attr("env_id")[0], keywords=settings.keywords(), max_episode_steps=steps)
+    return TrainingEnv(id=env.get_attr("env_id")[0], keywords=settings.keywords(), max_episode_steps=int(steps))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     targets = _targets(arguments)
     from amulett_gym.reporting.document import check_document, update_document
-    from amulett_gym.storage.provenance import machine
+    from amulett_gym.storage.provenance import machine, write_provenance
     from amulett_gym.studies.speed import document as performance
     from amulett_gym.studies.speed.sections import MEASURE, Settings, prepare
 
@@ -79,6 +79,21 @@ def run(arguments: argparse.Namespace) -> int:
     recipes = {section: prepare(section, settings) for section in chosen}
     if arguments.doc is not None:
         check_document(arguments.doc, map(performance.section_marks, chosen))
+    if arguments.out is not None:
+        given = [
+            name
+            for name in ("devices", "turns", "seed", "seeds", "limit", "simulated", "config")
+            if _is_given(arguments, name)
+        ]
+        words = [
+            "amulett",
+            "bench",
+            *(f"--{name}" for name in chosen if name != "speed"),
+            *command_words(arguments, *given),
+        ]
+        words += ["--set", *arguments.overrides] if arguments.overrides else []
+        config = {"sections": chosen, **asdict(settings)}
+        write_provenance(arguments.out, "bench", config, [arguments.seed], [*words, "--out", str(arguments.out)])
     data: dict[str, Any] = {}
     done: list[str] = []
     interrupted = False

@@ -67,20 +67,18 @@ def validate(path: str | Path) -> Found:
         If the file cannot be read, is of no known kind, or is not valid.
     """
     from amulett_gym.settings import find_config
-    from amulett_gym.storage.reading import user_path
+    from amulett_gym.storage.reading import read_json, user_path
 
     path = user_path(path)
     if path.is_dir():
         from amulett_gym.laws.bundle import read_bundle
 
         return Found("a policy bundle", path.name, read_bundle(path).policy)
-    from amulett_gym.tasks.scenario import Scenario, load_scenario
+    from amulett_gym.tasks.scenario import MAX_BYTES, Scenario, load_scenario
 
     path = find_config(path, "file")
-    if path.suffix.lower() == ".json":
-        return Found("a scenario", path.stem, load_scenario(path))
-    if path.suffix.lower() not in (".yaml", ".yml"):
-        allowed = ".yaml (device, recipe, benchmark, scenario), .json (scenario) nor a bundle"
+    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
+        allowed = ".yaml or .json (device, recipe, benchmark, scenario) nor a bundle"
         raise AmulettError(f"'{path}' is neither {allowed}")
 
     from amulett_gym.learning import load_learning
@@ -95,7 +93,11 @@ def validate(path: str | Path) -> Found:
         "a benchmark's description": (Benchmark, load_benchmark),
         "a scenario": (Scenario, load_scenario),
     }
-    keys = set(read_yaml(path, "file"))
+    is_json = path.suffix.lower() == ".json"
+    content = read_json(path, "file", MAX_BYTES) if is_json else read_yaml(path, "file")
+    if not isinstance(content, dict):
+        raise AmulettError(f"'{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
+    keys = set(content)
     if keys and all("." in str(key) for key in keys):
         return Found("a search space of `amulett tune`", path.stem, _load_space(path))
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}

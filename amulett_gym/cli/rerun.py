@@ -93,6 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
             show(f"  {line}")
         if len(changed) > _MOST_SHOWN:
             show(f"  and {len(changed) - _MOST_SHOWN} more (--json has them all)")
+    elif kind == "bench":
+        show(f"The same was measured; speeds are not compared. The repetition is in {arguments.out}.")
     else:
         show(f"All {_count(_numbers(expected))} numbers are the same. The repetition is in {arguments.out}.")
     return 1 if changed else 0
@@ -214,6 +216,11 @@ def _reader(pattern: str) -> Callable[[Path], Numbers]:
     return read
 
 
+def _measured(folder: Path) -> Numbers:
+    """Return the quantities in a folder of `amulett bench`; their values differ from run to run."""
+    return {name: dict.fromkeys(content, "measured") for name, content in _reader("bench.json")(folder).items()}
+
+
 _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], Numbers]]] = {
     "train": (_train_again, _trained),
     "evaluate": (_evaluate_again, _compared),
@@ -222,6 +229,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),
     "reproduce": (_command_again, _reader("reproduction.json")),
+    "bench": (_command_again, _measured),
 }
 
 

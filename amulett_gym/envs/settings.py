@@ -221,7 +221,7 @@ def _check_step(profile: Profile) -> None:
 
 def _ticks(agent_period: float, control_period: float) -> int:
     ticks = max(round(agent_period / control_period), 1)
-    if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-9):
+    if not math.isclose(agent_period, ticks * control_period, rel_tol=1e-6):  # a float32 is a number, too
         raise AmulettError(
             f"agent_period is {agent_period} s; it has to be a multiple of the profile's control period, "
             f"{control_period} s; the nearest is {ticks * control_period:g} s"

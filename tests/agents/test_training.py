@@ -345,6 +345,7 @@ def test_an_own_profile_travels_inside_the_bundle(tmp_path):
         (lambda: ScalingEnv(), -1),
         (lambda: gym.wrappers.TimeLimit(ScalingEnv(), 30), 30),
         (lambda: gym.make(SCALING, max_episode_steps=None), 500),
+        (lambda: gym.make(SCALING, max_episode_steps=True), 1),
         (lambda: make_sb3_env(SCALING, max_episode_steps=-1), -1),
         (lambda: make_sb3_env(SCALING, max_episode_steps=None), 500),
         (lambda: make_sb3_env(SCALING, max_episode_steps=np.int64(40), reward_weights={"effort": np.float32(0.5)}), 40),
@@ -356,6 +357,17 @@ def test_a_policy_can_be_kept_whatever_its_environments_time_limit(tmp_path, mak
     assert (about.id, about.max_episode_steps) == (SCALING, limit)
     again = gym.make(about.id, max_episode_steps=about.max_episode_steps, **about.keywords)
     assert again.unwrapped.settings.keywords() == about.keywords
+
+
+def test_wrappers_that_change_a_range_are_refused(tmp_path):
+    wide = gym.wrappers.RescaleAction(gym.make(SCALING), np.float32(-2.0), np.float32(2.0))
+    inner = gym.make(SCALING)
+    space = gym.spaces.Box(10.0 * inner.observation_space.low, 10.0 * inner.observation_space.high)
+    large = gym.wrappers.TransformObservation(inner, lambda observation: 10.0 * observation, space)
+    for env, what in ((wide, "actions"), (large, "observations")):
+        model = PPO("MlpPolicy", env, n_steps=4, batch_size=4, device="cpu")
+        with pytest.raises(AmulettError, match=f"changes the range of the {what}"):
+            save_policy(model, tmp_path / "bundle")
 
 
 def test_a_bundle_names_the_reward_function_it_was_trained_with(tmp_path):

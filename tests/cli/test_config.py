@@ -35,6 +35,8 @@ def test_what_we_ship_is_valid(path, capsys):
         ("mine.yaml", "{ppo: {gamma: 0.98}}", "a training recipe"),
         ("mine.yaml", "{headline: steps, suites: [steps]}", "a benchmark's description"),
         ("mine.json", '{"moves": []}', "a scenario"),
+        ("mine.json", '{"total_steps": 256}', "a training recipe"),
+        ("mine.json", '{"name": "mine", "base": "testbed"}', "a device profile"),
     ],
 )
 def test_a_kind_is_told_by_its_keys(name, text, kind, tmp_path):

@@ -297,3 +297,8 @@ def test_a_mask_of_no_device_resets_nothing_and_gives_the_same_keys(started, sce
     else:
         with pytest.raises(gym.error.ResetNeeded):
             vector.step(np.zeros((3, 1)))
+
+
+def test_a_float32_agent_period_is_the_multiple_it_stands_for():
+    env = ScalingEnv(agent_period=np.float32(0.02))
+    assert env.episodes.agent_period == pytest.approx(0.02, rel=1e-12)

@@ -46,6 +46,8 @@ def test_kernel_and_environments_are_written_as_json(brief, tmp_path, capsys):
     assert data["single_step_us"] == pytest.approx(1e6 / data["environments"]["single, testbed"]["steps_per_s"])
     assert not {"ppo", "peers", "scale", "time_to_beat_s", "ratio_to_c"} & set(data)
     assert "CartPole-v1, vector of 4" in capsys.readouterr().out
+    assert main(["rerun", str(tmp_path), "--out", str(tmp_path.parent / "again")]) == 0
+    assert "speeds are not compared" in " ".join(capsys.readouterr().out.split())
 
 
 def test_json_is_printed_and_nothing_else(brief, capsys):
