@@ -175,7 +175,7 @@ def test_an_episode_on_a_path_replays_copies_and_goes_back(scenario):
 
 def test_a_privileged_environment_refuses_a_path():
     env = gym.make("Amulett/Scaling-v0", privileged=True)
-    with pytest.raises(AmulettError, match="at most 10 moves, and of no sampled setpoint"):
+    with pytest.raises(AmulettError, match="at most 10 moves and no sampled setpoint"):
         env.reset(seed=0, options={"scenario": LOG})
 
 

@@ -308,24 +308,24 @@ def test_the_text_of_the_document_agrees_with_its_generated_part(evidence):
     total = sum(row.explained for row in evidence.reproduction.rows)
     assert f"{total} of the 40 numbers are explained ({min(counts)} or {max(counts)} with other sensor noise)" in text
     predicted = sum(row.explained for rows in evidence.predicted.values() for row in rows)
-    assert f"predict {predicted} of the 40 numbers that they did not see" in text
+    assert f"predict {predicted} of the 40 numbers that they did not use" in text
     words = {4: "four", 5: "five", 6: "six", 7: "seven", 8: "all eight"}
     tables = explained(evidence.reproduction.rows)
-    assert f"within 5 % in all eight rows: {words[tables[3][0]]}." in text
-    assert f"within 25 % in at least five rows: {words[tables[4][0]]}." in text
-    assert f"within a factor of 3: {tables[5][0]} of 16" in text
+    assert f"within 5 % in all eight rows): reached in {words[tables[3][0]]}." in text
+    assert f"within 25 % in at least five of eight): reached in {words[tables[4][0]]}." in text
+    assert f"within a factor of 3): reached in {tables[5][0]} of 16" in text
     rise = [row for row in evidence.reproduction.rows if row.cell.metric == "rise_time"]
     simulated, measured = (sum(row.explained for row in rise if row.cell.profile == name) for name in DEVICES)
     assert (simulated, measured) == (4, 3)
-    assert "simulated: all four. Within 35 % measured: three." in text
+    assert "reached in all four rows. Measured (required: within 35 %): reached in three of four." in text
     refitted = {
         (item["reading"], item["choice"]): item["explained"] for item in evidence.identification["readings_refitted"]
     }
     fewer = {key: total - count for key, count in refitted.items()}
-    assert f"it explains {words[fewer['preload', 'smaller']]} numbers less" in text
-    assert f"fitted again, it explains {words[fewer['floor', 'ignore']]} numbers less" in text
+    assert f"after a new fit {words[fewer['preload', 'smaller']]} fewer numbers are explained" in text
+    assert f"after a new fit it explains {words[fewer['floor', 'ignore']]} fewer numbers" in text
     assert fewer["tension_error", "estimated"] == fewer["tension_error", "true"] == 2
-    assert "With the same one for both, two numbers less" in text
+    assert "If both use the same signal, two fewer numbers are explained" in text
     assert fewer["damping", "printed"] == fewer["rise_time", "first-entry"] == 1
     moves = evidence.sensitivity.by_hysteresis[1.0]
     constant = max(moves[name][1] for name in ("tension-5", "tension-10"))
@@ -336,11 +336,15 @@ def test_the_text_of_the_document_agrees_with_its_generated_part(evidence):
     assert f"the drives lag by {evidence.reproduction.profiles['testbed'].drives.lag:.2f} s" in text
     testbed = evidence.reproduction.profiles["testbed"]
     assert (
-        f"{testbed.spring.stiffness / 1000:.0f} kN/m and {1000 * testbed.spring.half_width:.0f} mm can be built" in text
+        f"{testbed.spring.stiffness / 1000:.0f} kN/m and half a width of {1000 * testbed.spring.half_width:.0f} mm"
+        in text
     )
     share = 100 * testbed.sensors.potentiometer_noise / testbed.sensors.potentiometer_travel
-    assert f"ends at {share:.1f} of that" in text
-    assert f"less than {undamped_below(testbed.damping, 'shifted'):.2f} N are undamped" in text
+    assert f"the fitted value is {share:.1f} of this bound" in text
+    assert (
+        f"no damping if the mean of both string forces is below {undamped_below(testbed.damping, 'shifted'):.2f} N"
+        in text
+    )
     columns = [
         max(isav) / min(isav)
         for isav in (

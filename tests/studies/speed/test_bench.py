@@ -226,7 +226,12 @@ def test_scale_measures_memory_sizes_and_the_long_run(brief, monkeypatch, long_r
     monkeypatch.setattr(scale, "SIZES", (1, 8))
     assert main([*QUICK, "--scale", "--out", str(tmp_path / "figures")]) == 0
     assert set(json.loads((tmp_path / "figures" / "bench.json").read_text())["scale"]["device_step_ns"]) == {"1", "8"}
-    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"bench.json", "scale.png", "hour.png"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {
+        "bench.json",
+        "command.json",
+        "scale.png",
+        "hour.png",
+    }
 
 
 # --- tables
