@@ -17,7 +17,9 @@ from amulett_gym.storage.writing import output_folder
 if TYPE_CHECKING:
     from amulett_gym.evaluation.runner import Results
 
-HELP = "train a stiffness policy and compare it with every hand-tuned law, in about 2 minutes on two free cores"
+HELP = (
+    "train a stiffness policy and compare it with eq. 6, tuned laws and constants, in about 3 minutes on two free cores"
+)
 EXAMPLES = """  amulett quickstart
   amulett quickstart --steps 500000 --seed 1 --out runs/short
 """

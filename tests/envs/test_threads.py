@@ -72,9 +72,9 @@ def test_close_ends_the_threads():
     before = ours()
     vector = gym.make_vec(SCALING, num_envs=4 * LANES, threads=3)
     play(vector, 1, seed=0)
-    assert ours() > before
+    assert ours() - before  # environments of other tests may be collected meanwhile, and their threads end
     vector.close()
-    assert ours() <= before
+    assert not ours() - before
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])

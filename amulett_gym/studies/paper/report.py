@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
@@ -14,7 +13,7 @@ from markupsafe import Markup
 from amulett_gym import __version__
 from amulett_gym.reporting.document import image, marks, update_document
 from amulett_gym.reporting.page import fill_page
-from amulett_gym.reporting.table import TEXT_WIDTH, Table, csv_text
+from amulett_gym.reporting.table import Table, csv_text, fill
 from amulett_gym.reporting.words import html, number, pretty
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.paper.claims import METRICS, CheckedClaim, Verdict
@@ -79,7 +78,7 @@ def in_words(evidence: Evidence) -> str:
         "left out, over all four.",
         status(evidence),
     )
-    return "\n\n".join([*(table.text() for table in shown), *(textwrap.fill(text, TEXT_WIDTH) for text in sentences)])
+    return "\n\n".join([*(table.text() for table in shown), *map(fill, sentences)])
 
 
 def draw(evidence: Evidence) -> dict[str, Figure]:
