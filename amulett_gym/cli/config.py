@@ -102,7 +102,9 @@ def validate(path: str | Path) -> Found:
         return Found("a search space of `amulett tune`", path.stem, _load_space(path))
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
     kind = max(known, key=lambda kind: known[kind])
-    if not known[kind]:
+    if not known[kind] and is_json:
+        kind = "a scenario"  # the usual content of JSON files
+    elif not known[kind]:
         allowed = "; ".join(f"{kind}: {', '.join(model.model_fields)}" for kind, (model, _) in kinds.items())
         raise AmulettError(f"'{path}' has no key of any kind of file ({allowed})")
     content = kinds[kind][1](path)

@@ -160,7 +160,7 @@ def _on_seeds(found: Content, best: str) -> list[Claim]:
     mine = found["results"][f"{found['description']['headline']}/held-out"][best]
     ratios = mine["seed_ratios"].get(TUNED_LAW)
     longest = max(run["seconds"] for run in found["training"][best]["runs"].values())
-    wanted = f"{SEED_SHARE * 10:.0f} of 10 training seeds have a lower cost than {TUNED_LAW}"
+    wanted = f"at least {SEED_SHARE * 10:.0f} of 10 training seeds have a lower cost than {TUNED_LAW}"
     if ratios is None:
         seeds = Claim("training", wanted, None, None, None, None, "not compared")
     else:

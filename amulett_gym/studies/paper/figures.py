@@ -190,10 +190,10 @@ def estimation_in_words(profile: Profile) -> str:
     low, high = error[below].mean(), error[~below].mean()
     end = data.force[-1]
     grows = (
-        f"So does the model's: {low:.2g} N below the floor, {high:.2g} N above"
+        f"So does the model's: {low:.2g} N on average for forces below the floor, {high:.2g} N above"
         if low > high
-        else f"The model's does not: it is {low:.2g} N below the floor and {high:.2g} N above, and grows only "
-        f"relative to the force, from {100.0 * error[-1] / end:.2g} % at {end:.3g} N "
+        else f"The model's does not: its mean is {low:.2g} N for forces below the floor and {high:.2g} N "
+        f"above. Only its ratio to the force grows at low forces, from {100.0 * error[-1] / end:.2g} % at {end:.3g} N "
         f"to {100.0 * at_floor / floor:.2g} % at {floor:g} N"
     )
     return (
