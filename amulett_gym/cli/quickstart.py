@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from amulett_gym.evaluation.runner import Results
 
 HELP = (
-    "train a stiffness policy and compare it with eq. 6, tuned laws and constants, in about 3 minutes on two free cores"
+    "train a stiffness policy and compare it with eq. 6, tuned laws and constants, in about 2 minutes on two free cores"
 )
 EXAMPLES = """  amulett quickstart
   amulett quickstart --steps 500000 --seed 1 --out runs/short

@@ -513,7 +513,7 @@ def _softened(device: str) -> list[_Part]:
         ),
         (
             device,
-            "eq. 6 causes that: at constant tensions the joint softens less, by 5 % or more",
+            "eq. 6 causes that: far from the target the joint softens at least 5 % more than at a constant tension",
             [Within(softening(VARIABLE), high=constant) for constant in constants],
         ),
         (
