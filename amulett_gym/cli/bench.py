@@ -80,20 +80,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         check_document(arguments.doc, map(performance.section_marks, chosen))
     if arguments.out is not None:
-        given = [
-            name
-            for name in ("devices", "turns", "seed", "seeds", "limit", "simulated", "config")
-            if _is_given(arguments, name)
-        ]
-        words = [
-            "amulett",
-            "bench",
-            *(f"--{name}" for name in chosen if name != "speed"),
-            *command_words(arguments, *given),
-        ]
-        words += ["--set", *arguments.overrides] if arguments.overrides else []
         config = {"sections": chosen, **asdict(settings)}
-        write_provenance(arguments.out, "bench", config, [arguments.seed], [*words, "--out", str(arguments.out)])
+        write_provenance(
+            arguments.out, "bench", config, [arguments.seed], [*_words(arguments, *chosen), "--out", str(arguments.out)]
+        )
     data: dict[str, Any] = {}
     done: list[str] = []
     interrupted = False
@@ -124,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
         texts = {}
         for section in done:
             if tables := [table.markdown() for table in performance.tables(section, data)]:
-                head = f"`{_command(arguments, section)}` on {machine()}"
+                head = f"`{shlex.join(_words(arguments, section))}` on {machine()}"
                 texts[performance.section_marks(section)] = "\n\n".join([head, *tables])
         update_document(arguments.doc, texts)
         show(f"Renewed: {arguments.doc}")
@@ -168,11 +158,11 @@ def _is_given(arguments: argparse.Namespace, option: str) -> bool:
     return bool(getattr(arguments, name) != arguments.parser.get_default(name))
 
 
-def _command(arguments: argparse.Namespace, section: str) -> str:
-    """Return the command that measures a section again, without its outputs."""
+def _words(arguments: argparse.Namespace, *sections: str) -> list[str]:
+    """Return the words of the command that measures some sections again, without its outputs."""
     options = ("devices", "turns", "seed", "seeds", "limit", "simulated", "config")
-    read = [name for name in options if _is_given(arguments, name) and section in _READ_BY.get(name, (section,))]
-    words = ["amulett", "bench", *([] if section == "speed" else [f"--{section}"]), *command_words(arguments, *read)]
-    if arguments.overrides and section in _READ_BY["set"]:
-        words += ["--set", *arguments.overrides]
-    return shlex.join(words)
+    read = {name for name in (*options, "set") if set(sections) & set(_READ_BY.get(name, sections))}
+    given = [name for name in options if name in read and _is_given(arguments, name)]
+    asked = [f"--{section}" for section in sections if section != "speed"]
+    overrides = ["--set", *arguments.overrides] if arguments.overrides and "set" in read else []
+    return ["amulett", "bench", *asked, *command_words(arguments, *given), *overrides]

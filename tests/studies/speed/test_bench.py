@@ -106,10 +106,10 @@ def test_wrong_options_are_refused_before_anything_is_measured(words, message, c
 def test_the_command_that_is_written_down_has_the_options_of_its_section():
     words = ["bench", "--ppo", "--scale", "--turns", "2", "--simulated", "60", "--set", "num_envs=64"]
     arguments = build_parser().parse_args(words)
-    assert bench._command(arguments, "ppo") == "amulett bench --ppo --turns 2 --set num_envs=64"
-    assert bench._command(arguments, "scale") == "amulett bench --scale --turns 2 --simulated 60.0"
-    assert bench._command(arguments, "speed") == "amulett bench --turns 2"
-    assert bench._command(arguments, "time-to-beat") == "amulett bench --time-to-beat --set num_envs=64"
+    assert " ".join(bench._words(arguments, "ppo")) == "amulett bench --ppo --turns 2 --set num_envs=64"
+    assert " ".join(bench._words(arguments, "scale")) == "amulett bench --scale --turns 2 --simulated 60.0"
+    assert " ".join(bench._words(arguments, "speed")) == "amulett bench --turns 2"
+    assert " ".join(bench._words(arguments, "time-to-beat")) == "amulett bench --time-to-beat --set num_envs=64"
 
 
 def test_ctrl_c_keeps_what_was_measured(brief, monkeypatch, tmp_path, capsys):
