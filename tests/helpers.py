@@ -22,6 +22,20 @@ PROFILES = ("simulation", "testbed")
 
 EXACT_SENSORS = {"encoder_bits": 0, "encoder_noise_deg": 0.0, "potentiometer_bits": 0, "potentiometer_noise": 0.0}
 
+
+SMALL_RECIPE = (
+    "num_envs=8",
+    "total_steps=2048",
+    "network.hidden=[8]",
+    "ppo.n_steps=32",
+    "ppo.batch_size=128",
+    "ppo.n_epochs=1",
+    "env.agent_period=0.05",
+    "env.max_episode_steps=25",
+    "validation.episodes=4",
+)
+"""Changes of the default recipe that make its training take tenths of a second."""
+
 NO_GAINS = {"kp": 0.0, "ki": 0.0, "kd": 0.0, "derivative_filter": 0.01}
 HELD_DRIVES = {"position": NO_GAINS, "tension": NO_GAINS, "position_only": NO_GAINS}
 """A loop that leaves both drives where they are."""

@@ -6,12 +6,12 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers import SMALL_RECIPE
 
 from amulett_gym.c.build import find_compiler
 from amulett_gym.cli import bench, build_parser, main
@@ -264,122 +264,7 @@ def recipe():
     pytest.importorskip("stable_baselines3")
     from amulett_agents import load_train_config
 
-    return load_train_config(
-        None,
-        [
-            "num_envs=8",
-            "total_steps=2048",
-            "network.hidden=[8]",
-            "ppo.n_steps=32",
-            "ppo.batch_size=128",
-            "ppo.n_epochs=1",
-            "env.agent_period=0.05",
-            "env.max_episode_steps=25",
-            "validation.episodes=4",
-        ],
-    )
-
-
-@pytest.fixture
-def clock(monkeypatch):
-    """Let a clock move on by a second whenever somebody looks."""
-    from amulett_agents import speed as benchmark
-
-    ticking = iter(range(1_000_000))
-    monkeypatch.setattr(benchmark, "time", SimpleNamespace(perf_counter=lambda: float(next(ticking))))
-    return lambda: next(ticking)
-
-
-def test_ppo_is_measured_beside_the_same_ppo_on_a_null_environment(recipe):
-    from amulett_agents.speed import ppo_throughput
-
-    turns = []
-    found = ppo_throughput(recipe, turns=3, watch=lambda: turns.append(1))
-    assert len(turns) == 3
-    assert found["ratio_spread"][0] <= found["ratio"] <= found["ratio_spread"][1]
-    assert min(found["env"], found["null"]) > 0
-
-
-def test_a_steps_rollout_and_its_share_of_the_update_are_told_apart(recipe, clock):
-    from amulett_agents.speed import ppo_throughput
-
-    found = ppo_throughput(recipe, turns=2)
-    # The clock is looked at before, at the rollout's beginning and end, and after: a second each time, 32 steps.
-    expected = {"rollout": pytest.approx(1000 / 32), "update": pytest.approx(2000 / 32)}
-    assert found["step_ms"] == {"env": expected, "null": expected}
-    assert found["env"] == pytest.approx(8 * 32 / 3) and found["ratio"] == pytest.approx(1.0)
-
-
-def test_the_null_environment_returns_constants(recipe):
-    from stable_baselines3 import PPO
-
-    from amulett_agents import make_sb3_env
-    from amulett_agents.speed import ConstantVecEnv
-
-    ours = make_sb3_env(num_envs=3)
-    env = ConstantVecEnv(3, ours.observation_space, ours.action_space)
-    first = env.reset().copy()
-    for action in (-1.0, 1.0):
-        observations, rewards, dones, infos = env.step(np.full((3, 1), action, dtype=np.float32))
-        assert np.array_equal(observations, first) and not dones.any() and not any(infos)
-        assert rewards.dtype == np.float32 and np.unique(rewards).size == 1
-    assert env.observation_space.contains(first[0])
-    PPO("MlpPolicy", env, n_steps=8, batch_size=24, n_epochs=1, device="cpu").learn(24)
-
-
-def test_the_baselines_are_what_eq6_and_the_best_constant_cost(recipe):
-    from amulett_agents.speed import CONSTANTS, Evaluator, with_neutral_start
-    from amulett_gym.evaluation.runner import evaluate
-
-    evaluator = Evaluator(with_neutral_start(recipe))
-    baselines = evaluator.baselines["validation"]
-    names = [f"constant:{tension:g}" for tension in CONSTANTS]
-    results = evaluate(["eq6", *names], "mixed", split="validation", episodes=4, duration=1.25, agent_period=0.05)
-    costs = {name: values["cost"].mean() for name, values in results.values.items()}
-    assert baselines.eq6 == pytest.approx(costs["eq6"], rel=1e-6) and baselines.eq6 > 0.0
-    assert baselines.constant == pytest.approx(min(costs[name] for name in names), rel=1e-3)
-    assert baselines.lower == min(baselines.eq6, baselines.constant)
-
-
-def evaluator_of(costs: list[float], held_out: float) -> Any:
-    """Return an evaluator with these costs one after another, and baselines at 1 and 0.5."""
-    from amulett_agents.speed import Baselines, Evaluator
-
-    evaluator = object.__new__(Evaluator)
-    evaluator.baselines = dict.fromkeys(("validation", "held-out"), Baselines(1.0, 0.5, 5.0))
-    given = iter(costs)
-    evaluator.cost = lambda model, split="validation": held_out if split == "held-out" else next(given)  # type: ignore
-    return evaluator
-
-
-def test_evaluations_are_not_counted(recipe, clock, monkeypatch):
-    from amulett_agents import speed as benchmark
-
-    monkeypatch.setattr(benchmark, "warm_up", lambda config: None)
-    evaluator = evaluator_of([2.0, 0.9, 0.4], held_out=0.3)
-    slow = evaluator.cost
-    evaluator.cost = lambda model, split="validation": ([clock() for _ in range(1000)], slow(model, split))[1]
-    run = benchmark.time_to_beat(recipe, evaluator, limit=1000.0)
-    assert [cost for *_, cost in run.curve] == [2.0, 0.9, 0.4]
-    assert 0 < run.curve[0][0] < run.eq6 < run.lower < 200
-    assert run.eq6 == run.curve[1][0]
-
-
-def test_a_baseline_counts_as_beaten_only_if_held_out_scenarios_confirm_it(recipe, clock):
-    from amulett_agents import speed as benchmark
-
-    run = benchmark.time_to_beat(recipe, evaluator_of([0.4] * 1000, held_out=0.8), limit=1e6)
-    assert run.eq6 == run.curve[0][0]
-    assert run.lower is None
-    assert run.curve[-1][1] == recipe.total_steps
-
-
-def test_a_run_ends_at_its_limit(recipe, clock):
-    from amulett_agents import speed as benchmark
-
-    run = benchmark.time_to_beat(recipe, evaluator_of([2.0] * 1000, held_out=2.0), limit=100.0)
-    assert run.curve[-1][1] < recipe.total_steps
-    assert run.eq6 is None
+    return load_train_config(None, SMALL_RECIPE)
 
 
 def test_ppo_has_the_recipe_of_training_and_time_to_beat_its_own():
