@@ -22,7 +22,6 @@ PROFILES = ("simulation", "testbed")
 
 EXACT_SENSORS = {"encoder_bits": 0, "encoder_noise_deg": 0.0, "potentiometer_bits": 0, "potentiometer_noise": 0.0}
 
-
 SMALL_RECIPE = (
     "num_envs=8",
     "total_steps=2048",

@@ -1,4 +1,4 @@
-"""Reinforcement learning: PPO and SAC, the SB3 adapter and policy bundles.
+"""Reinforcement learning on the environments of `amulett_gym`.
 
 Torch and Stable-Baselines3 are imported with the first name that needs them: a recipe is checked without them.
 """

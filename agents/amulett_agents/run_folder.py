@@ -1,4 +1,4 @@
-"""The folder of a training run, and the files in it."""
+"""The files of a training run."""
 
 from __future__ import annotations
 

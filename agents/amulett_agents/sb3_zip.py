@@ -1,4 +1,4 @@
-"""Loading of policies from Stable-Baselines3's zips, which are pickles and need trust."""
+"""Loading of policies from trusted zips of Stable-Baselines3; they contain pickles, which can run code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wrappers between the adapter and a learner."""
+"""Wrappers that prepare the adapter's data for a learner."""
 
 from __future__ import annotations
 

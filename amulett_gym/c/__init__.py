@@ -1,1 +1,1 @@
-"""The tick in plain C, and its compilation."""
+"""The control tick in plain C."""

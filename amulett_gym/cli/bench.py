@@ -1,4 +1,4 @@
-"""`amulett bench`: how fast kernel, environments and learning are, compared with others in the same run."""
+"""`amulett bench`: speed, compared with that of other programs in the same run."""
 
 from __future__ import annotations
 

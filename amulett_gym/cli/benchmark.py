@@ -1,4 +1,4 @@
-"""`amulett benchmark`: every contender on every suite, with references and claims, on one page."""
+"""`amulett benchmark`: every contender on every suite."""
 
 from __future__ import annotations
 

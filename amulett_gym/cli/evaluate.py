@@ -1,4 +1,4 @@
-"""`amulett evaluate`: contenders on the same scenarios, with intervals and a report."""
+"""`amulett evaluate`: compare contenders on the same scenarios."""
 
 from __future__ import annotations
 

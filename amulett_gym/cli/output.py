@@ -1,4 +1,4 @@
-"""Output of commands: lines of text, or one JSON document and nothing else on stdout."""
+"""Output of commands on stdout: lines of text, or a single JSON document."""
 
 from __future__ import annotations
 

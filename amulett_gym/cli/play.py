@@ -1,4 +1,4 @@
-"""`amulett play`: show laws and policies in a window or as a video."""
+"""`amulett play`: show contenders in a window or as a video."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`amulett quickstart`: train, compare and report, end to end."""
+"""`amulett quickstart`: from training to the report."""
 
 from __future__ import annotations
 

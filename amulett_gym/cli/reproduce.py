@@ -1,4 +1,4 @@
-"""`amulett reproduce`: the paper's step responses and Tables 2-5 next to ours."""
+"""`amulett reproduce`: the paper's results next to ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`amulett rerun`: repeat the command that wrote a folder, and compare the numbers."""
+"""`amulett rerun`: check whether a command gives the same numbers again."""
 
 from __future__ import annotations
 

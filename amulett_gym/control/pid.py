@@ -1,4 +1,4 @@
-"""The PID controller, once for the joint's position and once for the antagonist's tension."""
+"""The PID controller."""
 
 from __future__ import annotations
 

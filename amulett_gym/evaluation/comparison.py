@@ -1,4 +1,4 @@
-"""The summary of a comparison: means and ratios with intervals, verdict, table."""
+"""The summary of a comparison: estimates with intervals, verdict, table."""
 
 from __future__ import annotations
 

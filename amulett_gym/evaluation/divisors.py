@@ -1,4 +1,4 @@
-"""Measure the reward's divisors: eq. 6's costs of an episode of each suite and family, on each shipped profile.
+"""Measure the reward's divisors: eq. 6's mean cost of an episode, by suite, family, profile.
 
 ``python -m amulett_gym.evaluation.divisors`` prints them; ``--write`` replaces the frozen file in the package. New
 divisors change every reward, so they need a new version of the environments.

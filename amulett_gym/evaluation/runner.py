@@ -1,4 +1,4 @@
-"""Paired runs: every contender plays the same scenarios with the same seeds and sensor noise."""
+"""Paired runs: every contender plays the same scenarios with the same sensor noise."""
 
 from __future__ import annotations
 

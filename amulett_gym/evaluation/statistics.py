@@ -1,4 +1,4 @@
-"""Estimates over scenarios and training seeds, with bootstrap intervals.
+"""Estimates with bootstrap intervals.
 
 A *resample* draws as many scenarios as there are, with replacement. All metrics of all policies use the same draws: a
 scenario is drawn for every policy or for none, so that differences between scenarios cancel in a ratio. The draws

@@ -1,1 +1,1 @@
-"""How the equations are compiled, and where the compiled code is kept."""
+"""Compilation of the equations."""

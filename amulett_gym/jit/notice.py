@@ -1,4 +1,4 @@
-"""Compilation as the user of a command sees it: it is announced, and Ctrl-C ends the command after it.
+"""Compilation as the user of a command sees it: announced, then interruptible by Ctrl-C.
 
 numba swallows an interrupt that arrives while LLVM works, and goes on with half of its result.
 """

@@ -1,1 +1,1 @@
-"""The tick, batches of it, recorded trajectories and an independent reference."""
+"""Simulation of devices in control ticks."""

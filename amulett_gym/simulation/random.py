@@ -1,4 +1,4 @@
-"""Counter-based random numbers: each is a pure function of a 64-bit key and a counter.
+"""Counter-based random numbers: pure functions of a 64-bit key with a counter.
 
 SplitMix64 (Steele, Lea and Flood, 2014) as a function: its n-th output is a mix of ``key + n * golden``. A device's
 noise depends on its own key and clock only, not on its neighbours, their number or the order of calls.

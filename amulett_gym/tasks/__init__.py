@@ -1,1 +1,1 @@
-"""What the arm is asked to do, and what pushes it."""
+"""Scenarios: setpoints, loads, pushes."""

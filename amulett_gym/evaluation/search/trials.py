@@ -1,4 +1,4 @@
-"""Batches of scenarios for searches: each device of a batch has its own scenario and its own law.
+"""Batches of episodes for searches: each device of a batch has its own scenario, played by its own law.
 
 The cost of an episode is minus its return in the environment, bit for bit: search costs equal evaluated costs. All
 searches (tuned laws, the clairvoyant reference) use this.
