@@ -1,4 +1,4 @@
-"""Compile the C yardsticks with the system's compiler, from declarations generated from the kernel's own dtypes."""
+"""Compile the tick in C with the system's compiler, from declarations generated from the kernel's own dtypes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.simulation import kernel, layout, random
 
 COMPILERS = ("cc", "gcc", "clang")
-NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the yardsticks cannot be built"
+NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
 
 Advance = Callable[[NDArray[np.void], NDArray[np.void], NDArray[np.void], layout.Paths | None, int, int], None]
 """Called as `kernel.advance` is."""

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sections.add_argument("--scale", action="store_true", help="from 1 to 65,536 devices; memory; a simulated hour")
     sections.add_argument("--peers", action="store_true", help="MuJoCo, MyoSuite, gym-electric-motor, if installed")
     parser.add_argument("--devices", type=int, default=1024, help="devices in the vector environments (default: 1024)")
-    parser.add_argument("--turns", type=int, default=7, help="alternating turns of each (default: 7)")
+    parser.add_argument("--turns", type=int, default=7, help="measurements of each, in alternation (default: 7)")
     parser.add_argument("--seed", type=int, default=0, help="seed of scenarios and actions (default: 0)")
     parser.add_argument(
         "--config", metavar="FILE", help="recipe of --ppo (default: that of amulett train) and --time-to-beat (its own)"
@@ -52,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--set", help="change keys of that recipe, for example num_envs=1024")
     parser.add_argument("--seeds", type=int, default=10, help="training runs of --time-to-beat (default: 10)")
     parser.add_argument("--limit", type=float, default=120.0, help="time limit of such a run [s] (default: 120)")
-    parser.add_argument("--simulated", type=float, default=3600.0, help="long run of --scale [s] (default: 3600)")
+    parser.add_argument(
+        "--simulated", type=float, default=3600.0, help="simulated time of --scale's long run [s] (default: 3600)"
+    )
     add_options(parser, "--doc", help="renew the measured sections in a document")
     parser.add_argument("--out", metavar="DIR", help="folder for bench.json and figures")
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""`amulett check`: conformance of the environments, one line for each promise."""
+"""`amulett check`: conformance of the environments, one line for each requirement."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import product
 from amulett_gym.cli.options import add_json
 from amulett_gym.cli.output import print_json, printer
 
-HELP = "check that an environment keeps its promises"
+HELP = "check that environments conform to Gymnasium's API and to their documentation"
 EXAMPLES = """  amulett check
   amulett check Amulett/Tension-v0 --profile simulation --suite paper-step
 """
@@ -43,16 +43,16 @@ def run(arguments: argparse.Namespace) -> int:
     suites = [arguments.suite] if arguments.suite else suite_names()
     subjects = list(product([env_id] if env_id else ENV_IDS, profiles, suites))
     checks, show = [], printer(arguments)
-    with Progress(len(subjects) * len(CHECKS), "check", "promises") as bar:
+    with Progress(len(subjects) * len(CHECKS), "check", "checks") as bar:
         for name, profile, suite in subjects:
             about = {"env_id": name, "profile": profile, "suite": suite}
             show(f"{name}, profile {profile}, suite {suite}")
             for outcome in run_checks(Subject(name, {"profile": profile, "suite": suite})):
                 result = "failed" if outcome.problem else "skipped" if outcome.skipped else "ok"
                 remark = outcome.problem or outcome.skipped
-                checks.append({**about, "check": outcome.promise, "result": result, "remark": remark})
-                show(f"  {result:7} {outcome.promise}{': ' + remark if remark else ''}")
-                bar.update(note=outcome.promise)
+                checks.append({**about, "check": outcome.requirement, "result": result, "remark": remark})
+                show(f"  {result:7} {outcome.requirement}{': ' + remark if remark else ''}")
+                bar.update(note=outcome.requirement)
     count = Counter(check["result"] for check in checks)
     if arguments.json:
         print_json({"failed": count["failed"], "checks": checks})

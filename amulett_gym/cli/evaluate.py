@@ -24,7 +24,7 @@ EXAMPLES = """  amulett evaluate --policies eq6 eq6-printed constant:5 constant:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    names = f"{POLICIES}; eq6 always runs as the yardstick"
+    names = f"{POLICIES}; eq6 always runs, as the baseline of the ratios"
     parser.add_argument("--policies", nargs="+", required=True, metavar="NAME", help=names)
     add_options(parser, "--trust-pickle", "--suite", "--profile", "--split")
     own = "own scenarios (JSON or YAML), played in turn instead of the suite's"

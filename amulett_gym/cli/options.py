@@ -15,7 +15,7 @@ _SHARED: dict[str, dict[str, Any]] = {
     "--scenario": {"metavar": "FILE", "help": "own scenario (JSON or YAML), instead of the suite's"},
     "--trust-pickle": {
         "action": "store_true",
-        "help": "also open zips of Stable-Baselines3: they are pickles, which can run any code of their maker",
+        "help": "also open zips of Stable-Baselines3: they contain pickles, which can run any code",
     },
     "--set": {"nargs": "+", "action": "extend", "default": [], "metavar": "KEY=VALUE", "dest": "overrides"},
     "--doc": {"metavar": "FILE.md", "help": "renew the generated part of a document, and its figures"},

@@ -61,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(f"'{arguments.folder}' was written by '{kind}', which this version cannot run again")
     if not arguments.trust_pickle and (note.config.get("trust_pickle") or "--trust-pickle" in (note.command or [])):
         raise AmulettError(
-            f"the command behind '{arguments.folder}' opened zips of Stable-Baselines3: they are pickles, which run "
-            "any code of their maker; if you trust them, give --trust-pickle here, too"
+            f"the command behind '{arguments.folder}' opened zips of Stable-Baselines3: they contain pickles, which "
+            "can run any code; if you trust them, give --trust-pickle here, too"
         )
     files = [name for name in note.command or [] if python_file(name) is not None]
     files += [name for name in note.config.get("policies", []) if python_file(str(name)) is not None]

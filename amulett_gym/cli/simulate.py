@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--trust-pickle", "--suite", "--profile", "--split", "--scenario")
     parser.add_argument("--seed", type=int, default=0, help="seed of the scenario and the sensor noise (default: 0)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="simulated time [s] (default: 10)")
-    rows = "trajectory, one row a control tick; several laws one below the other, with a column 'law'"
+    rows = "trajectory, one row per control tick; those of several laws follow each other, with a column 'law'"
     parser.add_argument("--out", metavar="FILE.csv", help=rows)
     parser.add_argument("--plot", metavar="FILE.png", help="figure (.png or .svg); several laws share its panels")
     add_json(parser, "metrics, units and scenario")

@@ -12,7 +12,7 @@ from amulett_gym.cli.options import add_json, add_options
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.learning import TUNING, check_installed, load_learning
 
-HELP = "search a recipe's settings; the same command continues an interrupted or killed search"
+HELP = "search for better settings of a recipe; the same command continues an interrupted or killed search"
 EXAMPLES = """  amulett tune --config configs/ppo.yaml --space configs/tune.yaml --trials 40 --out runs/study
   amulett tune --space configs/tune.yaml --set total_steps=500000 --seeds 3 --trials 20 --out runs/study
   amulett train --config runs/study/best.yaml --out runs/best
@@ -24,10 +24,12 @@ _MOST_SHOWN = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--config", metavar="FILE", help="recipe in YAML (default: the default recipe)")
-    add_options(parser, "--set", help="change keys of the recipe before, for example total_steps=500000")
+    add_options(parser, "--set", help="change keys of the recipe before the search, for example total_steps=500000")
     parser.add_argument("--space", metavar="FILE", required=True, help="search space: keys with ranges or choices")
-    parser.add_argument("--trials", type=int, default=40, help="number of trials, with the finished ones (default: 40)")
-    parser.add_argument("--seeds", type=int, default=1, help="runs of each trial; their mean counts (default: 1)")
+    parser.add_argument("--trials", type=int, default=40, help="trials, including finished ones (default: 40)")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="seeds of each trial; its result is their mean (default: 1)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the proposals (default: 0)")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
     add_json(parser, "the trials")

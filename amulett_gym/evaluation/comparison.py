@@ -109,7 +109,7 @@ def in_words(summary: Summary) -> str:
     """Return the comparison for the terminal: table, verdict, remarks."""
     remarks = list(summary["remarks"])
     if not summary["yardstick"]["listed"]:
-        remarks.append(f"{YARDSTICK} was not named; it always runs, as the yardstick")
+        remarks.append(f"{YARDSTICK} was not named; it always runs, as the baseline of the ratios")
     lines = [summary["verdict"], *(f"Note: {remark}." for remark in remarks)]
     return "\n".join([table(summary).text(), "", *map(fill, lines)])
 

@@ -1,6 +1,6 @@
 """Conformance checks of an environment.
 
-A check is a function of a `Subject` that raises an exception if the environment breaks the promise.
+A check is a function of a `Subject` that raises an exception if the environment does not meet the requirement.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STEPS = 120
 
 
 class NotApplicable(Exception):
-    """The promise does not apply to this environment."""
+    """The requirement does not apply to this environment."""
 
 
 @dataclass(frozen=True)
@@ -47,26 +47,26 @@ class Subject:
 class Outcome:
     """A check's result: `problem` is empty if it passed; `skipped` says why it could not run."""
 
-    promise: str
+    requirement: str
     problem: str = ""
     skipped: str = ""
 
 
 def run_checks(subject: Subject) -> Iterator[Outcome]:
     """Run every check on an environment, with warnings as errors, and yield each outcome at once."""
-    for promise, check in CHECKS.items():
+    for requirement, check in CHECKS.items():
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 check(subject)
         except ModuleNotFoundError as error:
-            yield Outcome(promise, skipped=f"{error.name} is not installed")
+            yield Outcome(requirement, skipped=f"{error.name} is not installed")
         except NotApplicable as error:
-            yield Outcome(promise, skipped=str(error))
+            yield Outcome(requirement, skipped=str(error))
         except Exception as error:
-            yield Outcome(promise, problem=f"{type(error).__name__}: {error}")
+            yield Outcome(requirement, problem=f"{type(error).__name__}: {error}")
         else:
-            yield Outcome(promise)
+            yield Outcome(requirement)
 
 
 def _gymnasium(subject: Subject) -> None:
@@ -204,7 +204,7 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "NaN and misshapen actions are refused": _bad_actions,
     "close() twice": _closes,
 }
-"""Promise -> check."""
+"""Requirement -> check."""
 
 
 def fingerprint(subject: Subject, seed: int) -> str:

@@ -40,7 +40,7 @@ from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
 
 YARDSTICK = "eq6"
-"""The contender that all others are compared with; it always runs."""
+"""The baseline, with which all other contenders are compared; it always runs."""
 
 PUSH_SUITE = "hold-push"
 """Suite for the response to pushes if the compared suite has none; it shows whether an arm is slack."""
@@ -194,7 +194,7 @@ class Results:
     schedules : dict of str to Schedule
         Of the contenders that act from outside the loop.
     listed : bool
-        Whether the yardstick was named by the user.
+        Whether the user named eq6.
     push_suite : str
         Suite in which `push_deflection` was measured; the protocol's `task` if that has pushes.
     push_failures : dict of str to int
@@ -235,7 +235,7 @@ def evaluate(
     progress: bool = False,
     scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] = (),
 ) -> Results:
-    """Return the results of contenders, and of the yardstick eq. 6, on the same scenarios.
+    """Return the results of contenders, and of the baseline eq. 6, on the same scenarios.
 
     After a failure, `cost` increases by `COST_CAP` for each agent step left, as in the reward; the other metrics stay
     what they were at the failure.

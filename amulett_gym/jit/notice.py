@@ -29,7 +29,7 @@ def announce_compilation(show: Callable[[str], object]) -> None:
 
 
 def watch_compilation() -> None:
-    """Have numba report when it compiles, if somebody has asked for it and this numba can."""
+    """Have numba report when it compiles, if `announce_compilation` was called before and this version of numba can."""
     if not _shows:
         return
     try:
@@ -51,7 +51,7 @@ class Watch:
         self._handler: Any = None
 
     def notify(self, event: Any) -> None:
-        """Take in that a compilation starts or ends; called by numba."""
+        """Handle the start or end of a compilation; called by numba."""
         if threading.current_thread() is not threading.main_thread():
             return
         if event.is_start:

@@ -143,7 +143,7 @@ def test_check_fails_with_exit_code_1(capsys, monkeypatch):
     def broken(subject: conformance.Subject) -> None:
         raise AssertionError("on purpose")
 
-    monkeypatch.setattr(conformance, "CHECKS", {"a promise": broken})
+    monkeypatch.setattr(conformance, "CHECKS", {"a requirement": broken})
     assert main(["check", "Amulett/Tension-v0", "--profile", "testbed", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["checks"][0]["remark"] == "AssertionError: on purpose"
 

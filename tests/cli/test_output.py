@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
     def broken(subject: conformance.Subject) -> None:
         raise AssertionError("a remark that goes on and on, " * 5)
 
-    monkeypatch.setattr(conformance, "CHECKS", {"a promise that is kept": kept, "one that is broken": broken})
+    monkeypatch.setattr(conformance, "CHECKS", {"a requirement that is met": kept, "one that is broken": broken})
     return tmp_path
 
 
