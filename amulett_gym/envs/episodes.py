@@ -168,7 +168,10 @@ class Episodes:
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""
-        return {name: unit * self.simulation.read(f"paid_{name}") for name, unit in _REWARDED.items()}
+        read = self.simulation.read
+        efforts = read("effort_biceps") + read("effort_triceps")
+        costs = read("position_ise"), efforts, read("tension_ise"), read("contact_ise")
+        return {name: unit * cost for (name, unit), cost in zip(_REWARDED.items(), costs, strict=True)}
 
     def _step(
         self,

@@ -128,6 +128,9 @@ def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, r
         i = np.uint64(device - first)
         # On a ramp: a jump of the setpoint would add effort in each agent step.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
+        # The reward's terms hold the costs before the step, until they are its own.
+        terms = report[device, FIRST_TERM:FIRST_READING]
+        terms[0], terms[1], terms[2], terms[3] = costs(s, i)
     advance_block(p, c, s, m, paths, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
@@ -186,20 +189,22 @@ def observe(p, e, c, s, i, row):
 
 
 @compiled
+def costs(s, i):
+    """Return the raw costs of the episode so far, in the order of `COST_TERMS`."""
+    return s.position_ise[i], s.effort_biceps[i] + s.effort_triceps[i], s.tension_ise[i], s.contact_ise[i]
+
+
+@compiled
 def write_reward(e, c, s, i, report):
-    """Report the reward since the last call with its terms, by the prices of the device's family."""
+    """Report the step's reward with its terms, which hold the costs before the step, by the prices of the family."""
     terms = report[FIRST_TERM:FIRST_READING]
     family = c.family[i]
-    effort = s.effort_biceps[i] + s.effort_triceps[i]
-    terms[0] = -e.prices[family, 0] * (s.position_ise[i] - s.paid_position[i])
-    terms[1] = -e.prices[family, 1] * (effort - s.paid_effort[i])
-    terms[2] = -e.prices[family, 2] * (s.tension_ise[i] - s.paid_tension[i])
-    terms[3] = -e.prices[family, 3] * (s.contact_ise[i] - s.paid_contact[i])
+    position, effort, tension, contact = costs(s, i)
+    terms[0] = -e.prices[family, 0] * (position - terms[0])
+    terms[1] = -e.prices[family, 1] * (effort - terms[1])
+    terms[2] = -e.prices[family, 2] * (tension - terms[2])
+    terms[3] = -e.prices[family, 3] * (contact - terms[3])
     terms[4] = 0.0
-    s.paid_position[i] = s.position_ise[i]
-    s.paid_effort[i] = effort
-    s.paid_tension[i] = s.tension_ise[i]
-    s.paid_contact[i] = s.contact_ise[i]
     cost = -(terms[0] + terms[1] + terms[2] + terms[3])
     if cost > e.cost_cap:
         for k in range(4):

@@ -150,8 +150,6 @@ _STATE_FIELDS = [
     *_fields("step_start step_target step_direction"),
     *_fields("risen", "i8"),
     *_fields("inside_since"),
-    # the costs in the rewards given so far; checkpoints compare these names
-    *_fields("paid_position paid_effort paid_tension paid_contact"),
     *_METRIC_FIELDS,
 ]
 
