@@ -467,10 +467,18 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) 
 #endif
     integer failure = either(absolute(v) > p->velocity_limit, all_integers(VELOCITY_LIMIT), s->failure[i]);
     s->failure[i] = either(absolute(x) > p->angle_limit, all_integers(ANGLE_LIMIT), failure);
+    real turn_biceps = a - s->drive_biceps[i], turn_triceps = b - s->drive_triceps[i];
+    real pull_biceps = s->force_biceps[i], pull_triceps = s->force_triceps[i];
     s->angle[i] = x, s->velocity[i] = v, s->drive_biceps[i] = a, s->drive_triceps[i] = b;
     s->push_torque[i] = push;
     s->contact_torque[i] = obstacle_torque(c, i, x, v);
     update_string_forces(p, c, s, i);
+    real squares = turn_biceps * turn_biceps + turn_triceps * turn_triceps;
+    s->drive_effort[i] += counting * squares / p->control_period;
+    real work_biceps = to_real(c->pulley_biceps_factor[i]) * (pull_biceps + s->force_biceps[i]) * turn_biceps;
+    real work_triceps = to_real(c->pulley_triceps_factor[i]) * (pull_triceps + s->force_triceps[i]) * -turn_triceps;
+    real work = 0.5 * p->drive_radius * (greatest(work_biceps, all(0.0)) + greatest(work_triceps, all(0.0)));
+    s->drive_work[i] += counting * work;
     real error_after = s->setpoint[i] - x;
     real counted = counting * p->control_period;
     s->position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after);

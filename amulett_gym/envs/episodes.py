@@ -140,7 +140,7 @@ class Episodes:
         Returns
         -------
         observations : ndarray of float32, shape (N, observation_size)
-        report : ndarray, shape (N, 37)
+        report : ndarray, shape (N, 39)
             Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
@@ -224,7 +224,7 @@ class Episodes:
         return {**self.__dict__, "_pool": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
-        """Return the report of the given devices' (None: all) present state, shape (len(devices), 37), no reward."""
+        """Return the report of the given devices' (None: all) present state, shape (len(devices), 39), no reward."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
         parameters, _, scenarios, states = self._arrays

@@ -78,6 +78,8 @@ METRICS = (
     "steps_risen",
     "steps_settled",
     "agonist_switches",
+    "drive_effort",
+    "drive_work",
 )
 """Names of ``info["metrics"]``, in order; their units are in the environments' docstring."""
 
@@ -255,3 +257,5 @@ def write_report(p, c, s, i, report):
     m[18] = s.rise_count[i]
     m[19] = settled
     m[20] = s.switch_count[i]
+    m[21] = s.drive_effort[i] * _DEG * _DEG
+    m[22] = s.drive_work[i]

@@ -99,6 +99,8 @@ _ALL = (
     Metric("steps_risen", "steps risen", "1", "number of steps that have a rise time"),
     Metric("steps_settled", "steps settled", "1", "number of steps that have a settling time"),
     Metric("agonist_switches", "agonist switches", "1", "number of switches of the agonist"),
+    Metric("drive_effort", "drive effort", "deg2/s", "eq. 8 of both drives' own motion, after lag and limits", True),
+    Metric("drive_work", "drive work", "J", "mechanical work of both drives: integral of max(0, torque x rate)", True),
 )
 
 METRICS = {metric.key: metric for metric in _ALL}

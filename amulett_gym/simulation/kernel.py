@@ -454,10 +454,19 @@ def end_motion(p, c, s, m, i):
         s.failure[i] = layout.ANGLE_LIMIT
     elif abs(v) > p.velocity_limit:
         s.failure[i] = layout.VELOCITY_LIMIT
+    turn_biceps, turn_triceps = m.biceps[i] - s.drive_biceps[i], m.triceps[i] - s.drive_triceps[i]
+    pull_biceps, pull_triceps = s.force_biceps[i], s.force_triceps[i]
     s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
     update_string_forces(p, c, s, i)
+    # Eq. 8 of the drives' own motion, and the work that they do against their strings: by the mean force in the tick.
+    squares = turn_biceps * turn_biceps + turn_triceps * turn_triceps
+    s.drive_effort[i] += m.counting[i] * squares / p.control_period
+    work_biceps = c.pulley_biceps_factor[i] * (pull_biceps + s.force_biceps[i]) * turn_biceps
+    work_triceps = c.pulley_triceps_factor[i] * (pull_triceps + s.force_triceps[i]) * -turn_triceps
+    work = 0.5 * p.drive_radius * (max(work_biceps, 0.0) + max(work_triceps, 0.0))
+    s.drive_work[i] += m.counting[i] * work
     error_after = s.setpoint[i] - x
     counted = m.counting[i] * p.control_period
     s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)

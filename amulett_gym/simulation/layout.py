@@ -127,7 +127,7 @@ SCENARIO = _record(_SCENARIO_FIELDS)
 _METRIC_FIELDS = _fields(
     "position_ise tension_ise tension_ise_estimated isav_biceps isav_triceps isav_kick effort_biceps effort_triceps "
     "iav_biceps iav_triceps contact_ise contact_peak push_deflection overshoot rise_sum rise_count settling_sum "
-    "settling_count resting_stiffness_sum resting_time step_count switch_count"
+    "settling_count resting_stiffness_sum resting_time step_count switch_count drive_effort drive_work"
 )
 METRICS = tuple(name for name, *_ in _METRIC_FIELDS)
 

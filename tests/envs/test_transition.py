@@ -85,10 +85,10 @@ def test_metrics_are_the_simulations_in_degrees(played):
     open_step = not math.isnan(read["inside_since"])
     settled = read["settling_count"] + open_step
     settling = read["settling_sum"] + (read["inside_since"] - read["step_start"] if open_step else 0.0)
-    same = ("tension_ise", "tension_ise_estimated", "contact_ise", "contact_peak")
+    same = ("tension_ise", "tension_ise_estimated", "contact_ise", "contact_peak", "drive_work")
     expected = {
         "position_ise": read["position_ise"] * squared,
-        **{name: read[name] * squared for name in METRICS if name.startswith(("isav", "effort"))},
+        **{name: read[name] * squared for name in METRICS if name.startswith(("isav", "effort", "drive_effort"))},
         **{name: math.degrees(read[name]) for name in ("iav_biceps", "iav_triceps", "overshoot", "push_deflection")},
         **{name: read[name] for name in same},
         "rise_time": read["rise_sum"] / read["rise_count"],

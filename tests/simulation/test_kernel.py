@@ -452,6 +452,8 @@ def test_mirrored_scenario_gives_the_mirrored_motion(base, law):
     np.testing.assert_allclose(flexing["force_biceps"], extending["force_triceps"], atol=1e-6)
     np.testing.assert_allclose(flexing["command_triceps"], -extending["command_biceps"], atol=1e-7)
     assert flexing["isav_biceps"][-1] == pytest.approx(extending["isav_triceps"][-1], rel=1e-6)
+    for name in ("drive_effort", "drive_work"):
+        assert flexing[name][-1] == pytest.approx(extending[name][-1], rel=1e-6)
 
 
 moves = st.lists(

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import BUSY, PROFILES, device, run, start
+from helpers import BUSY, HELD_DRIVES, PROFILES, device, run, start
 
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation import reference
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import METRICS
 from amulett_gym.simulation.trajectory import record
@@ -25,6 +26,8 @@ SUMS = (
     "effort_triceps",
     "iav_biceps",
     "iav_triceps",
+    "drive_effort",
+    "drive_work",
 )
 
 STEPS = {
@@ -69,6 +72,87 @@ def test_isav_and_iav_are_sums_over_the_commands_increments(motion, drive):
     increment = np.diff(motion[f"command_{drive}"])
     assert motion[f"isav_{drive}"][-1] == pytest.approx(np.sum(increment**2) / motion.control_period, rel=1e-11)
     assert motion[f"iav_{drive}"][-1] == pytest.approx(np.abs(increment).sum(), rel=1e-11)
+
+
+def drive_costs(profile, row, motion):
+    """Return effort [rad2/s] and work [J] of the drives in a motion: of eq. 8 and of torque times turn."""
+    effort = work = 0.0
+    for drive, winds in (("biceps", 1.0), ("triceps", -1.0)):
+        turn, force = np.diff(motion[f"drive_{drive}"]), motion[f"force_{drive}"]
+        torque = winds * profile.plant.drive_pulley_radius * float(row[f"pulley_{drive}_factor"]) * force
+        effort += np.sum(turn**2) / profile.loop.control_period
+        work += np.sum(np.maximum((torque[:-1] + torque[1:]) / 2 * turn, 0.0))
+    return effort, work
+
+
+UNLIKE = {"spring_biceps": 1.15, "spring_triceps": 0.9, "pulley_biceps": 0.95, "pulley_triceps": 1.08}
+
+
+@pytest.mark.parametrize("scenario", [STEPS, {**BUSY, "device": UNLIKE}], ids=["steps", "unlike"])
+@pytest.mark.parametrize("base", PROFILES)
+def test_effort_and_work_of_the_drives_are_those_of_the_reference(base, scenario):
+    """By the recorded motion to the last digits, and by that of the independent model under the same commands."""
+    profile = load_profile(base)
+    row = pack(load_scenario(scenario), profile)[0]
+    motion = run(profile, scenario, 1.0, tension_law="eq6")
+    found = motion["drive_effort"][-1], motion["drive_work"][-1]
+    assert min(found) > 0.0
+    assert found == pytest.approx(drive_costs(profile, row, motion), rel=1e-11)
+    replayed = reference.replay_motion(profile, row, motion)
+    assert found == pytest.approx(drive_costs(profile, row, replayed), rel=2e-5)
+
+
+@pytest.mark.parametrize("law", ["agent", "eq6"])
+def test_effort_of_ideal_drives_is_their_commands_isav(law):
+    ideal, lagging = (run(load_profile(base), STEPS, 4.0, tension_law=law) for base in PROFILES)
+    isav, more = (motion["isav_biceps"][-1] + motion["isav_triceps"][-1] for motion in (ideal, lagging))
+    assert ideal["drive_effort"][-1] == pytest.approx(isav, rel=1e-12)
+    assert 0.0 < lagging["drive_effort"][-1] < 0.1 * more
+
+
+def turned(base, **turns):
+    """Return the motion of a device whose drives are commanded to turn [rad] from rest, each tick, without a loop."""
+    simulation = start(device(base, loop=HELD_DRIVES), control="position-only")
+    rest = {drive: simulation.states[f"offset_{drive}"].copy() for drive in turns}
+
+    def command(tick):
+        for drive, turn in turns.items():
+            simulation.states[f"offset_{drive}"][...] = rest[drive] + turn[tick]
+
+    return record(simulation, min(map(len, turns.values())), before_tick=command)
+
+
+def minimum_jerk(period, seconds):
+    """Return the ticks' progress of 0 to 1."""
+    progress = np.arange(1, round(seconds / period) + 1) * period / seconds
+    return progress**3 * (10 - 15 * progress + 6 * progress**2)
+
+
+@pytest.mark.parametrize("drives", [["biceps"], ["triceps"], ["biceps", "triceps"]], ids="-".join)
+def test_effort_of_a_minimum_jerk_is_ten_sevenths_of_its_squared_amplitude_over_its_time(drives):
+    amplitude, seconds = 0.6, 0.5
+    path = amplitude * minimum_jerk(load_profile("simulation").loop.control_period, seconds)
+    motion = turned("simulation", **dict.fromkeys(drives, path))
+    expected = len(drives) * 10 / 7 * amplitude**2 / seconds
+    assert motion["drive_effort"][-1] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_work_of_the_drives_is_the_energy_that_they_put_into_the_springs(base):
+    """Both strings are tightened alike, so the arm rests; when they are loosened, the drives do no work."""
+    profile, turn = load_profile(base), 0.5
+    period = profile.loop.control_period
+    path = turn * np.concatenate([minimum_jerk(period, 0.5), np.ones(round(1.0 / period))])
+    path = np.concatenate([path, turn - path])
+    motion = turned(base, biceps=path, triceps=-path)
+    assert np.abs(motion["angle"]).max() < 1e-9
+    tight = path.size // 2
+    radius = profile.plant.drive_pulley_radius
+    deflection = radius * np.linspace(motion["drive_biceps"][0], motion["drive_biceps"][tight], 2001)
+    force = np.vectorize(reference.string_force(profile))(deflection)
+    energy = 2 * np.sum((force[1:] + force[:-1]) / 2 * np.diff(deflection))
+    assert motion["drive_work"][tight] == pytest.approx(energy, rel=1e-4)
+    assert motion["drive_work"][-1] == pytest.approx(energy, rel=1e-4)
 
 
 @pytest.mark.parametrize("base", PROFILES)
