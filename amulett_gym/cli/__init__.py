@@ -17,7 +17,7 @@ from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.jit.notice import announce_compilation
 
 COMMANDS = (
-    *("quickstart", "train", "tune", "evaluate", "benchmark", "rerun", "simulate"),
+    *("quickstart", "train", "tune", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
     *("play", "reproduce", "identify", "config", "check", "list", "bench"),
 )
 
@@ -96,7 +96,7 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", dest="command")
     for name in COMMANDS:
-        module = import_module(f"amulett_gym.cli.{name}")
+        module = import_module(f"amulett_gym.cli.{name.replace('-', '_')}")
         command = commands.add_parser(
             name,
             help=module.HELP,

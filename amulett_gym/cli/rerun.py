@@ -178,6 +178,29 @@ def _quickstart(folder: Path) -> Numbers:
     return {**trained, "policies": policies, "scenarios": scenarios}
 
 
+def _tune_law_again(note: Provenance, old: Path, new: Path) -> None:
+    from amulett_gym.cli.tune_law import tune_in
+    from amulett_gym.evaluation.search.laws import Recipe
+    from amulett_gym.reporting.progress import say
+
+    try:
+        recipe = Recipe(**note.config)
+    except (TypeError, ValueError) as error:
+        raise AmulettError(f"'{old / 'command.json'}' does not describe a tuning: {error}") from error
+    tune_in(str(new), recipe, note.command or ["amulett", "tune-law"], say)
+
+
+def _tuned(folder: Path) -> Numbers:
+    """Return the content of a tuned law's file."""
+    from amulett_gym.storage.reading import read_json, visible
+
+    paths = [path for path in visible(folder, "*-*.json") if path.is_file()]
+    if len(paths) != 1:
+        raise AmulettError(f"'{folder}' is not finished: repeat the command that began it")
+    content: Numbers = read_json(paths[0], "tuned law")
+    return content
+
+
 def _command_again(note: Provenance, old: Path, new: Path) -> None:
     """Run a command's words again; it writes only to the new folder, even if they name other outputs."""
     from amulett_gym.cli import build_parser
@@ -228,6 +251,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "identify": (_command_again, _reader("identification.json")),
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),
+    "tune-law": (_tune_law_again, _tuned),
     "reproduce": (_command_again, _reader("reproduction.json")),
     "bench": (_command_again, _measured),
 }

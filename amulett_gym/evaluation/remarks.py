@@ -1,4 +1,4 @@
-"""Remarks on results of the user's own device."""
+"""Remarks on the device of results: tuned laws of another one, and the user's own."""
 
 from __future__ import annotations
 
@@ -8,22 +8,25 @@ from collections.abc import Iterable, Sequence
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
-from amulett_gym.laws.parametric import tuned_names
+from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
 from amulett_gym.profile import Profile, is_shipped
 
 
 def device_remarks(
     profile: Profile, contenders: Iterable[str] = (), tension_range: tuple[float, float] = TENSION_RANGE
 ) -> list[str]:
-    """Return remarks on the user's own device, as sentences without a full stop; none for a shipped device.
+    """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
-    They are about divisors and parameters of a shipped device (for `contenders`, by name), and the findings of
-    `diagnose` for this tension range [N].
+    On any device: laws from files that were tuned on another one. On the user's own device: divisors and parameters of
+    a shipped one, and the findings of `diagnose` for this tension range [N].
     """
+    contenders = list(contenders)
+    elsewhere = [(name, tuning_differs(name, profile)) for name in contenders if is_tuned_file(name)]
+    remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
     if is_shipped(profile):
-        return []
+        return remarks
     owner = divisors_owner(profile)
-    remarks = [
+    remarks += [
         f"costs on the {profile.name} are divided by those of eq6 on the {owner}: eq6's cost need not be about 1, and "
         "a term that is small here, often the effort, has little weight"
     ]

@@ -44,7 +44,7 @@ _DESCRIPTIONS = {
     "pretrained:tension": "the best learned policy that was trained in Amulett/Tension-v0",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
-    "<file.json>": "a tuned law, from `python -m amulett_gym.evaluation.search.laws`",
+    "<file.json>": "a tuned law, from `amulett tune-law`",
     "<file.py:function>": "your own function from observations to actions; the file is run",
 }
 

@@ -1,9 +1,9 @@
 """Laws with tunable parameters.
 
-A law maps an observation to a tension setpoint. Both laws act from outside the loop, at agent rate, on observations of
+A law maps an observation to a tension setpoint. All laws act from outside the loop, at agent rate, on observations of
 shape (N, 13). Each row can have its own parameters: tuning tries many at once.
 
-``eq6-tuned`` is the paper's eq. 6 with its exponent (4) as a fourth parameter.
+``constant`` is one tension. ``eq6-tuned`` is the paper's eq. 6 with its exponent (4) as a fourth parameter.
 
 ``parametric`` is a sum, limited smoothly to the range of tensions (see `_squash`) and low-pass filtered, with one time
 constant for a rising tension and another for a falling one::
@@ -44,7 +44,7 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
-from amulett_gym.profile import Profile
+from amulett_gym.profile import Profile, load_profile
 from amulett_gym.storage.reading import read_json
 
 RANGE = TENSION_RANGE
@@ -91,13 +91,12 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Law:
-    """A law with its parameters; the compiled `fill` computes the tensions of a batch."""
+class Space:
+    """A set of tunable parameters, as vectors and as points of the unit cube."""
 
     name: str
     description: str
     parameters: tuple[Parameter, ...]
-    fill: Tensions
 
     def vector(self, values: Mapping[str, float]) -> Values:
         """Return named values as the vector that `tensions` takes.
@@ -138,6 +137,17 @@ class Law:
             by_logarithm = np.log(vectors / low) / np.log(high / low)
         return np.where(logarithmic, by_logarithm, (vectors - low) / (high - low))
 
+    def _bounds(self) -> tuple[Values, Values, NDArray[np.bool_]]:
+        low, high, logarithmic = zip(*((p.low, p.high, p.logarithmic) for p in self.parameters), strict=True)
+        return np.array(low), np.array(high), np.array(logarithmic)
+
+
+@dataclass(frozen=True)
+class Law(Space):
+    """A law with its parameters; the compiled `fill` computes the tensions of a batch."""
+
+    fill: Tensions
+
     def tensions(
         self, observations: NDArray[Any], vectors: Values, device: Device, setpoint_range: tuple[float, float]
     ) -> Values:
@@ -157,10 +167,6 @@ class Law:
         constants, period = device.constants, device.agent_period
         self.fill(rows, np.ascontiguousarray(vectors), constants, period, *setpoint_range, tensions)
         return tensions
-
-    def _bounds(self) -> tuple[Values, Values, NDArray[np.bool_]]:
-        low, high, logarithmic = zip(*((p.low, p.high, p.logarithmic) for p in self.parameters), strict=True)
-        return np.array(low), np.array(high), np.array(logarithmic)
 
 
 @dataclass(frozen=True)
@@ -182,6 +188,12 @@ class Device:
         nominal = inertia([item.mass for item in masses], [item.arm for item in masses])
         constants = (profile.plant.joint_pulley_radius, nominal, damping.a, damping.b, c, damping.d)
         return cls(np.array(constants), agent_period)
+
+
+@compiled
+def _fill_constant(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+    for k in range(rows.shape[0]):
+        tensions[k] = vectors[k if vectors.shape[0] > 1 else 0, 0]
 
 
 @compiled
@@ -257,6 +269,13 @@ def _gain(name: str, meaning: str) -> Parameter:
     return Parameter(name, "N", -11.0, 11.0, 0.0, meaning)
 
 
+BEST_CONSTANT = Law(
+    "constant",
+    "a constant tension",
+    (Parameter("tension", "N", *RANGE, 10.0, "the constant tension setpoint"),),
+    _fill_constant,
+)
+
 EQ6_TUNED = Law(
     "eq6-tuned",
     "eq. 6 with tuned parameters, from outside at agent rate",
@@ -297,7 +316,7 @@ PARAMETRIC = Law(
     _fill_parametric,
 )
 
-LAWS = {law.name: law for law in (EQ6_TUNED, PARAMETRIC)}
+LAWS = {law.name: law for law in (BEST_CONSTANT, EQ6_TUNED, PARAMETRIC)}
 
 
 def tuned_names() -> dict[str, str]:
@@ -305,7 +324,8 @@ def tuned_names() -> dict[str, str]:
 
     ``<law>:<suite>`` has the parameters tuned on that suite; the law's name alone has those tuned on `DEFAULT_SUITE`.
     """
-    names = {law.name: f"{law.description}; as {law.name}:{DEFAULT_SUITE}" for law in LAWS.values()}
+    shipped = {law: LAWS[law].description for _, law, suite in _shipped() if suite == DEFAULT_SUITE}
+    names = {law: f"{description}; as {law}:{DEFAULT_SUITE}" for law, description in shipped.items()}
     return names | {f"{law}:{suite}": f"{law}, tuned on {suite}" for _, law, suite in _shipped()}
 
 
@@ -330,22 +350,41 @@ def tuned_vector(name: str, profile: Profile) -> tuple[Law, Values]:
 
 
 def read_tuned(path: str) -> tuple[Law, Values]:
-    """Return a law with its parameters from a file of `evaluation.search.laws`; they can be used on any profile.
+    """Return a law with its parameters from a file of `amulett tune-law`; they can be used on any profile.
 
     Raises
     ------
     AmulettError
         If it cannot be read or is not such a file.
     """
-    content = read_json(path, "tuned law")
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise AmulettError(f"'{path}' is not a tuned law: its 'format' is not '{FORMAT}'")
+    content = _tuned_file(path)
     try:
         law = LAWS[content["recipe"]["law"]]
         values = {key: float(entry["value"]) for key, entry in content["parameters"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise AmulettError(f"tuned law '{path}' is damaged: {type(error).__name__} {error}") from error
     return law, law.vector(values)
+
+
+def tuning_differs(path: str, profile: Profile) -> str:
+    """Return on which other device a file's law was tuned, as the end of a sentence; an empty string if on this one."""
+    recipe = _tuned_file(path).get("recipe")
+    there = recipe.get("profile") if isinstance(recipe, dict) else None
+    try:
+        tuned = load_profile(there if isinstance(there, str | dict) else "")
+    except AmulettError:
+        return f"was tuned on a device that cannot be read, not on the {profile.name}"
+    if tuned == profile:
+        return ""
+    other = "another version of the " if tuned.name == profile.name else "the "
+    return f"was tuned on {other}{tuned.name}, not on the {profile.name}"
+
+
+def _tuned_file(path: str) -> dict[str, Any]:
+    content = read_json(path, "tuned law")
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise AmulettError(f"'{path}' is not a tuned law: its 'format' is not '{FORMAT}'")
+    return content
 
 
 def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:

@@ -13,6 +13,10 @@ from amulett_gym.cli import COMMANDS, main
 from amulett_gym.studies.speed.rates import contestants, race
 
 
+def _module(command):
+    return import_module(f"amulett_gym.cli.{command.replace('-', '_')}")
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself_with_examples_in_80_columns(command, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
@@ -23,7 +27,7 @@ def test_every_command_explains_itself_with_examples_in_80_columns(command, caps
     assert f"examples:\n  amulett {command}" in output
     assert max(map(len, output.splitlines())) <= 80
     examples = output.partition("examples:")[2].replace("\\\n", "")
-    assert " ".join(examples.split()) == " ".join(import_module(f"amulett_gym.cli.{command}").EXAMPLES.split())
+    assert " ".join(examples.split()) == " ".join(_module(command).EXAMPLES.split())
 
 
 def test_help_imports_nothing_heavy():

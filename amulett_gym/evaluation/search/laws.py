@@ -1,16 +1,14 @@
-"""Tune a law's parameters by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
+"""Tune by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
 
-``python -m amulett_gym.evaluation.search.laws --law parametric --suite steps --out DIR`` tunes; ``--write`` puts the
-result into the package, too. Each independent start is a *stage*: those finished in the folder are not repeated.
+`tune` searches from several independent starts, each with random candidates. What is finished in the folder is not
+repeated: starts, and generations of a start. ``amulett tune-law`` is the command.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -22,13 +20,18 @@ from scipy.optimize import differential_evolution
 
 from amulett_gym import __version__
 from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Choose, Trials
-from amulett_gym.laws.parametric import FORMAT, LAWS, TUNED, Device, Law
-from amulett_gym.profile import load_profile
-from amulett_gym.storage.kept import digest, kept
+from amulett_gym.laws.parametric import BEST_CONSTANT, FORMAT, LAWS, TUNED, Device, Law
+from amulett_gym.profile import Profile, is_shipped, load_profile
+from amulett_gym.reporting.progress import Progress
+from amulett_gym.settings import to_plain
+from amulett_gym.storage.kept import digest, read_kept, write_kept
 from amulett_gym.storage.writing import write_json
+
+STAGES = ((14, 40), (42, 20))
+"""Stages of a start, as in `Recipe`. The first, with few scenarios, finds the region; the second refines it."""
 
 Values = NDArray[np.float64]
 
@@ -39,77 +42,235 @@ class Recipe:
 
     Attributes
     ----------
-    law, suite, profile : str
+    law, suite : str
+    profile : str or dict
+        Anything that `load_profile` takes; kept as the name of a shipped profile, or else as the content.
     seeds : tuple of int
         One for each independent start.
     population : int
         Candidates in a generation; 0: four, and two for each of the law's parameters.
     generations : tuple of (int, int)
-        Stages of a start: the number of training scenarios, and of generations on them. The first, with few scenarios,
-        finds the region; the others refine it.
+        Stages of a start: the number of training scenarios, and of generations on them.
     validation : int
         Validation scenarios, which choose among the starts.
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown or a number out of its range.
     """
 
     law: str = "parametric"
     suite: str = "steps"
-    profile: str = "testbed"
+    profile: Any = "testbed"
     seeds: tuple[int, ...] = (1, 2)
     population: int = 0
-    generations: tuple[tuple[int, int], ...] = ((14, 40), (42, 20))
+    generations: tuple[tuple[int, int], ...] = STAGES
     validation: int = 200
 
     def __post_init__(self) -> None:
         if self.law not in LAWS:
             raise unknown("law", self.law, LAWS)
+        profile = load_profile(self.profile)
+        kept = profile.name if is_shipped(profile) else profile.model_dump(mode="json")
+        object.__setattr__(self, "profile", kept)
+        object.__setattr__(self, "seeds", tuple(self.seeds))
+        object.__setattr__(self, "generations", tuple((count, number) for count, number in self.generations))
         if not self.population:
             object.__setattr__(self, "population", 4 + 2 * len(LAWS[self.law].parameters))
         if self.population < 5:
             raise AmulettError(f"population is {self.population}; differential evolution needs at least 5")
         if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
-            raise AmulettError(f"seeds are {self.seeds}; they have to differ and to be at least 0")
+            raise AmulettError(f"seeds are {list(self.seeds)}; they have to differ and to be at least 0")
         counts = [self.validation, *(number for stage in self.generations for number in stage)]
         if not self.generations or min(counts) < 1:
             raise AmulettError("generations and validation have to be at least 1 each")
+        for split, episodes in (("train", self.scenarios), ("validation", self.validation)):
+            self.protocol(split, episodes)  # names and numbers are checked there
+
+    @property
+    def scenarios(self) -> int:
+        """Number of training scenarios."""
+        return max(scenarios for scenarios, _ in self.generations)
 
     @property
     def episodes(self) -> int:
         """Simulated training episodes of all starts."""
-        of_one = sum(scenarios * (1 + generations) for scenarios, generations in self.generations)
-        return len(self.seeds) * self.population * of_one
+        return len(self.seeds) * sum(self.calls())
+
+    @property
+    def judging(self) -> int:
+        """Simulated episodes that judge what each start found, on all its training and validation scenarios."""
+        return len(self.seeds) * (self.scenarios + self.validation)
+
+    def calls(self) -> list[int]:
+        """Return the simulated episodes of a start's generations, one after the other."""
+        stages = [[self.population * scenarios] * (1 + number) for scenarios, number in self.generations]
+        return [episodes for stage in stages for episodes in stage]
+
+    def within(self, budget: int) -> Recipe:
+        """Return this recipe with as many generations of `STAGES`, about in their proportion, as `budget` allows.
+
+        Raises
+        ------
+        AmulettError
+            If the budget is too small for one generation of each.
+        """
+        (few, more), (many, fewer) = STAGES
+        ratio, once = more // fewer, len(self.seeds) * self.population
+        each = budget // once - few - many
+        number, rest = divmod(each, ratio * few + many)
+        if number < 1:
+            raise AmulettError(
+                f"a budget of {budget} simulated episodes is too small: {len(self.seeds)} times {self.population} "
+                f"candidates need at least {once * ((1 + ratio) * few + 2 * many)}"
+            )
+        return replace(self, generations=((few, ratio * number + rest // few), (many, number)))
+
+    def protocol(self, split: str, episodes: int) -> Protocol:
+        """Return the scenarios of a split."""
+        return Protocol(self.device(), self.suite, split, episodes=episodes)
+
+    def device(self) -> Profile:
+        """Return the profile."""
+        return load_profile(self.profile)
 
 
-Report = Callable[[str, Mapping[str, Any]], None]
+Report = Callable[[int, Mapping[str, Any]], None]
 
 
-def tune(folder: str | Path, recipe: Recipe, report: Report = lambda name, stage: None) -> dict[str, Any]:
-    """Tune a law, write ``<profile>/<law>-<suite>.json`` with its ``stages/``, and return the file's content.
+def result_path(folder: str | Path, recipe: Recipe) -> Path:
+    """Return the file of the result in a folder."""
+    return Path(folder) / f"{recipe.law}-{recipe.suite}.json"
 
-    The file is a contender. Its parameters are those of the start with the lowest cost on `validation`. `report` is
-    called with the name and result of each finished start.
+
+def tune(
+    folder: str | Path,
+    recipe: Recipe,
+    report: Report = lambda seed, start: None,
+    begin: Callable[[int], object] = lambda done: None,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Tune a law, write `result_path` and ``stages/``, and return the file's content.
+
+    The file is a contender. Its parameters are those of the start with the lowest cost on `validation`.
+
+    Parameters
+    ----------
+    folder : str or Path
+    recipe : Recipe
+    report : callable
+        Called with the seed and result of each finished start.
+    begin : callable
+        Called first, with the number of episodes that an earlier run in the folder has simulated.
+    progress : bool
+        Whether to show progress on stderr.
 
     Raises
     ------
     AmulettError
-        If a name is unknown, or a file cannot be read or written.
+        If a file cannot be read or written.
     """
-    place, name = Path(folder) / load_profile(recipe.profile).name, f"{recipe.law}-{recipe.suite}"
-    most = max(scenarios for scenarios, _ in recipe.generations)
-    train = Trials(_protocol(recipe, "train", most))
-    validation = Trials(_protocol(recipe, "validation", recipe.validation))
-    starts = {}
-    for seed in recipe.seeds:
-        inputs = _inputs(recipe, seed, train, validation)
-        path = place / "stages" / f"{name}-{seed}.json"
-        starts[seed] = kept(path, inputs, partial(search, recipe, seed, train, validation))
-        report(f"{name}-{seed}", starts[seed])
-    content = _content(recipe, starts, train, validation)
-    write_json(place / f"{name}.json", content)
+    train = Trials(recipe.protocol("train", recipe.scenarios))
+    validation = Trials(recipe.protocol("validation", recipe.validation))
+    starts = [_Start(folder, recipe, seed, train, validation) for seed in recipe.seeds]
+    done = sum(start.done for start in starts)
+    begin(done)
+    with Progress(recipe.episodes + recipe.judging, "tune-law", "episodes", progress, done) as bar:
+        for start in starts:
+            start.finish(bar.update)
+            report(start.seed, start.result)
+    content = _content(recipe, {start.seed: start.result for start in starts}, train, validation)
+    write_json(result_path(folder, recipe), content)
     return content
 
 
-def search(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
+def check_shippable(recipe: Recipe) -> None:
+    """Refuse a recipe whose result cannot be one of the package's tuned laws."""
+    if not isinstance(recipe.profile, str):
+        raise AmulettError(
+            f"only laws tuned on a shipped device can be put into the package, not on {recipe.device().name}"
+        )
+    if recipe.law == BEST_CONSTANT.name:
+        raise AmulettError("the package has no tuned constant: name it, for example constant:6")
+
+
+def ship(recipe: Recipe, content: Mapping[str, Any]) -> Path:
+    """Put a result into the package, instead of the present one; return the file."""
+    check_shippable(recipe)
+    with resources.as_file(resources.files("amulett_gym").joinpath(*TUNED)) as folder:
+        path = result_path(folder / recipe.profile, recipe)
+        write_json(path, content)
+    return path
+
+
+@dataclass
+class _Start:
+    """One independent search, kept in a file: its result, or the costs of its generations until then."""
+
+    folder: str | Path
+    recipe: Recipe
+    seed: int
+    train: Trials
+    validation: Trials
+    known: list[list[float]] = field(default_factory=list)
+    result: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.path = Path(self.folder) / "stages" / f"{self.recipe.law}-{self.recipe.suite}-{self.seed}.json"
+        self.inputs = _inputs(self.recipe, self.seed, self.train, self.validation)
+        found = read_kept(self.path, self.inputs)
+        if isinstance(found, dict) and "parameters" in found:
+            self.result = found
+        elif isinstance(found, dict) and _fits(found.get("costs"), self.recipe):
+            self.known = found["costs"]
+
+    @property
+    def done(self) -> int:
+        """Episodes that were simulated until now."""
+        if self.result:
+            return (self.recipe.episodes + self.recipe.judging) // len(self.recipe.seeds)
+        return sum(self.recipe.calls()[: len(self.known)])
+
+    def finish(self, advance: Callable[[int], object]) -> None:
+        """Search on, and keep every generation; `advance` is called with the number of simulated episodes."""
+        if self.result:
+            return
+
+        def keep(costs: Values) -> None:
+            advance(self.recipe.calls()[len(self.known)])
+            self.known.append(costs.tolist())
+            write_kept(self.path, self.inputs, {"costs": self.known})
+
+        self.result = search(self.recipe, self.seed, self.train, self.validation, tuple(self.known), keep)
+        advance(self.recipe.judging // len(self.recipe.seeds))
+        write_kept(self.path, self.inputs, self.result)
+
+
+def _fits(costs: Any, recipe: Recipe) -> bool:
+    """Return whether kept costs are those of generations."""
+    try:
+        return np.shape(costs)[1:] == (recipe.population,) and bool(np.isfinite(costs).all())
+    except (TypeError, ValueError):
+        return False
+
+
+def search(
+    recipe: Recipe,
+    seed: int,
+    train: Trials,
+    validation: Trials,
+    known: Sequence[Sequence[float]] = (),
+    keep: Callable[[Values], object] = lambda costs: None,
+) -> dict[str, Any]:
     """Return the result of a search from one start.
+
+    Parameters
+    ----------
+    known : sequence
+        Costs of the first generations from an earlier run of the same search; they are not simulated again.
+    keep : callable
+        Called with the costs of each generation that was simulated.
 
     Returns
     -------
@@ -129,7 +290,11 @@ def search(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict
 
         def value(columns: Values, scenarios: int = scenarios) -> Values:
             nonlocal episodes, least
-            costs = mean_costs(law, law.from_unit(columns.T), train, np.arange(scenarios))
+            if len(history) < len(known):
+                costs = np.array(known[len(history)])
+            else:
+                costs = mean_costs(law, law.from_unit(columns.T), train, np.arange(scenarios))
+                keep(costs)
             episodes += costs.size * scenarios
             least = min(least, float(costs.min()))
             history.append([episodes, least])
@@ -166,10 +331,6 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
     return choose
 
 
-def _protocol(recipe: Recipe, split: str, episodes: int) -> Protocol:
-    return Protocol(load_profile(recipe.profile), recipe.suite, split, episodes=episodes)
-
-
 def _content(
     recipe: Recipe, starts: Mapping[int, Mapping[str, Any]], train: Trials, validation: Trials
 ) -> dict[str, Any]:
@@ -182,7 +343,7 @@ def _content(
         "format": FORMAT,
         "version": 1,
         "parameters": described,
-        "recipe": json.loads(json.dumps(asdict(recipe))),
+        "recipe": to_plain(asdict(recipe)),
         "chosen_seed": chosen,
         "training_episodes": recipe.episodes,
         "starts": {str(seed): {key: start[key] for key in ("train", "validation")} for seed, start in starts.items()},
@@ -193,7 +354,7 @@ def _content(
 
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
     """Return all that a start's result depends on."""
-    this = asdict(replace(recipe, seeds=(seed,)))
+    this = asdict(replace(recipe, seeds=(seed,))) | {"profile": recipe.device().name}
     law = [asdict(parameter) for parameter in LAWS[recipe.law].parameters]
     scenarios = [train.digest(), validation.digest()]
     long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}
@@ -201,26 +362,21 @@ def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dic
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--law", nargs="+", default=list(LAWS), choices=list(LAWS))
+    """Run the deprecated command."""
+    parser = argparse.ArgumentParser(description="Deprecated: use amulett tune-law.")
+    parser.add_argument("--law", nargs="+", default=["eq6-tuned", "parametric"], choices=list(LAWS))
     parser.add_argument("--suite", nargs="+", default=["steps"])
     parser.add_argument("--profile", default="testbed")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder of results; its finished starts are reused")
+    parser.add_argument("--out", required=True, metavar="DIR")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(Recipe.seeds))
-    parser.add_argument("--write", action="store_true", help="put the result into the package, too")
     arguments = parser.parse_args(argv)
-
-    def report(name: str, start: Mapping[str, Any]) -> None:
-        print(f"{name:28} train {start['train']:.4f}, validation {start['validation']:.4f}", flush=True)
-
+    warn_deprecated("python -m amulett_gym.evaluation.search.laws is deprecated: use amulett tune-law")
     for suite in arguments.suite:
         for law in arguments.law:
             recipe = Recipe(law, suite, arguments.profile, tuple(arguments.seeds))
-            content = tune(arguments.out, recipe, report)
-            if arguments.write:
-                with resources.as_file(resources.files("amulett_gym").joinpath(*TUNED)) as folder:
-                    write_json(folder / arguments.profile / f"{law}-{suite}.json", content)
+            folder = Path(arguments.out) / recipe.device().name
+            tune(folder, recipe, progress=True)
+            print(f"Written: {result_path(folder, recipe)}")
 
 
 if __name__ == "__main__":

@@ -2,16 +2,26 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.evaluation.runner import Protocol, evaluate
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.laws import Recipe, following, mean_costs, tune
 from amulett_gym.evaluation.search.trials import Trials
-from amulett_gym.laws.parametric import EQ6_TUNED, PARAMETRIC, tuned_vector
+from amulett_gym.laws.parametric import (
+    BEST_CONSTANT,
+    EQ6_TUNED,
+    PARAMETRIC,
+    tuned_content,
+    tuned_vector,
+    tuning_differs,
+)
+from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import load_profile
 
 SMALL = Recipe("eq6-tuned", seeds=(1, 2), population=6, generations=((2, 2), (4, 2)), validation=5)
@@ -37,21 +47,40 @@ def test_tuning_finds_what_is_no_worse_than_its_start(tmp_path, trials):
     assert mean_costs(EQ6_TUNED, found[None], trials, np.arange(4))[0] < start
     chosen = content["starts"][str(content["chosen_seed"])]
     assert chosen["validation"] == min(start["validation"] for start in content["starts"].values())
-    assert content == json.loads((tmp_path / "testbed" / "eq6-tuned-steps.json").read_text())
+    assert content == json.loads((tmp_path / "eq6-tuned-steps.json").read_text())
+
+
+def test_the_best_constant_is_searched_as_a_law(tmp_path, trials):
+    content = tune(tmp_path, replace(SMALL, law="constant"))
+    found = content["parameters"]["tension"]["value"]
+    tensions = np.arange(4.0, 15.5)
+    costs = mean_costs(BEST_CONSTANT, tensions[:, None], trials, np.arange(4))
+    assert mean_costs(BEST_CONSTANT, np.array([[found]]), trials, np.arange(4))[0] < 1.001 * costs.min()
+    path = str(tmp_path / "constant-steps.json")
+    both = evaluate([path, f"constant:{found!r}"], episodes=2).values
+    assert both[path]["cost"].tolist() == both[f"constant:{found!r}"]["cost"].tolist()
+    env = gym.make("amulett_gym:Amulett/Scaling-v0", tension_range=(found - 0.5, found + 0.5))
+    assert load_policy(path, env)(np.zeros(13)) == pytest.approx([0.0], abs=1e-6)
 
 
 def test_a_law_tuned_on_a_device_of_ones_own_is_a_contender(tmp_path):
     path = tmp_path / "device.yaml"
     path.write_text("name: mine\nbase: testbed\nplant: {orientation: vertical, masses: [{mass: 0.1, arm: 0.1}]}\n")
     content = tune(tmp_path / "out", replace(SMALL, profile=str(path)))
-    law, vector = tuned_vector(str(tmp_path / "out" / "mine" / "eq6-tuned-steps.json"), load_profile(path))
+    profile, law_file = load_profile(path), str(tmp_path / "out" / "eq6-tuned-steps.json")
+    law, vector = tuned_vector(law_file, profile)
     assert law is EQ6_TUNED
     assert vector.tolist() == [entry["value"] for entry in content["parameters"].values()]
+    path.unlink()
+    assert tuning_differs(law_file, profile) == ""
+    assert tuning_differs(law_file, load_profile("testbed")) == "was tuned on the mine, not on the testbed"
+    other = profile.model_copy(update={"description": "changed"})
+    assert tuning_differs(law_file, other) == "was tuned on another version of the mine, not on the mine"
 
 
 def test_the_episodes_that_were_simulated_are_those_of_the_recipe(tmp_path):
     stages = {}
-    tune(tmp_path, SMALL, lambda name, stage: stages.update({name: stage}))
+    tune(tmp_path, SMALL, lambda seed, stage: stages.update({seed: stage}))
     assert sum(stage["history"][-1][0] for stage in stages.values()) == SMALL.episodes == 2 * 6 * (2 * 3 + 4 * 3)
     for stage in stages.values():
         assert [entry[0] for entry in stage["history"]] == [12, 24, 36, 60, 84, 108]
@@ -73,9 +102,7 @@ def test_a_finished_start_is_not_done_again_and_an_interrupted_study_goes_on(tmp
     first = tune(tmp_path / "whole", SMALL)
     done = []
     search = tuning.search
-    monkeypatch.setattr(
-        tuning, "search", lambda recipe, seed, *trials: done.append(seed) or search(recipe, seed, *trials)
-    )
+    monkeypatch.setattr(tuning, "search", lambda recipe, seed, *rest: done.append(seed) or search(recipe, seed, *rest))
     tune(tmp_path / "parts", replace(SMALL, seeds=(2,)))
     assert tune(tmp_path / "parts", SMALL) == first
     assert tune(tmp_path / "parts", SMALL) == first
@@ -84,9 +111,67 @@ def test_a_finished_start_is_not_done_again_and_an_interrupted_study_goes_on(tmp
     assert done == [2, 1, 1, 2]
 
 
+def test_an_interrupted_start_goes_on_with_its_generation(tmp_path, monkeypatch):
+    first = tune(tmp_path / "whole", SMALL)
+    costs, played = tuning.mean_costs, []
+
+    def interrupted(law, vectors, *rest):
+        if len(played) == 4:
+            raise KeyboardInterrupt
+        played.append(len(vectors))
+        return costs(law, vectors, *rest)
+
+    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tune(tmp_path / "parts", SMALL)
+    played.clear()
+    monkeypatch.setattr(tuning, "mean_costs", lambda *given: played.append(len(given[1])) or costs(*given))
+    begun = []
+    assert tune(tmp_path / "parts", SMALL, begin=begun.append) == first
+    assert begun == [6 * (2 + 2 + 2 + 4)]
+    assert played == [6, 6, 1, 1] + [6] * 6 + [1, 1]
+    assert tune(tmp_path / "parts", SMALL, begin=begun.append) == first
+    assert begun[1] == SMALL.episodes + SMALL.judging == 216 + 2 * (4 + 5)
+    for name in (1, 2):
+        stage = Path("stages") / f"eq6-tuned-steps-{name}.json"
+        assert (tmp_path / "whole" / stage).read_text() == (tmp_path / "parts" / stage).read_text()
+
+
+def test_a_budget_is_kept_and_the_shipped_one_gives_the_shipped_generations():
+    for law in ("constant", "eq6-tuned", "parametric"):
+        recipe = Recipe(law)
+        assert recipe.within(recipe.episodes) == recipe
+        if law != "constant":
+            assert recipe.episodes == tuned_content(law, load_profile("testbed"), "steps")["training_episodes"]
+    for budget in (3_024, 5_000, 100_003):
+        found = Recipe("eq6-tuned").within(budget)
+        assert budget - 2 * 12 * 14 < found.episodes <= budget
+    with pytest.raises(AmulettError, match="budget of 3023 .* 2 times 12 candidates need at least 3024"):
+        Recipe("eq6-tuned").within(3_023)
+
+
+def test_the_deprecated_command_tunes_into_a_folder_of_the_device(tmp_path, monkeypatch):
+    recipes = []
+    monkeypatch.setattr(tuning, "tune", lambda folder, recipe, **given: recipes.append((folder, recipe)))
+    with pytest.warns(DeprecationWarning, match="use amulett tune-law"):
+        tuning.main(["--law", "eq6-tuned", "--seeds", "1", "--out", str(tmp_path)])
+    assert recipes == [(tmp_path / "testbed", Recipe("eq6-tuned", seeds=(1,)))]
+
+
+def test_only_laws_of_shipped_devices_can_be_put_into_the_package(tmp_path, monkeypatch):
+    with pytest.raises(AmulettError, match="only laws tuned on a shipped device.*not on mine"):
+        tuning.check_shippable(replace(SMALL, profile={"name": "mine", "base": "testbed"}))
+    with pytest.raises(AmulettError, match="no tuned constant"):
+        tuning.check_shippable(replace(SMALL, law="constant"))
+    monkeypatch.setattr(tuning.resources, "files", lambda package: tmp_path)
+    path = tuning.ship(SMALL, {"a": 1})
+    assert path == tmp_path / "laws" / "tuned" / "testbed" / "eq6-tuned-steps.json"
+    assert json.loads(path.read_text()) == {"a": 1}
+
+
 def test_a_damaged_stage_is_done_again(tmp_path):
     first = tune(tmp_path, SMALL)
-    path = tmp_path / "testbed" / "stages" / "eq6-tuned-steps-1.json"
+    path = tmp_path / "stages" / "eq6-tuned-steps-1.json"
     written = path.read_text()
     path.write_text("{")
     assert tune(tmp_path, SMALL) == first

@@ -1,0 +1,137 @@
+"""`amulett tune-law`: its result is a law for other commands; it goes on after an interrupt, and can be repeated."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import partial
+
+import gymnasium as gym
+import pytest
+
+import amulett_gym
+from amulett_gym.cli import main
+from amulett_gym.evaluation.search import laws as tuning
+
+DEVICE = "{name: mine, base: testbed, sensors: {encoder_bits: 12}}"
+SEARCH = ["tune-law", "eq6-tuned", "--suite", "steps", "--seeds", "3", "--validation", "4"]
+
+
+SHORT = ((1, 2), (2, 1))
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    """Let searches be of a tenth of a second."""
+    monkeypatch.setattr(tuning, "STAGES", SHORT)
+    monkeypatch.setattr(tuning, "Recipe", partial(tuning.Recipe, generations=SHORT))
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dev.yaml").write_text(DEVICE)
+    return tmp_path
+
+
+def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, capsys):
+    assert main([*SEARCH, "--profile", "dev.yaml", "--out", "tuned"]) == 0
+    out, err = capsys.readouterr()
+    assert "eq6-tuned on steps of the mine, starts 3: 90 simulated episodes, 84 on train" in " ".join(out.split())
+    assert "90 episodes were simulated." in out
+    assert "Compare: amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json --suite steps --profile dev.yaml" in out
+    assert "Note: costs on the mine are divided by those of eq6 on the testbed" in err
+    law = "tuned/eq6-tuned-steps.json"
+    for command in (
+        ["evaluate", "--policies", law, "--episodes", "1"],
+        ["simulate", "--law", law, "--duration", "0.1"],
+        ["play", law, "--steps", "1", "--video", "a.png"],
+    ):
+        for profile, remark in (("dev.yaml", False), ("testbed", True)):
+            assert main([*command, "--profile", profile, "--json"]) == 0
+            remarks = json.loads(capsys.readouterr().out)["remarks"]
+            assert (f"{law} was tuned on the mine, not on the testbed" in remarks) is remark
+    env = gym.make("amulett_gym:Amulett/Scaling-v0", profile="dev.yaml")
+    assert amulett_gym.load_policy(law, env)(env.reset(seed=0)[0]).shape == (1,)
+
+
+def test_json_is_the_file(place, capsys):
+    assert main([*SEARCH, "--out", "tuned", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((place / "tuned" / "eq6-tuned-steps.json").read_text())
+    assert printed["recipe"]["profile"] == "testbed"
+
+
+def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(place, capsys, monkeypatch):
+    costs, calls = tuning.mean_costs, []
+
+    def interrupted(*given):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return costs(*given)
+
+    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    assert main([*SEARCH, "--out", "tuned"]) == 130
+    err = capsys.readouterr().err
+    words = "amulett tune-law eq6-tuned --suite steps --profile testbed --seeds 3 --validation 4 --out tuned"
+    assert f"interrupted; finished generations are kept. Continue with:\n       {words}\n" in err
+    assert main(["rerun", "tuned", "--out", "again"]) == 2
+    assert "'tuned' is not finished" in capsys.readouterr().err.replace(str(place) + "/", "")
+    assert main(words.split()[1:]) == 0
+    assert "24 are done" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_folder_can_be_repeated_without_its_profile_file(place, capsys):
+    assert main([*SEARCH, "--profile", "dev.yaml", "--budget", "150", "--out", "tuned"]) == 0
+    (place / "dev.yaml").unlink()
+    assert main(["rerun", "tuned", "--out", "again", "--json"]) == 0
+    assert '"same": true' in capsys.readouterr().out
+    first, again = (json.loads((place / name / "eq6-tuned-steps.json").read_text()) for name in ("tuned", "again"))
+    assert first == again
+    first["parameters"]["exponent"]["value"] += 1e-9
+    (place / "tuned" / "eq6-tuned-steps.json").write_text(json.dumps(first))
+    assert main(["rerun", "tuned", "--out", "third"]) == 1
+    assert "parameters.exponent.value was" in capsys.readouterr().out
+
+
+def test_the_package_is_written_only_when_asked_for_and_before_nothing_is_searched(place, capsys, monkeypatch):
+    shipped = []
+    monkeypatch.setattr(tuning, "ship", lambda recipe, content: shipped.append(recipe.law) or "there.json")
+    assert main([*SEARCH, "--out", "tuned"]) == 0
+    assert shipped == []
+    assert main([*SEARCH, "--out", "tuned", "--write"]) == 0
+    assert shipped == ["eq6-tuned"]
+    assert "tuned/eq6-tuned-steps.json, there.json" in capsys.readouterr().out
+    assert main([*SEARCH, "--profile", "dev.yaml", "--out", "other", "--write"]) == 2
+    assert not (place / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["parametrc", "--out", "x"], "did you mean 'parametric'"),
+        (["constant", "--suite", "stepz", "--out", "x"], "did you mean 'steps'"),
+        (["constant", "--profile", "none.yaml", "--out", "x"], "cannot read profile 'none.yaml'"),
+        (["constant", "--budget", "0", "--out", "x"], "a budget of 0 simulated episodes is too small"),
+        (["constant", "--seeds", "1", "1", "--out", "x"], "seeds are .1, 1.; they have to differ"),
+        (["constant", "--validation", "0", "--out", "x"], "at least 1"),
+        (["constant", "--write", "--out", "x"], "no tuned constant"),
+        (["constant", "--out", "dev.yaml"], "is a file"),
+    ],
+)
+def test_wrong_input_is_refused_before_anything_is_made(words, message, place, capsys):
+    assert main(["tune-law", *words]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert [path.name for path in place.iterdir()] == ["dev.yaml"]
+
+
+def test_a_folder_holds_one_law(place, capsys):
+    assert main([*SEARCH, "--out", "tuned"]) == 0
+    assert main([*SEARCH, "--out", "tuned", "--seeds", "3", "4"]) == 0  # another start is added
+    assert main(["tune-law", "constant", "--suite", "steps", "--out", "tuned"]) == 2
+    assert "'tuned' holds a tuning of eq6-tuned on steps; choose another folder" in capsys.readouterr().err
+    assert main([*SEARCH, "--out", "tuned", "--profile", "dev.yaml"]) == 2
+    assert "eq6-tuned on steps, for another device; choose another folder" in capsys.readouterr().err
+    assert main([*SEARCH, "--out", "."]) == 2
+    assert "holds no tuned law" in capsys.readouterr().err
