@@ -151,7 +151,7 @@ def _on_paper_step(found: Content, best: str) -> list[Claim]:
     for key in PAPER_METRICS:
         name = METRICS[key].paper_name or METRICS[key].name
         ratio = None if results is None else results[best]["metrics"][key]["ratio_to_eq6"]
-        text = f"{name} at most {TRADE} times eq. 6's, or the interval reaches down to 1"
+        text = f"{name} at most {TRADE} times eq. 6's, or 1 is within the 95 % interval of the ratio"
         claims.append(_claim(PAPER_STEP, text, ratio, _about_one, "ratio"))
     return claims
 

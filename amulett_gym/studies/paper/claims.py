@@ -236,7 +236,11 @@ def _all(quantities: Sequence[Quantity], low: float = -math.inf, high: float = m
 def _variable_to(metric: str, device: str, others: Sequence[str] = (PLAIN, FIVE, TEN)) -> tuple[Quantity, ...]:
     """Return the number with variable stiffness over those of other configurations."""
     return tuple(
-        ratio(_key(metric, device, VARIABLE), _key(metric, device, other), f"{METRICS[metric]} against {NAMES[other]}")
+        ratio(
+            _key(metric, device, VARIABLE),
+            _key(metric, device, other),
+            f"{METRICS[metric]} compared with {NAMES[other]}",
+        )
         for other in others
     )
 
@@ -276,9 +280,11 @@ def _stiffness_is_adjustable(device: str) -> tuple[Within, ...]:
         {name: _key(f"stiffness_{where}", device, name) for name in (FIVE, TEN)} for where in ("at_rest", "flexed")
     )
     return (
-        Within(ratio(at_rest[TEN], at_rest[FIVE], f"{device}, 10 N against 5 N"), low=1.05),
+        Within(ratio(at_rest[TEN], at_rest[FIVE], f"{device}, 10 N compared with 5 N"), low=1.05),
         *(
-            Within(ratio(flexed[name], at_rest[name], f"{device} {NAMES[name]}, 45 deg against 0 deg"), 0.95, 1.05)
+            Within(
+                ratio(flexed[name], at_rest[name], f"{device} {NAMES[name]}, 45 deg compared with 0 deg"), 0.95, 1.05
+            )
             for name in (FIVE, TEN)
         ),
     )
@@ -353,9 +359,10 @@ _STATEMENTS: dict[str, Sequence[Within]] = {
         )
         for other in (PLAIN, FIVE, TEN)
     ),
-    "switching-no-peaks": _SWITCHED + _all(_switching("switch_deviation", "moved by"), high=_MARGIN),
-    "switching-force-jumps": _all(_switching("force_jump", "jumps by"), low=0.5),
-    "switching-force-oscillates": _all(_switching("force_swings", "swings per step:"), low=1.999),
+    "switching-no-peaks": _SWITCHED
+    + _all(_switching("switch_deviation", "largest movement by a switch:"), high=_MARGIN),
+    "switching-force-jumps": _all(_switching("force_jump", "force jumps by"), low=0.5),
+    "switching-force-oscillates": _all(_switching("force_swings", "swings of the force per step:"), low=1.999),
     "discussion-rise": _all([change("rise_time", SIMULATION, name) for name in (FIVE, TEN)], 0.85, DOWN),
     "discussion-position-ise": _all([change("position_ise", SIMULATION, name) for name in (FIVE, TEN)], UP, 1.05),
     "discussion-isav-biceps": tuple(
@@ -385,8 +392,8 @@ _STATEMENTS: dict[str, Sequence[Within]] = {
         high=0.1,
     ),
     "discussion-overshoot": (
-        Within(value(_key("overshoot", TESTBED, VARIABLE), "beyond by"), low=0.5),
-        Within(value(_key("swing_back", TESTBED, VARIABLE), "then short by"), low=0.1),
+        Within(value(_key("overshoot", TESTBED, VARIABLE), "overshoot"), low=0.5),
+        Within(value(_key("swing_back", TESTBED, VARIABLE), "then below the setpoint by"), low=0.1),
     ),
     "discussion-switching": _SWITCHED
     + _all([_ise_by_switching(name, f"{NAMES[name]} position ISE") for name in WITH_TENSION], high=1.05),
@@ -489,7 +496,11 @@ def _reduced(device: str, configuration: str) -> _Part:
         ratio(_key(metric, device, configuration), _key(metric, device, PLAIN), METRICS[metric])
         for metric in ("rise_time", "position_ise")
     )
-    return f"{device}, {NAMES[configuration]}", "both are reduced by more than 1 %", _all([*ratios], high=0.99)
+    return (
+        f"{device}, {NAMES[configuration]}",
+        "rise time and position ISE are both over 1 % lower than with position-only control",
+        _all([*ratios], high=0.99),
+    )
 
 
 def _softened(device: str) -> list[_Part]:
@@ -497,10 +508,12 @@ def _softened(device: str) -> list[_Part]:
 
     def softening(configuration: str) -> Quantity:
         far, near = (_key(f"stiffness_{where}", device, configuration) for where in ("far", "near"))
-        return ratio(far, near, f"{NAMES[configuration]}: stiffness far against near")
+        label = f"{NAMES[configuration]}: stiffness far from the setpoint, compared with that near it:"
+        return ratio(far, near, label)
 
     def tension(where: str, wanted: float) -> Within:
-        measured = value(_key(f"tension_{where}", device, VARIABLE), f"tension {where}")
+        label = {"far": "tension far from the setpoint", "near": "tension near it"}[where]
+        measured = value(_key(f"tension_{where}", device, VARIABLE), label)
         return Within(measured, 0.75 * wanted, 1.25 * wanted)
 
     constants = [bound(softening(other), lambda softened: 0.95 * softened) for other in (FIVE, TEN)]
@@ -513,13 +526,14 @@ def _softened(device: str) -> list[_Part]:
         ),
         (
             device,
-            "eq. 6 causes that: far from the target the joint softens at least 5 % more than at a constant tension",
+            "eq. 6 causes this: the stiffness far from the setpoint, divided by that near it, is over 5 % lower than "
+            "with each constant tension",
             [Within(softening(VARIABLE), high=constant) for constant in constants],
         ),
         (
             device,
-            f"it is controlled: the antagonist's tension is within 25 % of eq. 6's {_MINIMUM:g} N far from the "
-            f"setpoint, and of its {_NOMINAL:g} N near it",
+            f"the stiffness is controlled: the antagonist's tension is within 25 % of the values of eq. 6, "
+            f"{_MINIMUM:g} N far from the setpoint and {_NOMINAL:g} N near it",
             [tension("far", _MINIMUM), tension("near", _NOMINAL)],
         ),
     ]
@@ -528,17 +542,17 @@ def _softened(device: str) -> list[_Part]:
 def _switched_smoothly(configuration: str) -> list[_Part]:
     """Return the criteria of hypothesis 3: the same moves, with and without switching."""
     switched = Within(value(_key("switches", TESTBED, configuration), "switches:"), low=0.0)
-    moved = value(_key("switch_deviation", TESTBED, configuration), "moved by")
+    moved = value(_key("switch_deviation", TESTBED, configuration), "largest movement by a switch:")
     return [
         (
             NAMES[configuration],
-            "the agonist switches, and position ISE is less than 5 % larger than with the biceps as agonist throughout",
+            "the agonist switches, and position ISE is less than 5 % larger than if the biceps is always the agonist",
             [switched, Within(_ise_by_switching(configuration, "position ISE"), high=1.05)],
         ),
         (
             NAMES[configuration],
-            "no switch moves the joint by more than the error margin of 2 deg away from where it would be without that "
-            "switch",
+            "no switch moves the joint by more than the error margin of 2 deg, compared with the same motion without "
+            "that switch",
             [switched, Within(moved, high=_MARGIN)],
         ),
     ]

@@ -161,11 +161,11 @@ def slack_in_words(name: str, trajectory: Trajectory) -> str:
         after = force[np.flatnonzero(slack)[-1] :].max()
         return (
             f"{where} the antagonist goes slack far from the setpoint: the true force is below {SLACK:g} N for "
-            f"{time:.2g} s, and the filtered estimate does not fall below {estimate[slack].min():.2g} N then. "
-            f"Tensioned again, the string reaches {after:.3g} N."
+            f"{time:.2g} s, while the filtered estimate is at least {estimate[slack].min():.2g} N. "
+            f"When the string is tensioned again, its force reaches {after:.3g} N."
         )
     least = int(np.argmin(force))
-    return f"{where} the true force falls to {force[least]:.2g} N, where the estimate is {estimate[least]:.2g} N."
+    return f"{where} the true force falls to {force[least]:.2g} N, while the estimate is {estimate[least]:.2g} N."
 
 
 def switches_in_words(switches: Sequence[Switch]) -> str:

@@ -215,7 +215,9 @@ def _summary(reproduction: Reproduction) -> Table:
         name = Markup('<a href="#table-{0}">Table {0}</a>').format(table)
         places = ", ".join(f"{place(row).replace(',', '')} ({number(row.ratio)})" for row in missed)
         body.append([name, METRICS[TABLES[table]], f"{count} of {size}", places or "none"])
-    return Table("", ("table", "metric", "explained", "not explained (ours over the paper's)"), body, left=(0, 1, 3))
+    return Table(
+        "", ("table", "metric", "explained", "not explained (ours divided by the paper's)"), body, left=(0, 1, 3)
+    )
 
 
 def _claims(claims: Sequence[CheckedClaim]) -> Table:
@@ -242,8 +244,8 @@ def _claims(claims: Sequence[CheckedClaim]) -> Table:
             ]
             for item in claims
         ],
-        "Changes are against position-only control unless said otherwise; what changes by half a percent or less "
-        "counts as unchanged.",
+        "Changes are relative to position-only control unless another configuration is named. A change of half a "
+        "percent or less counts as none.",
         left=(0, 1, 2, 3),
     )
 

@@ -41,7 +41,7 @@ from amulett_gym.tasks.suites import START
 
 STATUS = (
     "What the paper does not print was fitted to all rows of both devices at once (`amulett identify`), with one set "
-    "of mechanical parameters and one set of readings for all rows; nothing is tuned per row."
+    "of mechanical parameters and one set of interpretations for all rows; nothing is tuned per row."
 )
 """Origin of the parameters of any study."""
 
@@ -51,15 +51,15 @@ TABLES = dict(zip((2, 3, 4, 5), METRICS, strict=True))
 READINGS = {
     "eq6": "form of eq. 6",
     "damping": "form of Figure 3's fit",
-    "preload": "which preload damps",
-    "wiring": "what the antagonist follows",
+    "preload": "preload that determines the damping",
+    "wiring": "command of the antagonist's drive",
     "agonist": "which drive is the agonist",
     "floor": "forces below the 5 N floor",
-    "derivative_on": "what the derivatives are of",
+    "derivative_on": "input of the derivative terms",
     "rise_time": "rise time",
     "tension_error": "force in the tension ISE",
     "isav_unit": "unit of ISAV",
-    "isav_kick": "jump at the step, in ISAV",
+    "isav_kick": "drives whose jump at the step counts in the ISAV",
     "isav_columns": "columns of Table 5",
 }
 """Readings in words; one that is not here goes by its name."""
@@ -192,7 +192,7 @@ def paper_table(reproduction: Reproduction, table: int, short: bool = False) -> 
     """
     places = [index for index, row in enumerate(reproduction.rows) if row.cell.table == table]
     rows = [reproduction.rows[index] for index in places]
-    nearest = "nearest under" if short else "reading, alone, that comes nearer"
+    nearest = "nearest under" if short else "interpretation that alone comes nearer"
     paper, ours = (f" [{unit.replace('^2', '2')}]" if unit else "" for unit in (rows[0].cell.unit, rows[0].unit))
     return Table(
         f"Table {table}: {METRICS[TABLES[table]]}",
@@ -261,9 +261,9 @@ def force_rise_table(evidence: Evidence) -> Table:
             for item in evidence.force_rises
         ],
         "Time after the step until the string force is within 5 % of its setpoint (section 2.2). The paper defines "
-        "this rise time and prints no number. Force and setpoint are those of Table 4; 0 s: the step finds the force "
-        "within the margin. On the testbed, noise takes the estimate out of the margin repeatedly: the last entry "
-        "is when it last came back.",
+        "this rise time and prints no number. Force and setpoint are those of Table 4; 0 s: the force is within the "
+        "margin when the step comes. On the testbed, noise repeatedly takes the estimate out of the margin: the last "
+        "entry is the last time that it came back.",
         left=(0, 1),
     )
 
@@ -286,16 +286,17 @@ def readings_table(evidence: Evidence) -> Table:
     above = sorted({f"{start['cost'] - least:.1f}" for start in found["starts"]}, key=float)
     taken = ", ".join(f"{READINGS.get(name, name)} `{item}`" for name, item in asdict(reproduction.readings).items())
     return Table(
-        "Readings",
+        "Interpretations",
         ("interpretation", *_EACH, "closer", "less close", "explained after a new fit", "cost"),
         body,
-        "Interpretations of what the paper leaves open; each line changes one of the chosen ones. How many "
-        "numbers of each table it explains (of 8, 8, 8 and 16), and how many are closer to the paper's or less close "
-        "than with the chosen ones. The last two columns: how many of all it explains when the parameters are fitted "
-        "again with it, and the cost of that fit. The cost is a smooth count of the rows that are out of their "
-        f"bounds, which still grows a little for a row far outside; rows weigh 1, those of {weights}. The search "
-        f"itself varies: its independent starts ended {' to '.join(dict.fromkeys((above[0], above[-1])))} above the "
-        f"least cost that was found, so that smaller differences of costs are not significant. As chosen: {taken}.",
+        "Each line changes one of the chosen interpretations of what the paper leaves open. The columns: how many "
+        "numbers of each table are explained (of 8, 8, 8 and 16); how many numbers are closer to the paper's, and how "
+        "many are less close, than with the chosen interpretations; how many of all 40 are explained after all "
+        "parameters are fitted again with this interpretation, and the cost of that fit. The cost is a smooth count of "
+        "the rows that are outside their bounds; it grows slightly with the distance from them. Weights of rows: "
+        f"{weights}, all others 1. The search is not exact: its independent starts ended "
+        f"{' to '.join(dict.fromkeys((above[0], above[-1])))} above the lowest cost found, so smaller differences of "
+        f"cost are not significant. The chosen interpretations: {taken}.",
     )
 
 
@@ -312,8 +313,9 @@ def cross_check_table(evidence: Evidence) -> Table:
             ]
             for left_out, rows in evidence.predicted.items()
         ],
-        "Ratios to the paper's numbers, in the order of Tables 2, 3, 4, 5 biceps, 5 triceps. These are single fits, "
-        "the first seed's, with any spring and without the choice among equally good sets.",
+        "Ratios to the paper's numbers, in the order of Tables 2, 3, 4, 5 biceps, 5 triceps. Each line is a "
+        "single fit, that of the first seed, without a condition on the spring and without the choice among equally "
+        "good sets.",
         left=(0, 2, 3),
     )
 
@@ -359,8 +361,8 @@ def springs_table(evidence: Evidence) -> Table:
         "Which spring laws the tables allow",
         ("spring law", "free length / half width", "stiffness at 10 N / at 4 N", "cost", *_EACH, "of 40", "ratios"),
         body,
-        "The best fit with each law, all other parameters fitted again. Ratios: the rise time and the position ISE "
-        "measured with variable stiffness.",
+        "The best fit with each law, all other parameters fitted again. Ratios to the paper's numbers: rise time and "
+        "position ISE of the testbed with variable stiffness.",
     )
 
 
@@ -370,6 +372,8 @@ def sensitivity_tables(evidence: Evidence) -> list[Table]:
     configurations = list(next(iter(found.by_hysteresis.values())))
     last = PROTOCOL.repetitions_testbed - 1
     reference = published("tension_ise", "testbed", "position-only").value
+    in_table_4 = our_numbers(evidence.reproduction).get(("tension_ise", "testbed", "position-only", None))
+    first = next(iter(found.by_setpoint.values()))
 
     def explained_by(name: Callable[[Any], str], counts: Mapping[Any, Sequence[int]]) -> list[list[str]]:
         return [[name(key), *map(str, numbers), str(sum(numbers))] for key, numbers in counts.items()]
@@ -395,7 +399,7 @@ def sensitivity_tables(evidence: Evidence) -> list[Table]:
                 ]
                 for factor, switches in found.by_hysteresis.items()
             ],
-            "Switches in the movements of Figure 9, and the most that one of them moves the joint.",
+            "Number of switches in the movements of Figure 9, and the largest movement of the joint by one of them.",
         ),
         Table(
             "Forces estimated below the floor",
@@ -405,11 +409,11 @@ def sensitivity_tables(evidence: Evidence) -> list[Table]:
         ),
         Table(
             "Setpoint of the tension ISE without tension control",
-            ("error against the", "tension ISE [N2 s]", "over the paper's"),
+            ("setpoint", "tension ISE [N2 s]", "divided by the paper's"),
             [[name, f"{ise:.3f}", f"{ise / reference:.2f}"] for name, ise in found.by_setpoint.items()],
-            f"On the testbed; the paper takes the mean of the signal over {MOVES_FROM:g} s. For this mean the step "
-            f"comes at {MOVES_FROM:g} s instead of {START:g} s, with other noise: the first row therefore differs "
-            "from Table 4.",
+            f"On the testbed. The paper takes the mean of the force signal over the first {MOVES_FROM:g} s. So here "
+            f"the step comes after {MOVES_FROM:g} s, in Table 4 after {START:g} s. The sensor noise then differs: with "
+            f"the same setpoint the first row has {first:.3f} N2 s, and Table 4 has {number(in_table_4)} N2 s.",
         ),
     ]
 
@@ -453,7 +457,7 @@ def bounds_in_words() -> str:
         same = len(set(bounds.values())) == 1
         said = bounds[DEVICES[0]] if same else ", ".join(f"{words} ({device})" for device, words in bounds.items())
         parts.append(f"{name} {said}")
-    return f"A number is explained if ours over the paper's is within its bounds: {'; '.join(parts)}."
+    return f"A number is explained if ours divided by the paper's is within its bounds: {'; '.join(parts)}."
 
 
 def counts_in_words(evidence: Evidence) -> str:

@@ -523,7 +523,8 @@ def spread_table(content: Mapping[str, Any]) -> Table:
         "range and do not reach its ends. Shares are measured on a logarithmic scale, except for `length_ratio`. The "
         "control period has five possible values; it is determined if the equally good sets use one value or two "
         "neighbouring ones. For comparison with the inertia: the weight of the damping experiment "
-        f"alone, {1000.0 * PROTOCOL.damping_mass:g} g at {1000.0 * PROTOCOL.damping_arm:g} mm, has {weight:.2g} kg m2.",
+        f"alone, {1000.0 * PROTOCOL.damping_mass:g} g at {1000.0 * PROTOCOL.damping_arm:g} mm, has a moment "
+        f"of inertia of {weight:.2g} kg m2.",
         left=(0, 2, 6),
     )
 

@@ -99,7 +99,7 @@ def test_costs_differ_by_what_the_search_itself_varies(evidence):
 
 
 def test_every_reading_is_there(page):
-    assert len(rows_of(page, "Readings")) == 1 + len(ALTERNATIVES)
+    assert len(rows_of(page, "Interpretations")) == 1 + len(ALTERNATIVES)
 
 
 def test_the_cross_check_has_a_line_for_each_configuration_and_all_rows_folded_away(page, evidence):

@@ -327,6 +327,9 @@ def test_the_text_of_the_document_agrees_with_its_generated_part(evidence):
     assert fewer["tension_error", "estimated"] == fewer["tension_error", "true"] == 2
     assert "If both use the same signal, two fewer numbers are explained" in text
     assert fewer["damping", "printed"] == fewer["rise_time", "first-entry"] == 1
+    supported = [item.ours.holds for item in evidence.claims if item.paper is not None and not item.contradicted]
+    claims = f"Of the {len(supported)} claims about the tables that the paper's own numbers support, "
+    assert f"{claims}{supported.count(True)} hold on the simulated devices" in text
     moves = evidence.sensitivity.by_hysteresis[1.0]
     constant = max(moves[name][1] for name in ("tension-5", "tension-10"))
     moved = f"by up to {constant:.1f} deg under a constant tension and by {moves['variable'][1]:.1f} deg under variable"
