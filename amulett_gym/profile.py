@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.gains import Loops
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
 from amulett_gym.storage.curve import Curve, is_csv, read_curve
 from amulett_gym.storage.reading import user_path, visible
@@ -220,6 +221,7 @@ class Profile(Group):
     drives: Drives = Field(description="both motors")
     sensors: Sensors = Field(description="encoder and potentiometers")
     loop: Loop = Field(description="controllers")
+    loops: Loops = Field(default=Loops(), description="gains of the other loops of `amulett_gym.control`")
     variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
 
     @model_validator(mode="after")

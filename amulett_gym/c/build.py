@@ -20,7 +20,8 @@ from amulett_gym.simulation import kernel, layout, random
 COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
 
-Advance = Callable[[NDArray[np.void], NDArray[np.void], NDArray[np.void], layout.Paths | None, int, int], None]
+Blocks = NDArray[np.void]
+Advance = Callable[[Blocks, Blocks, Blocks, layout.Paths | None, layout.Loop | None, int, int], None]
 """Called as `kernel.advance` is."""
 
 
@@ -116,6 +117,7 @@ def build(name: str, folder: Path) -> Advance:
         scenarios: NDArray[np.void],
         states: NDArray[np.void],
         paths: layout.Paths | None,
+        loop: layout.Loop | None,
         num_devices: int,
         ticks: int,
     ) -> None:
@@ -124,6 +126,8 @@ def build(name: str, folder: Path) -> Advance:
                 "the tick in C follows moves only: a scenario may have no sampled setpoint and at most "
                 f"{layout.MAX_MOVES} moves"
             )
+        if loop is not None:
+            raise AmulettError("the tick in C has the paper's loop only")
         function(parameters.ctypes.data, scenarios.ctypes.data, states.ctypes.data, num_devices, ticks)
 
     return advance

@@ -1,1 +1,1 @@
-"""Section 2.2 of the paper: the controllers."""
+"""Control loops: those of section 2.2 of the paper and of the literature."""

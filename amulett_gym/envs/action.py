@@ -16,6 +16,9 @@ from amulett_gym.jit.compiled import compiled
 TENSION_RANGE = (4.0, 15.0)
 """Default tension setpoints at action -1 and +1 [N]."""
 
+FEED_FORWARD_RANGE = (0.0, 15.0)
+"""The same in loops that feed the co-contraction forward: they can let the strings go slack."""
+
 
 def tension_of(action: Any, low: float, high: float) -> Any:
     """Return the tension [N] that an action, a number or an array, means in the range from `low` to `high` [N]."""

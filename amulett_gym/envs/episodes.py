@@ -21,7 +21,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import LANES, MAX_MOVES, RUNNING, Paths
+from amulett_gym.simulation.layout import LANES, MAX_MOVES, RUNNING, Loop, Paths
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import episode_keys, sample
@@ -156,7 +156,7 @@ class Episodes:
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if len(self._shares) == 1:
-            self._step(self._arrays, self.simulation.paths, actions, observations, report)
+            self._step(self._arrays, self.simulation.paths, self.simulation.loop, actions, observations, report)
         else:
             self._step_in_threads(actions, observations, report)
         if own is not None:
@@ -177,12 +177,13 @@ class Episodes:
         self,
         arrays: Arrays,
         paths: Paths | None,
+        loop: Loop | None,
         actions: NDArray[np.floating[Any]],
         observations: Observations,
         report: Report,
     ) -> None:
         """Take one agent step with the devices of some blocks."""
-        transition.step(*arrays, paths, actions, observations, report)
+        transition.step(*arrays, paths, loop, actions, observations, report)
         if self.privileged:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
@@ -201,7 +202,10 @@ class Episodes:
             paths = self.simulation.paths
             if paths is not None:
                 paths = paths[0], paths[1][blocks]
-            self._step(arrays, paths, actions[rows], observations[rows], report[rows])
+            loop = self.simulation.loop
+            if loop is not None:
+                loop = loop[0], loop[1][blocks]
+            self._step(arrays, paths, loop, actions[rows], observations[rows], report[rows])
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")

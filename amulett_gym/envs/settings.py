@@ -9,13 +9,13 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
-from amulett_gym.envs.action import TENSION_RANGE
+from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.envs.reward import RewardFunction, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
-from amulett_gym.simulation.layout import CONTROLS, TENSION_LAWS, Control
+from amulett_gym.simulation.layout import CONTROLS, LOOPS, TENSION_LAWS, Control
 from amulett_gym.tasks.scenario import empty_rows
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
@@ -39,8 +39,8 @@ def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
 
 def _check_range(tension_range: Bounds) -> Bounds:
     low, high = tension_range
-    if not 0 < low < high <= MOST_TENSION:
-        raise ValueError(f"{low:g} to {high:g} N; it has to be 0 < low < high, at most {MOST_TENSION:,.0f} N")
+    if not 0 <= low < high <= MOST_TENSION:
+        raise ValueError(f"{low:g} to {high:g} N; it has to be 0 <= low < high, at most {MOST_TENSION:,.0f} N")
     return tension_range
 
 
@@ -78,7 +78,8 @@ class Settings(Group):
         default="train", description="part of the suite: disjoint scenarios, or shifted beyond their ranges"
     )
     control: Annotated[Control, _one_of("control", CONTROLS)] = Field(
-        default="decentralized", description="decentralized: with the tension loop; position-only: without"
+        default="decentralized",
+        description="control loop: the paper's with the tension loop, or without (position-only), or one of the others",
     )
     tension_law: Annotated[str, _one_of("tension law", TENSION_LAWS)] = Field(
         default="agent", description="what sets the tension: the agent, or eq. 6 in each control tick"
@@ -89,7 +90,10 @@ class Settings(Group):
     reward_fn: RewardFunction | None = Field(
         default=None, exclude=True, description="function of a step's costs and terms, replaces the reward"
     )
-    tension_range: TensionRange = Field(default=TENSION_RANGE, description="tension at action -1 and +1 [N]")
+    tension_range: TensionRange = Field(
+        default=TENSION_RANGE,
+        description="tension at action -1 and +1 [N]; by default from 0 N where the co-contraction is fed forward",
+    )
     agent_period: AgentPeriod = Field(
         default=0.02, description="time between two actions [s], a multiple of the control period"
     )
@@ -108,6 +112,22 @@ class Settings(Group):
         if mode is not None and mode not in cls.render_modes:
             raise unknown("render_mode", mode, cls.render_modes)
         return mode
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_range(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and given.get("control") in LOOPS and "tension_range" not in given:
+            return {**given, "tension_range": FEED_FORWARD_RANGE}
+        return given
+
+    @model_validator(mode="after")
+    def _check_slack(self) -> Self:
+        if self.control not in LOOPS and self.tension_range[0] == 0.0:
+            raise AmulettError(
+                f"tension_range is {self.tension_range} N; the loop '{self.control}' needs a range above 0 N; slack "
+                "strings need a loop that feeds the co-contraction forward"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_times(self) -> Self:

@@ -111,7 +111,7 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, c_blocks, s_blocks, paths, actions, observations, report):
+def step(p, e, c_blocks, s_blocks, paths, loop, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row per device."""
     num_devices = actions.shape[0]
     parameters, settings = p[0], e[0]
@@ -120,11 +120,11 @@ def step(p, e, c_blocks, s_blocks, paths, actions, observations, report):
         first = block * LANES
         end = min(first + LANES, num_devices)
         c, s = c_blocks[block], s_blocks[block]
-        step_block(parameters, settings, c, s, m, paths, block, first, end, actions, observations, report)
+        step_block(parameters, settings, c, s, m, paths, loop, block, first, end, actions, observations, report)
 
 
 @compiled_in_place
-def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, report):
+def step_block(p, e, c, s, m, paths, loop, block, first, end, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
     for device in range(first, end):
         i = np.uint64(device - first)
@@ -133,7 +133,7 @@ def step_block(p, e, c, s, m, paths, block, first, end, actions, observations, r
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
         terms[0], terms[1], terms[2], terms[3] = costs(s, i)
-    advance_block(p, c, s, m, paths, block, end - first, e.ticks)
+    advance_block(p, c, s, m, paths, loop, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the ramp's rounding

@@ -13,7 +13,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel, layout
-from amulett_gym.simulation.layout import LANES, Control, Paths, pack_parameters, words, zeros
+from amulett_gym.simulation.layout import LANES, LOOPS, Control, Loop, Paths, pack_loop, pack_parameters, words, zeros
 
 
 class Simulation:
@@ -24,7 +24,8 @@ class Simulation:
     profile : Profile
     num_devices : int
         At least 1.
-    control : {"decentralized", "position-only"}
+    control : str
+        One of `layout.CONTROLS`.
     tension_law : {"agent", "eq6", "eq6-printed"}
         Source of the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
 
@@ -34,6 +35,8 @@ class Simulation:
         The records that the kernel reads and writes (see :mod:`amulett_gym.simulation.layout`).
     paths : layout.Paths or None
         None unless a device's setpoint is a path.
+    loop : layout.Loop or None
+        Gains and memory of a loop that is not the paper's.
 
     Raises
     ------
@@ -53,6 +56,9 @@ class Simulation:
         self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
         self.states = zeros(num_blocks, layout.STATE_BLOCK)
         self.paths: Paths | None = None
+        self.loop: Loop | None = None
+        if control in LOOPS:
+            self.loop = pack_loop(profile, control), zeros(num_blocks, layout.LOOP_BLOCK)
 
     @property
     def control_period(self) -> float:
@@ -103,7 +109,7 @@ class Simulation:
         for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
             own[block, :, lane] = new[..., 0]
         words(self.states, LANES)[0][block, :, lane] = 0
-        kernel.settle(self.parameters, self.scenarios, self.states, self.paths, devices)
+        kernel.settle(self.parameters, self.scenarios, self.states, self.paths, self.loop, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until the next call.
@@ -121,7 +127,7 @@ class Simulation:
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""
-        kernel.advance(self.parameters, self.scenarios, self.states, self.paths, self.num_devices, ticks)
+        kernel.advance(self.parameters, self.scenarios, self.states, self.paths, self.loop, self.num_devices, ticks)
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
@@ -137,7 +143,13 @@ class Simulation:
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""
-        return {"scenarios": self.scenarios.copy(), "states": self.states.copy(), "paths": deepcopy(self.paths)}
+        memory = {} if self.loop is None else {"loop": self.loop[1].copy()}
+        return {
+            "scenarios": self.scenarios.copy(),
+            "states": self.states.copy(),
+            "paths": deepcopy(self.paths),
+            **memory,
+        }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a snapshot taken by `get_state` from a simulation of the same size."""
@@ -148,6 +160,8 @@ class Simulation:
         self.scenarios[...] = state["scenarios"]
         self.states[...] = state["states"]
         self.paths = deepcopy(state["paths"])
+        if self.loop is not None:
+            self.loop[1][...] = state["loop"]
 
     def read_path(self, device: int) -> NDArray[np.void]:
         """Return a copy of one device's setpoint path, records of `PATH`; empty if its setpoint follows moves."""

@@ -19,7 +19,6 @@ import numpy as np
 
 from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
-from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.drive import drive_rate
@@ -27,6 +26,8 @@ from amulett_gym.model.plant import contact_torque, deflection_biceps, deflectio
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import estimate_force, inverse_look_up, look_up, look_up_slope
 from amulett_gym.simulation import layout
+from amulett_gym.simulation.commands import choose, choose_tension, command_drives, low_pass
+from amulett_gym.simulation.loops import begin_loop, predict_drives, run_loop
 from amulett_gym.simulation.random import noise, random_bits
 
 SENSOR_STREAMS = np.uint64(4)
@@ -38,27 +39,28 @@ FARTHEST = 1e100  # [rad], [rad/s]; beyond, the square in a metric could overflo
 
 
 @compiled
-def advance(p, c_blocks, s_blocks, paths, num_devices, ticks):
+def advance(p, c_blocks, s_blocks, paths, loop, num_devices, ticks):
     """Advance all devices by a number of control ticks; a device that failed keeps its state.
 
-    `paths` is `layout.Paths`, or None: then the code for paths is not compiled.
+    `paths` is `layout.Paths`, or None: then the code for paths is not compiled. `loop` is `layout.Loop`, or None: then
+    the paper's loop runs, and the code for others is not compiled.
     """
     parameters = p[0]
     m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
         lanes = min(layout.LANES, num_devices - block * layout.LANES)
-        advance_block(parameters, c_blocks[block], s_blocks[block], m, paths, block, lanes, ticks)
+        advance_block(parameters, c_blocks[block], s_blocks[block], m, paths, loop, block, lanes, ticks)
 
 
 @compiled_in_place
-def advance_block(p, c, s, m, paths, block, lanes, ticks):
+def advance_block(p, c, s, m, paths, loop, block, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks."""
     for _ in range(ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
             # Unsigned: numba checks whether a signed index is negative, lane by lane.
-            tick(p, c, s, m, paths, block, np.uint64(first), np.uint64(end))
+            tick(p, c, s, m, paths, loop, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
 
@@ -72,14 +74,15 @@ def next_failed(s, first, lanes):
 
 
 @compiled_in_place
-def tick(p, c, s, m, paths, block, first, end):
+def tick(p, c, s, m, paths, loop, block, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     start_counting(p, c, s, m, first, end)
     lane = first
     while lane < end:
         late = next_late(c, s, lane, end)
-        act(p, s, m, lane, late)
+        act(p, s, m, loop, block, lane, late)
         lane = late + np.uint64(1)
+    predict(s, loop, block, first, end)
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
     h = p.control_period / p.substeps  # of the classical Runge-Kutta method
@@ -113,11 +116,27 @@ def next_late(c, s, first, end):
     return end
 
 
-@compiled_lanes
-def act(p, s, m, first, end):
+@compiled
+def act(p, s, m, loop, block, first, end):
     """Stage 1: command the drives from the sensor readings."""
+    if loop is None:
+        run_paper_loop(p, s, m, first, end)
+    else:
+        run_loop(p, loop[0][0], s, loop[1][block], m, first, end)
+
+
+@compiled_lanes
+def run_paper_loop(p, s, m, first, end):
+    """Stage 1 with the loop of section 2.2."""
     for i in range(first, end):
         control(p, s, m, i)
+
+
+@compiled
+def predict(s, loop, block, first, end):
+    """Advance the drives' model within a loop that has one, late ticks included, to the end of the tick."""
+    if loop is not None:
+        predict_drives(loop[0][0], s, loop[1][block], first, end)
 
 
 @compiled_lanes
@@ -259,12 +278,6 @@ def track_steps(p, c, s, m, first, end):
 
 
 @compiled
-def choose(condition, yes, no):
-    """Return one of two values, both of which are read: a branch would prevent vectorisation."""
-    return yes if condition else no
-
-
-@compiled
 def control(p, s, m, i):
     """Section 2.2: set both drives' position commands from the sensor readings."""
     error = s.setpoint[i] - s.measured_angle[i]
@@ -318,19 +331,6 @@ def control_position(p, s, i, error):
 
 
 @compiled
-def choose_tension(p, s, i, error):
-    """Return the tension setpoint [N]: the agent's, interpolated, or eq. 6 at control rate."""
-    if p.law == layout.AGENT:
-        s.tension_command[i] += s.tension_rate[i]
-        return s.tension_command[i]
-    if p.law == layout.EQ6:
-        factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
-    else:
-        factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
-    return factor * p.nominal_tension
-
-
-@compiled
 def control_tension(p, s, i, restart):
     """Run the antagonist's tension controller; after a switch it restarts on the other string with output zero."""
     biceps_is_antagonist = s.agonist[i] == TRICEPS
@@ -375,30 +375,6 @@ def setpoint_kick(p, s, m, i):
     s.isav_kick[i] += m.counting[i] * kick * kick / p.control_period
     s.setpoint_jump[i] = 0.0
     return kick
-
-
-@compiled
-def command_drives(p, s, m, i, biceps, triceps, kick_biceps, kick_triceps):
-    """Limit and set both commands, and add their change to ISAV (eq. 8, as a sum over control ticks) and effort.
-
-    The effort excludes the contribution of the setpoint's jump, which is the same under every law.
-    """
-    limit = p.command_limit
-    effort_biceps = min(max(biceps - kick_biceps, -limit), limit) - s.command_biceps[i]
-    effort_triceps = min(max(triceps - kick_triceps, -limit), limit) - s.command_triceps[i]
-    s.effort_biceps[i] += m.counting[i] * effort_biceps * effort_biceps / p.control_period
-    s.effort_triceps[i] += m.counting[i] * effort_triceps * effort_triceps / p.control_period
-    biceps = min(max(biceps, -limit), limit)
-    triceps = min(max(triceps, -limit), limit)
-    change_biceps = biceps - s.command_biceps[i]
-    change_triceps = triceps - s.command_triceps[i]
-    s.isav_biceps[i] += m.counting[i] * change_biceps * change_biceps / p.control_period
-    s.isav_triceps[i] += m.counting[i] * change_triceps * change_triceps / p.control_period
-    s.iav_biceps[i] += m.counting[i] * abs(change_biceps)
-    s.iav_triceps[i] += m.counting[i] * abs(change_triceps)
-    s.previous_setpoint[i] = s.setpoint[i]
-    s.command_biceps[i] = biceps
-    s.command_triceps[i] = triceps
 
 
 @compiled
@@ -556,12 +532,6 @@ def trust(p, estimate, last):
 
 
 @compiled
-def low_pass(last, value, time_constant, period):
-    """Return the next value of a first-order low-pass, discretised by backward differences."""
-    return last + (value - last) * period / (time_constant + period)
-
-
-@compiled
 def begin_moves(p, c, s, i):
     """Begin the setpoint's moves that are due, and the setpoint steps with them."""
     time = s.tick[i] * p.control_period
@@ -670,7 +640,7 @@ def track_step(p, c, s, m, i):
 
 
 @compiled
-def settle(p, c_blocks, s_blocks, paths, devices):
+def settle(p, c_blocks, s_blocks, paths, loop, devices):
     """Reset the given devices, at rest at their initial angle with their initial tension."""
     parameters = p[0]
     for device in devices:
@@ -690,6 +660,14 @@ def settle(p, c_blocks, s_blocks, paths, devices):
         find_setpoints(parameters, c, s, paths, block, i, i + np.uint64(1))
         if c.wave_amplitude[i] > 0.0:
             add_wave(parameters, c, s, i)
+        begin(parameters, c, s, loop, block, i)
+
+
+@compiled
+def begin(p, c, s, loop, block, i):
+    """Set the memory of a loop that is not the paper's."""
+    if loop is not None:
+        begin_loop(p, loop[0][0], c, s, loop[1][block], i)
 
 
 @compiled

@@ -19,13 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import unknown
+from amulett_gym.gains import Loops
 from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import Pid, Profile
 
-Control = Literal["decentralized", "position-only"]
+Control = Literal["decentralized", "position-only", "equilibrium-point", "co-rotation"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
+
+LOOPS: tuple[Control, ...] = CONTROLS[2:]
+"""The loops with gains in `profile.loops`; the paper's are those before."""
 
 LANES = 8
 _CACHE_LINE = 64  # bytes
@@ -70,6 +74,21 @@ PARAMETERS = record(
     + _fields("margin")  # of rise and settling time
 )
 """What the kernel reads of a profile and the control mode."""
+
+_GAINS = sorted({name for _, group in Loops() for name, _ in group if name != "sources"})
+
+LOOP_PARAMETERS = record(
+    _fields("loop", "i8")  # index into `LOOPS`
+    + _fields("position_table", "f8", CELLS, 4)
+    + _fields("max_force drive_share drive_step inertia weight")
+    + _fields(" ".join(_GAINS))
+)
+"""What the kernel reads of a loop that is not the paper's.
+
+These are: its index; the springs' inverse table (`model.spring.find_position`) and largest force [N]; the share of the
+way to its command that a drive turns in a control period, and the largest step in it (`control.drive_model`); J [kg m2]
+and M_m [N m] of the bare arm; the gains of `gains.Loops`, 0 where the loop has none of that name.
+"""
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
 """Factors by which a scenario's device may differ from its profile; 1: no difference."""
@@ -171,6 +190,21 @@ Paths = tuple[NDArray[np.void], NDArray[np.void]]
 STATE_BLOCK = _block(_STATE_FIELDS)
 SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
 PLACE_BLOCK = _block([("first", "i8"), ("count", "i8")])
+LOOP_BLOCK = _block(
+    # the reference motion, and the offset of the setpoint that is left of the last jump, as it was at `jump_time`
+    _fields("reference reference_rate reference_acceleration")
+    + _fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
+    # what the loop knows of joint and drives
+    + _fields("velocity last_angle model_biceps model_triceps")
+    + _fields("integral")
+    # what the loop wants, and what is added to it, so that it starts at rest
+    + _fields("biceps triceps trim_biceps trim_triceps")
+)
+"""The memory of loops that are not the paper's."""
+
+Loop = tuple[NDArray[np.void], NDArray[np.void]]
+"""`LOOP_PARAMETERS`, shape (1,), and blocks of `LOOP_BLOCK`."""
+
 MOTION_BLOCK = _block(
     _fields("counting push angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
     + _fields("angle_sum velocity_sum biceps_sum triceps_sum")
@@ -275,6 +309,24 @@ def pack_parameters(
     for name in PARAMETERS.names or ():
         record[name] = values[name]
     return record
+
+
+def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
+    """Return the gains of one of `LOOPS` and what it knows of the device, as `LOOP_PARAMETERS` of shape (1,)."""
+    tables, loop, drives = build_tables(profile.spring), profile.loop, profile.drives
+    masses: list[Numbers] = [item.mass for item in profile.plant.masses]
+    arms: list[Numbers] = [item.arm for item in profile.plant.masses]
+    packed = np.zeros(1, dtype=LOOP_PARAMETERS)
+    packed["loop"] = LOOPS.index(control)
+    packed["position_table"], packed["max_force"] = tables.position, tables.max_force
+    packed["drive_share"] = -np.expm1(-loop.control_period / drives.lag) if drives.lag > 0 else 1.0
+    packed["drive_step"] = np.radians(drives.rate_limit_deg or np.inf) * loop.control_period
+    packed["inertia"] = inertia(masses, arms)
+    packed["weight"] = static_torque(masses, arms) if profile.plant.orientation == "vertical" else 0.0
+    for name, value in getattr(profile.loops, control.replace("-", "_")):
+        if name != "sources":
+            packed[name] = value
+    return packed
 
 
 def slider_end(profile: Profile, max_spring_deflection: float) -> float:

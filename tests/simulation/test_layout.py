@@ -8,7 +8,7 @@ from helpers import PROFILES
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
-from amulett_gym.simulation.layout import pack_parameters
+from amulett_gym.simulation.layout import LOOPS, pack_loop, pack_parameters
 from amulett_gym.tasks.scenario import empty_rows
 
 
@@ -24,7 +24,8 @@ def numbers(tree, *path):
 def packed(profile):
     """Return all that the kernel reads of a profile."""
     parameters = (pack_parameters(profile, control, "eq6").tobytes() for control in ("decentralized", "position-only"))
-    return b"".join([*parameters, empty_rows(1, profile).tobytes()])
+    loops = (pack_loop(profile, control).tobytes() for control in LOOPS)
+    return b"".join([*parameters, *loops, empty_rows(1, profile).tobytes()])
 
 
 def changed(profile, path, value):

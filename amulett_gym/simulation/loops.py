@@ -1,0 +1,157 @@
+"""The loops of the literature as stages of a tick: what they read, what they remember, what they command.
+
+A loop reads what the device measures: the joint angle and both sliders, in `s`. Its parameters are `g`
+(`layout.LOOP_PARAMETERS`), its memory `q` (`layout.LOOP_BLOCK`). Which loop runs is asked once for a block, outside the
+lanes. The mathematics of each is in its module of :mod:`amulett_gym.control`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amulett_gym.control.agonist import select_agonist
+from amulett_gym.control.co_rotation import correction
+from amulett_gym.control.drive_model import next_angle
+from amulett_gym.control.equilibrium_point import equilibrium
+from amulett_gym.control.inverse_statics import drive_angles, string_forces
+from amulett_gym.control.pid import filtered_derivative, integrate
+from amulett_gym.control.reference_motion import remaining_offset
+from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
+from amulett_gym.model.spring import find_position
+from amulett_gym.simulation.commands import choose_tension, command_drives
+from amulett_gym.simulation.layout import LOOPS
+
+EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
+FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
+
+
+@compiled
+def run_loop(p, g, s, q, m, first, end):
+    """Command the drives of the lanes from `first` to before `end`."""
+    prepare(p, g, s, q, m, first, end)
+    want(p, g, s, q, first, end)
+    command(p, s, q, m, first, end)
+
+
+@compiled
+def want(p, g, s, q, first, end):
+    """Set what the chosen loop wants of both drives."""
+    if g.loop == EQUILIBRIUM_POINT:
+        run_equilibrium_point(p, g, s, q, first, end)
+    elif g.loop == CO_ROTATION:
+        run_co_rotation(p, g, s, q, first, end)
+
+
+@compiled_lanes
+def prepare(p, g, s, q, m, first, end):
+    """Choose the tension setpoint, move the reference, and estimate the joint's rate."""
+    for i in range(first, end):
+        error = s.setpoint[i] - s.measured_angle[i]
+        agonist = p.fixed_agonist
+        if agonist == 0.0:
+            # Reported, and the string of the tension's metrics; these loops treat both drives alike.
+            agonist = select_agonist(
+                s.agonist[i], s.measured_difference[i], error, p.switch_hysteresis, p.tie_width, p.tie_error
+            )
+        s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
+        s.agonist[i] = agonist
+        s.tension_setpoint[i] = choose_tension(p, s, i, error)
+        move_reference(p, g, s, q, i)
+
+
+@compiled
+def move_reference(p, g, s, q, i):
+    """Set the reference motion for this tick, and the joint's estimated rate."""
+    time = s.tick[i] * p.control_period
+    elapsed = max(time - q.last_time[i], p.control_period)  # more than a period after late ticks
+    jump = s.setpoint_jump[i]
+    moved = s.setpoint[i] - q.last_setpoint[i] - jump
+    if abs(moved) > FASTEST * elapsed:
+        jump += moved
+        moved = 0.0
+    if jump != 0.0:
+        offset, rate, acceleration = remaining_offset(
+            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i], time - q.jump_time[i], g.reference_time
+        )
+        q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - jump, rate, acceleration
+        q.jump_time[i] = time
+    offset, rate, acceleration = remaining_offset(
+        q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i], time - q.jump_time[i], g.reference_time
+    )
+    setpoint_rate = moved / elapsed
+    q.reference[i] = s.setpoint[i] + offset
+    q.reference_rate[i] = setpoint_rate + rate
+    q.reference_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed + acceleration
+    q.velocity[i] = filtered_derivative(
+        q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
+    )
+    q.last_setpoint[i], q.last_rate[i], q.last_time[i] = s.setpoint[i], setpoint_rate, time
+    q.last_angle[i] = s.measured_angle[i]
+    s.setpoint_jump[i] = 0.0
+
+
+@compiled_lanes
+def command(p, s, q, m, first, end):
+    """Command the drives. A reference has no jump, so that the effort is the whole ISAV."""
+    for i in range(first, end):
+        command_drives(p, s, m, i, q.biceps[i] + q.trim_biceps[i], q.triceps[i] + q.trim_triceps[i], 0.0, 0.0)
+
+
+@compiled_lanes
+def predict_drives(g, s, q, first, end):
+    """Advance the model of both drives by a control period."""
+    for i in range(first, end):
+        q.model_biceps[i] = next_angle(q.model_biceps[i], s.command_biceps[i], g.drive_share, g.drive_step)
+        q.model_triceps[i] = next_angle(q.model_triceps[i], s.command_triceps[i], g.drive_share, g.drive_step)
+
+
+@compiled_in_place
+def begin_loop(p, g, c, s, q, i):
+    """Set a device's memory for a start at rest: the commands go on from where the drives are."""
+    q.reference[i] = q.last_setpoint[i] = s.angle[i]  # before a jump of the setpoint at the very begin
+    q.reference_rate[i] = q.reference_acceleration[i] = q.last_rate[i] = 0.0
+    q.last_time[i], q.jump_time[i] = -p.control_period, 0.0
+    q.jump_offset[i] = q.jump_rate[i] = q.jump_acceleration[i] = 0.0
+    q.velocity[i], q.last_angle[i] = 0.0, s.measured_angle[i]
+    q.model_biceps[i], q.model_triceps[i] = s.command_biceps[i], s.command_triceps[i]
+    q.integral[i] = 0.0
+    want(p, g, s, q, i, i + np.uint64(1))
+    q.trim_biceps[i] = s.command_biceps[i] - q.biceps[i]
+    q.trim_triceps[i] = s.command_triceps[i] - q.triceps[i]
+    q.integral[i] = 0.0
+
+
+@compiled
+def hold(p, g, s, q, i, angle, torque):
+    """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at the tension setpoint."""
+    biceps, triceps = string_forces(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+    return drive_angles(
+        angle,
+        find_position(p.force_table, g.position_table, biceps) / p.inverse_max_deflection,
+        find_position(p.force_table, g.position_table, triceps) / p.inverse_max_deflection,
+        p.drive_radius,
+        p.joint_radius,
+    )
+
+
+@compiled_lanes
+def run_equilibrium_point(p, g, s, q, first, end):
+    """Run `control.equilibrium_point`."""
+    for i in range(first, end):
+        angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
+        q.biceps[i], q.triceps[i] = hold(p, g, s, q, i, angle, g.weight * np.sin(q.reference[i]))
+
+
+@compiled_lanes
+def run_co_rotation(p, g, s, q, first, end):
+    """Run `control.co_rotation`."""
+    for i in range(first, end):
+        angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
+        biceps, triceps = hold(p, g, s, q, i, angle, g.weight * np.sin(q.reference[i]))
+        error = q.reference[i] - s.measured_angle[i]
+        highest, lowest = max(s.command_biceps[i], s.command_triceps[i]), min(s.command_biceps[i], s.command_triceps[i])
+        q.integral[i] = integrate(
+            q.integral[i], error, g.ki, p.control_period, highest < p.command_limit, lowest > -p.command_limit
+        )
+        turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
+        q.biceps[i], q.triceps[i] = biceps + turn, triceps + turn
