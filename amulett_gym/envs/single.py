@@ -236,25 +236,38 @@ class ScalingEnv(TensionEnv):
     - `failure`: if the device left its limits, minus `COST_CAP` for each remaining step of `failure_horizon`.
 
     A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info["reward_terms"]`
-    holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode:
+    holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode.
+    Sums are over the control ticks from the task's begin on. T is the control period and e the setpoint minus the true
+    angle. In a tick, a drive's command changes by du, of which a jump of the setpoint alone causes dk; the drive turns
+    by da, after its lag and its limits. "-": not in the paper.
 
-    | Metric                                              | Unit    | Meaning                                         |
-    |-----------------------------------------------------|---------|-------------------------------------------------|
-    | `position_ise`                                      | deg2 s  | eq. 7 of the joint angle                        |
-    | `tension_ise`, `tension_ise_estimated`              | N2 s    | eq. 7 of the antagonist's true, estimated force |
-    | `isav_biceps`, `isav_triceps`                       | deg2/s  | eq. 8 of the drives' commands                   |
-    | `isav_kick`                                         | deg2/s  | eq. 8 of the setpoint's jumps alone             |
-    | `effort_biceps`, `effort_triceps`                   | deg2/s  | eq. 8 without the jumps' increments             |
-    | `iav_biceps`, `iav_triceps`                         | deg     | integral of the commands' absolute rate         |
-    | `rise_time`, `settling_time`                        | s       | first, last entry into +-2 deg around a target; |
-    |                                                     |         | mean over the steps that reach it, else NaN     |
-    | `overshoot`                                         | deg     | largest excursion beyond a step's target        |
-    | `contact_ise`, `contact_peak`                       | N2 m2 s, N m | contact torque                             |
-    | `push_deflection`                                   | deg     | largest error while a push acts                 |
-    | `resting_stiffness`                                 | N m/rad | mean joint stiffness within +-2 deg of a        |
-    |                                                     |         | standing setpoint                               |
-    | `setpoint_steps`, `steps_risen`, `steps_settled`,   | 1       | counts                                          |
-    | `agonist_switches`                                  |         |                                                 |
+    | Metric                            | Unit    | Formula                                             | Source      |
+    |-----------------------------------|---------|-----------------------------------------------------|-------------|
+    | `position_ise`                    | deg2 s  | sum of (e^2 before + e^2 after the tick) T/2        | eq. 7       |
+    | `tension_ise`                     | N2 s    | sum of (setpoint - antagonist's true force)^2 T     | eq. 7       |
+    | `tension_ise_estimated`           | N2 s    | sum of (setpoint - its estimated force)^2 T         | eq. 7       |
+    | `isav_biceps`, `isav_triceps`     | deg2/s  | sum of du^2 / T                                     | eq. 8       |
+    | `isav_kick`                       | deg2/s  | sum of dk^2 / T                                     | eq. 8       |
+    | `effort_biceps`, `effort_triceps` | deg2/s  | sum of (du - dk)^2 / T                              | eq. 8       |
+    | `iav_biceps`, `iav_triceps`       | deg     | sum of abs(du)                                      | section 2.2 |
+    | `drive_effort`                    | deg2/s  | sum of da^2 / T, of both drives                     | eq. 8       |
+    | `drive_work`                      | J       | sum of max(0, M da), of both drives; M is R_1 f_1,  | eqs. 4-5    |
+    |                                   |         | -R_1 f_2, mean of the tick's begin and end          |             |
+    | `rise_time`                       | s       | from a step to the first entry into +-2 deg around  | section 2.2 |
+    |                                   |         | its target; mean over steps that reach it, else NaN |             |
+    | `settling_time`                   | s       | the same to the last entry                          | section 2.2 |
+    | `overshoot`                       | deg     | largest angle beyond a step's target, at least 0    | section 4   |
+    | `contact_ise`                     | N2 m2 s | sum of (contact torque)^2 T                         | as eq. 7    |
+    | `contact_peak`                    | N m     | largest abs(contact torque)                         | -           |
+    | `push_deflection`                 | deg     | largest abs(e) while a push acts                    | -           |
+    | `resting_stiffness`               | N m/rad | mean of R_2^2 (f_1' + f_2') while the setpoint      | eqs. 1, 4-5 |
+    |                                   |         | stands and abs(e) <= 2 deg; NaN if it never does    |             |
+    | `setpoint_steps`                  | 1       | number of the setpoint's steps and moves            | section 2.2 |
+    | `steps_risen`, `steps_settled`    | 1       | number of steps with a rise time, settling time     | section 2.2 |
+    | `agonist_switches`                | 1       | number of switches of the agonist                   | section 2.2 |
+
+    Compare the efforts of different control loops by `drive_effort`: without dk, a loop that gets a smooth reference
+    is charged in full, and one that gets a jump is not.
 
     `reward_fn=f` replaces the reward. `f(costs, terms)` gets two dicts of arrays with one entry for each device (one in
     the single environment) and returns the rewards, an array of the same shape::

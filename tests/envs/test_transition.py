@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import re
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +13,9 @@ from helpers import BUSY
 
 import amulett_gym  # noqa: F401  (registers the ids)
 from amulett_gym.envs.reward import divisors
+from amulett_gym.envs.single import ScalingEnv
 from amulett_gym.envs.transition import METRICS, OBSERVATIONS
+from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.simulation.random import normal
 
 ID = "amulett_gym:Amulett/Tension-v0"
@@ -103,6 +107,20 @@ def test_metrics_are_the_simulations_in_degrees(played):
     for name, value in expected.items():
         assert info["metrics"][name] == pytest.approx(value), name
     assert info["metrics"]["setpoint_steps"] == 2.0
+
+
+def test_the_docstring_gives_each_metric_with_its_unit_formula_and_source():
+    table = re.search(r"\| Metric .*?\n\n", inspect.getdoc(ScalingEnv), re.DOTALL)[0].splitlines()[:-1]
+    heading, _, *lines = ([cell.strip() for cell in line.strip("|").split("|")] for line in table)
+    assert heading == ["Metric", "Unit", "Formula", "Source"]
+    units = {}
+    for names, unit, formula, source in lines:
+        if names:
+            assert formula and source, names
+            units |= dict.fromkeys(re.findall(r"`(\w+)`", names), unit)
+        else:  # the row above, continued
+            assert formula and not unit
+    assert units == {name: UNITS[name] for name in METRICS}
 
 
 @pytest.mark.parametrize("suite", ["steps", "contact"])
