@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
     add_options(parser, "--trust-pickle", "--doc")
     add_json(parser, "the content of benchmark.json")
+    parser.set_defaults(places={})  # of kept policies, for `amulett rerun`
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,6 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym import ENV_IDS
     from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.laws.copies import copy_policies
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
@@ -49,13 +51,14 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
     profile = load_profile_of(description, recipes)
-    own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle)
+    own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle, arguments.places)
+    copies = copy_policies(arguments.policies, arguments.places)
     print_remarks(device_remarks(profile))
     options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
     words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)
     evidence = run_benchmark(
-        description, out, recipes, arguments.runs, own, [*words, "--out", out], say=show, progress=True
+        description, out, recipes, arguments.runs, own, [*words, "--out", out], copies, say=show, progress=True
     )
     show("Drawing intervals and figures ...")
     found = content(evidence, shlex.join(words), machine(), arguments.quick)

@@ -72,26 +72,31 @@ def resolve(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def compare(config: Mapping[str, Any], out: str | None, words: Sequence[str]) -> tuple[dict[str, Any], bool]:
+def compare(
+    config: Mapping[str, Any], out: str | None, words: Sequence[str], places: Mapping[str, str] | None = None
+) -> tuple[dict[str, Any], bool]:
     """Compare by a `config` of :func:`resolve`; write the report to `out`, if any, with the words of the command.
 
+    `out` also gets copies of the policies that are files or folders. `places` are those of policies that were moved.
     Return the content of ``results.json``, and whether an earlier comparison in `out` was replaced.
     """
     from dataclasses import replace
 
     from amulett_gym.evaluation.comparison import COMPARISON_MARKS, summarise
     from amulett_gym.evaluation.runner import evaluate
+    from amulett_gym.laws.copies import copy_policies
     from amulett_gym.profile import load_profile
 
     profile = load_profile(config["profile"])
     keywords = {key: config[key] for key in ("suite", "split", "env_id", "episodes", "seed")}
     keywords |= {key: config[key] for key in ("scenarios", "duration") if key in config}  # not in older folders
-    policies = own_contenders(config["policies"], profile, config["env_id"], config["trust_pickle"])
+    policies = own_contenders(config["policies"], profile, config["env_id"], config["trust_pickle"], places)
     with ExitStack() as stack:
         earlier = False
         if out is not None:
             earlier = stack.enter_context(output_folder(out, "comparison", [COMPARISON_MARKS]))
             stack.enter_context(locked_folder(out))
+            copies = copy_policies(config["policies"], places)  # in memory: their place may be in `out`
         results = evaluate(policies, profile=profile, progress=True, **keywords)
         results = replace(results, command=shlex.join(words))
         if out is None:
@@ -101,7 +106,8 @@ def compare(config: Mapping[str, Any], out: str | None, words: Sequence[str]) ->
         from amulett_gym.storage.provenance import write_provenance
 
         seeds = range(config["seed"], config["seed"] + config["episodes"])
-        write_provenance(out, "evaluate", config, seeds, words)
+        copies.write(out)
+        write_provenance(out, "evaluate", {**config, "kept": copies.record}, seeds, words)
         return write_report(results, out), earlier
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-from amulett_gym.errors import AmulettError
 
 if TYPE_CHECKING:
     from amulett_gym.laws.contenders import Contender
@@ -22,16 +19,30 @@ POLICIES = (
 
 
 def own_contenders(
-    names: Sequence[str], profile: Profile, env_id: str = "Amulett/Scaling-v0", trust_pickle: bool = False
+    names: Sequence[str],
+    profile: Profile,
+    env_id: str = "Amulett/Scaling-v0",
+    trust_pickle: bool = False,
+    places: Mapping[str, str] | None = None,
 ) -> list[Contender]:
     """Return the contenders of some names; the same one for equal names.
+
+    `places` maps names to those by which the policies are found now, if these are others
+    (`laws.copies.kept_policies`); the contenders keep their names.
 
     Raises
     ------
     AmulettError
         If a name is unknown, a zip is not trusted, or a zip or file cannot be loaded or needs a missing package.
     """
-    found = {name: _own_contender(name, profile, env_id, trust_pickle) for name in dict.fromkeys(names)}
+    from dataclasses import replace
+
+    found = {}
+    for name in dict.fromkeys(names):
+        place = (places or {}).get(name, name)
+        found[name] = _own_contender(place, profile, env_id, trust_pickle)
+        if place != name:
+            found[name] = replace(found[name], name=str(Path(name)) if _is_zip(place) else name)
     return [found[name] for name in names]
 
 
@@ -41,7 +52,7 @@ def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool)
 
     if python_file(name) is not None:
         return load_own(name)
-    if name.endswith(".zip") and not Path(name).is_dir():
+    if _is_zip(name):
         from amulett_gym.learning import load_learning
 
         contender: Contender = load_learning("zips").load_sb3_zip(name, profile, env_id, trust_pickle)
@@ -49,19 +60,12 @@ def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool)
     return parse_contender(name)
 
 
+def _is_zip(name: str) -> bool:
+    return name.endswith(".zip") and not Path(name).is_dir()
+
+
 def digests(names: Sequence[str]) -> dict[str, str]:
     """Return the SHA-256 of each policy that is a file or folder."""
+    from amulett_gym.laws.copies import policy_digest
+
     return {name: digest for name in names if (digest := policy_digest(name))}
-
-
-def policy_digest(name: str) -> str | None:
-    """Return the SHA-256 of a bundle's manifest, a zip or a function's Python file; None for a law."""
-    from amulett_gym.laws.bundle import MANIFEST
-    from amulett_gym.laws.contenders import python_file
-
-    places = (python_file(name) or Path(name), Path(name) / MANIFEST, Path(name) / "best" / MANIFEST)
-    try:
-        file = next((place for place in places if place.is_file()), None)
-        return None if file is None else hashlib.sha256(file.read_bytes()).hexdigest()
-    except OSError as error:
-        raise AmulettError(f"cannot read policy '{name[:100]}': {error.strerror or error}") from error

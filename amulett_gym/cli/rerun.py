@@ -112,14 +112,17 @@ def _working_folder(note: Provenance) -> Any:
 
 
 def _changed_inputs(note: Provenance) -> list[str]:
-    """Return a warning for each input that differs from the original one."""
-    from amulett_gym.cli.own_policies import policy_digest
+    """Return a warning for each input that differs from the original one and was not kept."""
+    from amulett_gym.laws.copies import policy_digest
 
     if note.kind == "benchmark" and note.config.get("runs") is not None:
         # The original folder is not used: missing runs would be trained there.
         return [f"the training runs in '{note.config['runs']}' are trained again"]
     then = note.config.get("sha256", {}) if note.kind == "evaluate" else {}
-    return [f"the policy '{name}' has changed" for name in then if policy_digest(name) != then[name]]
+    kept = note.config.get("kept", ())
+    return [
+        f"the policy '{name}' has changed" for name in then if name not in kept and policy_digest(name) != then[name]
+    ]
 
 
 def _train_again(note: Provenance, old: Path, new: Path) -> None:
@@ -153,9 +156,11 @@ def _trained(folder: Path) -> Numbers:
 
 def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
     from amulett_gym.cli.evaluate import compare
+    from amulett_gym.laws.copies import kept_policies
 
+    places = kept_policies(old, note.config.get("kept", {}))
     try:
-        compare(note.config, str(new), note.command or ["amulett", "evaluate"])
+        compare(note.config, str(new), note.command or ["amulett", "evaluate"], places)
     except (KeyError, TypeError) as error:
         raise AmulettError(f"'{old / 'command.json'}' does not describe a comparison: {error!r}") from error
 
@@ -205,6 +210,7 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
     """Run a command's words again; it writes only to the new folder, even if they name other outputs."""
     from amulett_gym.cli import build_parser
     from amulett_gym.cli.reproduce import STUDY
+    from amulett_gym.laws.copies import kept_policies
 
     problem = io.StringIO()
     try:
@@ -216,6 +222,7 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
     if arguments.command != note.kind:
         raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to repeat")
     vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
+    arguments.places = kept_policies(old, note.config.get("kept", {}))
     if (old / STUDY).is_dir():  # the original study of a reproduction
         arguments.study = str(old / STUDY)
     code = arguments.run(arguments)

@@ -21,6 +21,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.laws.copies import FOLDER
 from amulett_gym.profile import load_profile
 
 TESTBED = load_profile("testbed")
@@ -55,6 +56,20 @@ def test_a_trusted_zip_competes(tmp_path, monkeypatch, capsys):
     result = json.loads(capsys.readouterr().out)
     assert list(result["policies"]) == ["eq6", "PPO.zip"]
     assert result["command"].endswith("--trust-pickle")
+
+
+def test_a_zip_is_kept_with_its_description_and_compared_again(tmp_path, monkeypatch, capsys):
+    zip_file = saved(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    words = ["evaluate", "--policies", "./PPO.zip", "--trust-pickle", "--episodes", "2", "--duration", "1"]
+    assert main([*words, "--out", "kept"]) == 0
+    for path in (zip_file, zip_file.with_suffix(".json")):
+        path.unlink()
+    assert main(["rerun", "kept", "--out", "again", "--trust-pickle"]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    (tmp_path / "kept" / FOLDER / "0" / "PPO.json").write_text(json.dumps({**ABOUT, "tension_range": [5.0, 13.0]}))
+    assert main(["rerun", "kept", "--out", "third", "--trust-pickle"]) == 2
+    assert "PPO.json', was changed" in capsys.readouterr().err
 
 
 def test_a_trusted_zip_is_played(tmp_path, monkeypatch, capsys):

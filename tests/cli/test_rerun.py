@@ -8,8 +8,11 @@ import re
 import shutil
 
 import pytest
+from helpers import make_bundle
 
 from amulett_gym.cli import main
+from amulett_gym.laws.bundle import FILES
+from amulett_gym.laws.copies import FOLDER
 from amulett_gym.storage.provenance import COMMAND, PACKAGES, differences, read_provenance
 
 EVALUATE = ["evaluate", "--policies", "constant:8", "--episodes", "2", "--out", "comparison"]
@@ -78,6 +81,7 @@ def test_another_number_is_noticed_and_other_software_is_told(comparison, tmp_pa
         ),
         ({"config": {"trust_pickle": True}}, "they contain pickles"),
         ({"command": ["amulett", "evaluate", "--trust-pickle"]}, "they contain pickles"),
+        ({"config": {"kept": {"x": {"copy": "../..", "sha256": {}}}}}, "'kept' in command.json is damaged"),
         ({"config": {}}, "does not describe a comparison"),
         ({"versions": 3}, "'versions' is 3"),
         ({"version": 2}, "'version' is 2"),
@@ -168,6 +172,42 @@ def test_a_python_file_is_run_again_only_if_it_is_trusted(tmp_path, monkeypatch,
     assert main(["rerun", "own", "--out", "again"]) == 2
     assert "ran a Python file, 'mine.py:mine'; if you trust it" in capsys.readouterr().err
     assert main(["rerun", "own", "--out", "again", "--trust-python"]) == 0
-    law.write_text("def mine(observations): return [1.0] * len(observations)\n")
-    assert main(["rerun", "own", "--out", "other", "--trust-python"]) == 1
+    law.write_text("def mine(observations): return [1.0] * len(observations)\n")  # a copy was kept
+    assert main(["rerun", "own", "--out", "other", "--trust-python"]) == 0
+    assert "has changed" not in capsys.readouterr().out
+    note = json.loads((tmp_path / "own" / COMMAND).read_text())
+    del note["config"]["kept"]  # as in folders of earlier versions
+    (tmp_path / "own" / COMMAND).write_text(json.dumps(note))
+    assert main(["rerun", "own", "--out", "older", "--trust-python"]) == 1
     assert "the policy 'mine.py:mine' has changed" in capsys.readouterr().out
+
+
+def test_policies_are_kept_by_content_once_each_and_compared_again(tmp_path, monkeypatch, capsys):
+    """Names of one bundle stay one contender, two bundles of the same content two."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(make_bundle(tmp_path / "run" / "best"), tmp_path / "twin")
+    (tmp_path / "laws").mkdir()
+    (tmp_path / "laws" / "near.py").write_text("ACTION = 0.5\n")
+    law = "from near import ACTION\ndef f(seen): return [ACTION] * len(seen)\ndef g(seen): return [0.0] * len(seen)\n"
+    (tmp_path / "laws" / "mine.py").write_text(law)
+    names = ["run", "run/best", "twin", "laws/mine.py:f", "laws/mine.py:g", "constant:8"]
+    assert main(["evaluate", "--policies", *names, "--episodes", "2", "--duration", "1", "--out", "kept"]) == 0
+    copies = [sorted(path.name for path in place.iterdir()) for place in sorted((tmp_path / "kept" / FOLDER).iterdir())]
+    assert copies == [sorted((*FILES, "manifest.json"))] * 2 + [["mine.py", "near.py"]]
+    for name in ("run", "twin", "laws"):
+        shutil.rmtree(tmp_path / name)
+    assert main(["rerun", "kept", "--out", "again", "--trust-python"]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    results = [json.loads((tmp_path / name / "results.json").read_text()) for name in ("kept", "again")]
+    assert list(results[0]["policies"]) == ["eq6", "run", "twin", "laws/mine.py:f", "laws/mine.py:g", "constant:8"]
+    for key in ("policies", "remarks", "labels", "verdict"):
+        assert results[0][key] == results[1][key]
+    assert read_provenance("again").config == read_provenance("kept").config
+    assert main(["rerun", "again", "--out", "third", "--trust-python"]) == 0  # a repetition keeps its policies, too
+    (tmp_path / "kept" / FOLDER / "1" / "env.json").open("a").write(" ")
+    (tmp_path / "again" / FOLDER / "2" / "near.py").unlink()
+    for folder, message in (("kept", "'twin', .*env.json', was changed"), ("again", "'laws/mine.py:f' .*near.py'")):
+        assert main(["rerun", folder, "--out", "refused", "--trust-python"]) == 2
+        assert re.search(f"kept copy of policy {message}", capsys.readouterr().err)
+    assert main(["evaluate", "--policies", "constant:8", "--episodes", "1", "--duration", "1", "--out", "kept"]) == 0
+    assert not (tmp_path / "kept" / FOLDER).exists()  # those of the earlier comparison

@@ -15,6 +15,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import capped_cost
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
 from amulett_gym.laws.contenders import Contender, parse_contender
+from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import find_config
@@ -106,6 +107,7 @@ def run_benchmark(
     runs: str | Path | None = None,
     own: Sequence[Contender] = (),
     command: Sequence[str] | None = None,
+    copies: Copies = NO_COPIES,
     say: Say = lambda message: None,
     progress: bool = False,
 ) -> Evidence:
@@ -123,6 +125,8 @@ def run_benchmark(
         Further contenders, such as :class:`amulett_gym.laws.contenders.Own`.
     command : sequence of str, optional
         The words of the command, for ``command.json``.
+    copies : Copies
+        The content of `own` policies, which is kept in the folder.
     say : callable
         Called with a line after each stage.
 
@@ -155,7 +159,8 @@ def run_benchmark(
     found_hashes = hashes(profile, description.suites)
     with output_folder(out, "benchmark", [[DESCRIPTION]]), locked_folder(out):
         _remember(out / DESCRIPTION, description, recipes, found_hashes)
-        write_provenance(out, "benchmark", chosen, seeds, command)
+        copies.write(out)
+        write_provenance(out, "benchmark", {**chosen, "kept": copies.record}, seeds, command)
         _remove_leftovers(out)
         missing = check_runs(needed)
         say(

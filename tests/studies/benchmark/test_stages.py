@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from helpers import keep_network
+from helpers import keep_network, make_bundle
 
 from amulett_gym.cli import build_parser, main
 from amulett_gym.envs.transition import OBSERVATIONS
@@ -421,3 +421,15 @@ def test_the_best_law_by_hand_may_be_a_constant_that_was_not_the_best_on_train(t
     goal = references["clairvoyant"]["mixed"]
     assert goal["share_from_hand"]["eq6"]["mean"] == pytest.approx((by_hand - eq6) / (by_hand - goal["cost"]))
     assert references["foresight"] == {}  # no draws were asked for
+
+
+def test_further_policies_are_kept_and_benchmarked_again(tmp_path, capsys):
+    mine = make_bundle(tmp_path / "mine")
+    content = {**LAWS, "suites": ["mixed"], "contenders": [], "episodes": 2, "constants": [6.0], "duration": 1.0}
+    words = ["benchmark", "--config", str(described(tmp_path, content)), "--policies", str(mine)]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 0
+    shutil.rmtree(mine)
+    assert main(["rerun", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    results = json.loads((tmp_path / "again" / "benchmark.json").read_text())
+    assert str(mine) in json.dumps(results)
