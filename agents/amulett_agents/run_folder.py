@@ -84,10 +84,12 @@ def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) ->
 
 def with_start(config: TrainConfig, out: Path) -> TrainConfig:
     """Return a run's recipe that starts from the copy in its folder instead of the original bundle."""
-    if not (out / START).is_dir():
-        return config
-    network = config.network.model_copy(update={"start": str((out / START).resolve())})
-    return config.model_copy(update={"network": network})
+    return starting_from(config, str((out / START).resolve())) if (out / START).is_dir() else config
+
+
+def starting_from(config: TrainConfig, start: str) -> TrainConfig:
+    """Return a recipe that starts from another bundle."""
+    return config.model_copy(update={"network": config.network.model_copy(update={"start": start})})
 
 
 def remove_leftovers(out: Path) -> None:

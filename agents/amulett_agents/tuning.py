@@ -4,6 +4,7 @@ A study is a folder:
 
 ====================  ==============================================================
 ``study.json``        recipe, space and seeds, which determine the trials
+``kept_policies/``    copies of the bundles that the recipe and the space name as `network.start`
 ``trials/<n>/<s>/``   the training run of trial n with seed s
 ``trials.json``       parameters and costs of each trial
 ``best.yaml``         the recipe of the best trial
@@ -27,9 +28,10 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from pydantic import Field, ValidationError, model_validator
 
 from amulett_agents.config import RecipeError, TrainConfig
-from amulett_agents.run_folder import CONFIG
+from amulett_agents.run_folder import CONFIG, starting_from
 from amulett_agents.training import resume, train
 from amulett_gym.errors import AmulettError
+from amulett_gym.laws.copies import FOLDER, copy_policies, kept_policies
 from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
@@ -116,6 +118,29 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
     content = read_yaml(find_config(path, "space"), "space")
     if not content:
         raise AmulettError(f"space '{path}' names no key of the recipe")
+    return _parse_space(content, config, path)
+
+
+def stored_study(content: Mapping[str, Any]) -> tuple[TrainConfig, Space]:
+    """Return the recipe and the space of a study from the settings in its ``command.json``.
+
+    Raises
+    ------
+    AmulettError
+        If they are not of this version, or damaged.
+    """
+    try:
+        config = TrainConfig.model_validate(content["config"])
+        return config, _parse_space(dict(content["space"]), config, STUDY)
+    except ValidationError as error:
+        raise describe(error, TrainConfig, "the study's recipe") from error
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, AmulettError):
+            raise
+        raise AmulettError(f"the study's settings are damaged: {error!r}") from error
+
+
+def _parse_space(content: Mapping[Any, Any], config: TrainConfig, path: str | Path) -> Space:
     space: Space = {}
     for key, entry in content.items():
         kind: type[Range | Choice] = Choice if isinstance(entry, Mapping) and "choices" in entry else Range
@@ -153,6 +178,7 @@ def tune(
     command: Sequence[str] | None = None,
     progress: bool = False,
     report: Callable[[Trial, Trial | None], None] | None = None,
+    places: Mapping[str, str] | None = None,
 ) -> list[Trial] | None:
     """Run the trials of a study, or continue it.
 
@@ -176,6 +202,8 @@ def tune(
         Show the runs' progress.
     report : callable, optional
         Called after each trial with it and the best one so far.
+    places : mapping, optional
+        The name of a bundle in the recipe or the space -> where it is now (`laws.copies.kept_policies`).
 
     Returns
     -------
@@ -195,18 +223,18 @@ def tune(
             raise AmulettError(f"{name} is {value}; it has to be at least {least}")
     out = user_path(out)
     with output_folder(out, "study", [[STUDY]]), locked_folder(out):
-        _begin(out, config, space, seed, seeds, command)
+        kept = _begin(out, config, space, seed, seeds, command, places)
         done: list[Trial] = []
         for number in range(trials):
             changes = _propose(space, done, seed, number)
-            trial = _run(config, changes, out / RUNS / f"{number:04d}", number, seeds, progress)
+            trial = _run(config, changes, kept, out / RUNS / f"{number:04d}", number, seeds, progress)
             if trial is None:
                 return None
             done.append(trial)
             write_json(out / TRIALS, [asdict(one) | {"cost": one.cost} for one in done])
             best = best_of(done)
             if best is not None:
-                write_text(out / BEST, to_yaml(_changed(config, best.changes).model_dump()))
+                write_text(out / BEST, to_yaml(_kept(_changed(config, best.changes), kept).model_dump()))
             if report is not None:
                 report(trial, best)
     return done
@@ -217,23 +245,42 @@ def best_of(trials: Sequence[Trial]) -> Trial | None:
     return min((trial for trial in trials if trial.costs), key=lambda trial: (trial.cost, trial.number), default=None)
 
 
-def _begin(out: Path, config: TrainConfig, space: Space, seed: int, seeds: int, command: Sequence[str] | None) -> None:
-    """Write ``study.json``, or compare the study with the one that is there."""
+def _begin(
+    out: Path,
+    config: TrainConfig,
+    space: Space,
+    seed: int,
+    seeds: int,
+    command: Sequence[str] | None,
+    places: Mapping[str, str] | None,
+) -> dict[str, str]:
+    """Write ``study.json``, or compare the study with the one that is there; return the places of its kept bundles."""
+    earlier = read_json(out / STUDY, "study") if (out / STUDY).is_file() else {}
+    if not isinstance(earlier, dict):
+        raise AmulettError(f"'{out / STUDY}' is damaged: it holds no mapping")
+    record, copies = earlier.get("kept", {}), None
+    if not earlier or bool(record) != (out / FOLDER).is_dir():  # new, or killed before the bundles were written
+        choices = space.get("network.start")
+        starts = [config.network.start, *(choices.ends() if choices is not None else [])]
+        copies = copy_policies([start for start in starts if start is not None], places)
+        record = copies.record
     study = {
         "config": config.model_dump(),
         "space": {key: entry.model_dump() for key, entry in space.items()},
         "seed": seed,
         "seeds": seeds,
+        "kept": record,
     }
-    if (out / STUDY).is_file():
-        earlier = read_json(out / STUDY, "study")
-        if changed := differences(earlier, json.loads(json.dumps(study))):
-            raise AmulettError(
-                f"'{out}' holds another study: {'; '.join(changed)}; continue that one, or choose another folder"
-            )
-    else:
+    if not earlier:
         write_json(out / STUDY, study)
+    elif changed := differences({"kept": {}} | earlier, json.loads(json.dumps(study))):
+        raise AmulettError(
+            f"'{out}' holds another study: {'; '.join(changed)}; continue that one, or choose another folder"
+        )
+    if copies is not None:
+        copies.write(out)
     write_provenance(out, "tune", study, [seed, *(config.seed + k for k in range(seeds))], command)
+    return kept_policies(out.resolve(), record)
 
 
 def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dict[str, Any]:
@@ -255,13 +302,19 @@ def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dic
 
 
 def _run(
-    config: TrainConfig, changes: Mapping[str, Any], folder: Path, number: int, seeds: int, progress: bool
+    config: TrainConfig,
+    changes: Mapping[str, Any],
+    kept: Mapping[str, str],
+    folder: Path,
+    number: int,
+    seeds: int,
+    progress: bool,
 ) -> Trial | None:
     """Return a trial, whose runs are trained, resumed or read; None if one was interrupted."""
     costs: list[float] = []
     for k in range(seeds):
         try:
-            recipe = _changed(config, {**changes, "seed": config.seed + k})
+            recipe = _kept(_changed(config, {**changes, "seed": config.seed + k}), kept)
             run = folder / str(recipe.seed)
             begun = (run / CONFIG).is_file()  # a process may have been killed in the folder before it wrote that
             result = resume(run, progress) if begun else train(recipe, run, progress)
@@ -275,6 +328,12 @@ def _run(
             return Trial(number, dict(changes), [], f"diverged after {result.diverged:,} steps, seed {recipe.seed}")
         costs.append(result.best_cost)
     return Trial(number, dict(changes), costs)
+
+
+def _kept(config: TrainConfig, kept: Mapping[str, str]) -> TrainConfig:
+    """Return a recipe that starts from the study's copy of its bundle."""
+    start = kept.get(config.network.start or "")
+    return config if start is None else starting_from(config, start)
 
 
 def _changed(config: TrainConfig, changes: Mapping[str, Any]) -> TrainConfig:

@@ -222,7 +222,7 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
     if arguments.command != note.kind:
         raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to repeat")
     vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
-    arguments.places = kept_policies(old, note.config.get("kept", {}))
+    arguments.resolved, arguments.places = note.config, kept_policies(old, note.config.get("kept", {}))
     if (old / STUDY).is_dir():  # the original study of a reproduction
         arguments.study = str(old / STUDY)
     code = arguments.run(arguments)

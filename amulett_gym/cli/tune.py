@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.options import add_json, add_options
+from amulett_gym.cli.options import add_json, add_options, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.learning import TUNING, check_installed, load_learning
 
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the proposals (default: 0)")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
     add_json(parser, "the trials")
+    parser.set_defaults(resolved=None, places={})  # settings and kept policies of a study, for `amulett rerun`
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,11 +41,12 @@ def run(arguments: argparse.Namespace) -> int:
     check_installed(TUNING)
     from dataclasses import asdict
 
-    from amulett_gym.storage.provenance import process_words
-
-    config = load_learning("recipes").load_train_config(arguments.config, arguments.overrides)
     tuning = load_learning("tuning")
-    space = tuning.load_space(arguments.space, config)
+    if arguments.resolved is None:
+        config = load_learning("recipes").load_train_config(arguments.config, arguments.overrides)
+        space = tuning.load_space(arguments.space, config)
+    else:
+        config, space = tuning.stored_study(arguments.resolved)
 
     show = printer(arguments)
 
@@ -52,8 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
         cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
         show(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}")
 
-    words, study = process_words(), (arguments.trials, arguments.out, arguments.seed, arguments.seeds)
-    trials = tuning.tune(config, space, *study, command=words, progress=True, report=report)
+    words = ["amulett", "tune", *command_words(arguments, "config", "space", "trials", "seeds", "seed", "out")]
+    words += ["--set", *arguments.overrides] if arguments.overrides else []
+    study = (arguments.trials, arguments.out, arguments.seed, arguments.seeds)
+    trials = tuning.tune(config, space, *study, command=words, progress=True, report=report, places=arguments.places)
     if trials is None:
         print(f"interrupted; finished runs are kept. Continue with:\n       {shlex.join(words)}", file=sys.stderr)
         return 130

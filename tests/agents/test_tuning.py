@@ -3,8 +3,8 @@
 import json
 import multiprocessing
 import os
+import shutil
 import signal
-import sys
 import time
 from pathlib import Path
 
@@ -16,10 +16,14 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("optuna")
 
 from amulett_agents import load_train_config  # noqa: E402
-from amulett_agents.tuning import Trial, _propose, best_of, load_space, tune  # noqa: E402
+from amulett_agents.bundles import save_policy  # noqa: E402
+from amulett_agents.model import make_model  # noqa: E402
+from amulett_agents.tuning import Trial, _propose, best_of, load_space, stored_study, tune  # noqa: E402
 from amulett_agents.validation import torch_threads  # noqa: E402
 from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
+from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.laws.copies import FOLDER  # noqa: E402
 from amulett_gym.storage.lock import locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
 
@@ -240,16 +244,51 @@ def test_the_command_stops_in_good_order_goes_on_and_prints_a_table(uninterrupte
     assert sorted(header.split()) == sorted(["trial", "cost", *SPACE])
 
 
-def test_it_is_done_again_with_the_same_numbers(space_file, tmp_path, capsys):
+def test_it_is_done_again_with_the_same_numbers_without_its_files(space_file, tmp_path, capsys):
+    """Also a repetition is repeated."""
     words = ["tune", "--space", str(space_file), "--trials", "1", "--out", str(tmp_path / "study"), "--set", *SMALL]
-    process = processes.Process(target=command_line, args=(words,))
-    process.start()
-    process.join()
-    assert process.exitcode == 0
+    assert main(words) == 0
+    space_file.unlink()
+    assert main(["rerun", str(tmp_path / "study"), "--out", str(tmp_path / "again")]) == 0
+    assert main(["rerun", str(tmp_path / "again"), "--out", str(tmp_path / "third")]) == 0
+    assert capsys.readouterr().out.count("numbers are the same") == 2
+
+
+def test_bundles_that_trials_start_from_are_kept(tmp_path, monkeypatch, capsys):
+    small = [*SMALL, "total_steps=512", "network.features=false"]
+    for name, seed in (("one", 1), ("two", 2)):
+        save_policy(make_model(load_train_config(None, [*small, f"seed={seed}"])), tmp_path / name)
+    (tmp_path / "space.yaml").write_text("{network.start: {choices: [two, one, ./two]}}")
+    (tmp_path / "recipe.yaml").write_text(yaml.safe_dump({"network": {"start": "one"}}))
+    words = ["tune", "--config", str(tmp_path / "recipe.yaml"), "--space", str(tmp_path / "space.yaml")]
+    words += ["--out", str(tmp_path / "study"), "--set", *small]
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--trials", "2"]) == 0
+    kept = tmp_path / "study" / FOLDER
+    assert [read_bundle(path).provenance["seed"] for path in sorted(kept.iterdir())] == [1, 2]
+    shutil.rmtree(kept)  # as if killed before they were written
+    monkeypatch.chdir("/")
+    with pytest.raises(AmulettError, match=r"another study: kept\.one"):
+        tune(*stored_study(read_provenance(tmp_path / "study").config), 2, tmp_path / "study")
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--trials", "2"]) == 0
+    for name in ("one", "two"):
+        shutil.rmtree(tmp_path / name)
+    monkeypatch.chdir("/")
+    assert main([*words, "--trials", "4"]) == 0
+    trials = json.loads((tmp_path / "study" / "trials.json").read_text())
+    assert len({trial["changes"]["network.start"] for trial in trials if trial["costs"]}) > 1
+    recipe = load_train_config(tmp_path / "study" / "best.yaml")
+    assert Path(recipe.network.start).parent == kept
+    (tmp_path / "space.yaml").unlink(), (tmp_path / "recipe.yaml").unlink()
     assert main(["rerun", str(tmp_path / "study"), "--out", str(tmp_path / "again")]) == 0
     assert "numbers are the same" in capsys.readouterr().out
+    (kept / "0" / "env.json").open("a").write(" ")
+    assert main(["rerun", str(tmp_path / "study"), "--out", str(tmp_path / "third")]) == 2
+    assert "kept copy of policy 'one', '" in capsys.readouterr().err
 
 
-def command_line(words: list[str]) -> None:
-    sys.argv = ["amulett", *words]
-    raise SystemExit(main(words))
+@pytest.mark.parametrize("content", [{}, {"config": {}, "space": 3}, {"config": {"gamma": 1}, "space": {}}])
+def test_damaged_settings_of_a_study_are_refused(content):
+    with pytest.raises(AmulettError, match="study's"):
+        stored_study(content)
