@@ -112,17 +112,15 @@ def _working_folder(note: Provenance) -> Any:
 
 
 def _changed_inputs(note: Provenance) -> list[str]:
-    """Return a warning for each input that differs from the original one and was not kept."""
+    """Return a warning for each input that differs from the original one."""
     from amulett_gym.laws.copies import policy_digest
 
     if note.kind == "benchmark" and note.config.get("runs") is not None:
         # The original folder is not used: missing runs would be trained there.
         return [f"the training runs in '{note.config['runs']}' are trained again"]
-    then = note.config.get("sha256", {}) if note.kind == "evaluate" else {}
-    kept = note.config.get("kept", ())
-    return [
-        f"the policy '{name}' has changed" for name in then if name not in kept and policy_digest(name) != then[name]
-    ]
+    not_kept = note.kind == "evaluate" and "kept" not in note.config  # by an earlier version
+    then = note.config.get("sha256", {}) if not_kept else {}
+    return [f"the policy '{name}' has changed" for name in then if policy_digest(name) != then[name]]
 
 
 def _train_again(note: Provenance, old: Path, new: Path) -> None:

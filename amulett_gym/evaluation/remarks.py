@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import divisors_owner
@@ -13,15 +13,20 @@ from amulett_gym.profile import Profile, is_shipped
 
 
 def device_remarks(
-    profile: Profile, contenders: Iterable[str] = (), tension_range: tuple[float, float] = TENSION_RANGE
+    profile: Profile,
+    contenders: Iterable[str] = (),
+    tension_range: tuple[float, float] = TENSION_RANGE,
+    places: Mapping[str, str | None] | None = None,
 ) -> list[str]:
     """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
     On any device: laws from files that were tuned on another one. On the user's own device: divisors and parameters of
-    a shipped one, and the findings of `diagnose` for this tension range [N].
+    a shipped one, and the findings of `diagnose` for this tension range [N]. `places` maps names of files that were
+    moved to where they are.
     """
     contenders = list(contenders)
-    elsewhere = [(name, tuning_differs(name, profile)) for name in contenders if is_tuned_file(name)]
+    files = {name: (places or {}).get(name) or name for name in contenders if is_tuned_file(name)}
+    elsewhere = [(name, tuning_differs(file, profile)) for name, file in files.items()]
     remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
     if is_shipped(profile):
         return remarks

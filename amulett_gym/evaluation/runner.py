@@ -30,7 +30,7 @@ from amulett_gym.laws.contenders import (
     parse_contender,
     python_file,
 )
-from amulett_gym.laws.parametric import is_tuned
+from amulett_gym.laws.parametric import is_tuned, is_tuned_file
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
@@ -272,7 +272,8 @@ def evaluate(
     label = labels([contender.name for contender in contenders])
     differences = ((label[contender.name], training_differs(contender, protocol)) for contender in contenders)
     remarks += [f"{name} {difference}" for name, difference in differences if difference]
-    remarks += device_remarks(protocol.profile, label)
+    places = {contender.name: contender.policy_name for contender in contenders}
+    remarks += device_remarks(protocol.profile, label, places=places)
 
     with ExitStack() as stack:
 
@@ -361,7 +362,7 @@ def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]
         policy: Any = contender.policy_name
         if policy is not None and policy.startswith(CONSTANT):
             policy = constant_tension(policy)
-        elif policy is not None and is_bundle(policy):
+        elif policy is not None and (is_bundle(policy) or is_tuned_file(policy)):
             policy = user_path(policy).resolve()
         key = (policy, repr(contender.env_keywords), contender.act if isinstance(contender, Own) else None)
         first = kept.setdefault(key, contender)

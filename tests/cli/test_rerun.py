@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import shutil
+from importlib import resources
 
 import pytest
 from helpers import make_bundle
@@ -13,6 +14,7 @@ from helpers import make_bundle
 from amulett_gym.cli import main
 from amulett_gym.laws.bundle import FILES
 from amulett_gym.laws.copies import FOLDER
+from amulett_gym.laws.parametric import TUNED
 from amulett_gym.storage.provenance import COMMAND, PACKAGES, differences, read_provenance
 
 EVALUATE = ["evaluate", "--policies", "constant:8", "--episodes", "2", "--out", "comparison"]
@@ -190,16 +192,20 @@ def test_policies_are_kept_by_content_once_each_and_compared_again(tmp_path, mon
     (tmp_path / "laws" / "near.py").write_text("ACTION = 0.5\n")
     law = "from near import ACTION\ndef f(seen): return [ACTION] * len(seen)\ndef g(seen): return [0.0] * len(seen)\n"
     (tmp_path / "laws" / "mine.py").write_text(law)
-    names = ["run", "run/best", "twin", "laws/mine.py:f", "laws/mine.py:g", "constant:8"]
-    assert main(["evaluate", "--policies", *names, "--episodes", "2", "--duration", "1", "--out", "kept"]) == 0
+    shutil.copy(resources.files("amulett_gym").joinpath(*TUNED, "testbed", "eq6-tuned-mixed.json"), "mine.json")
+    names = ["run", "run/best", "twin", "laws/mine.py:f", "laws/mine.py:g", "mine.json", "./mine.json", "constant:8"]
+    words = ["--profile", "simulation", "--episodes", "2", "--duration", "1", "--out", "kept"]
+    assert main(["evaluate", "--policies", *names, *words]) == 0
     copies = [sorted(path.name for path in place.iterdir()) for place in sorted((tmp_path / "kept" / FOLDER).iterdir())]
-    assert copies == [sorted((*FILES, "manifest.json"))] * 2 + [["mine.py", "near.py"]]
+    assert copies == [sorted((*FILES, "manifest.json"))] * 2 + [["mine.py", "near.py"], ["mine.json"]]
     for name in ("run", "twin", "laws"):
         shutil.rmtree(tmp_path / name)
+    (tmp_path / "mine.json").unlink()
     assert main(["rerun", "kept", "--out", "again", "--trust-python"]) == 0
     assert "numbers are the same" in capsys.readouterr().out
     results = [json.loads((tmp_path / name / "results.json").read_text()) for name in ("kept", "again")]
-    assert list(results[0]["policies"]) == ["eq6", "run", "twin", "laws/mine.py:f", "laws/mine.py:g", "constant:8"]
+    assert list(results[0]["policies"]) == ["eq6", "run", "twin", *names[3:6], "constant:8"]
+    assert any(remark.startswith("mine.json was tuned on the testbed") for remark in results[0]["remarks"])
     for key in ("policies", "remarks", "labels", "verdict"):
         assert results[0][key] == results[1][key]
     assert read_provenance("again").config == read_provenance("kept").config

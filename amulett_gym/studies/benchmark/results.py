@@ -95,7 +95,11 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "machine": machine,
         "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},
         "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
-        "remarks": device_remarks(evidence.profile, evidence.entries),
+        "remarks": device_remarks(
+            evidence.profile,
+            evidence.entries,
+            places={name: entry.members[0].policy_name for name, entry in evidence.entries.items()},
+        ),
         "units": {metric: UNITS[metric] for metric in REPORTED},
         "best_learned": best,
         "best_by_hand": hand,
