@@ -59,6 +59,16 @@ def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[st
         Family of a scenario: as the mixed suite draws it, or else as the family's own suite does. None: any scenario of
         the suite.
     """
+    measured = _measured(profile, suite, family)
+    return {term: measured[term] for term in COST_TERMS}
+
+
+def drive_effort_divisor(profile: Profile, suite: str, family: str | None = None) -> float:
+    """Return eq. 6's mean effort of the drives' own motion in an episode [deg2/s]; see :func:`divisors`."""
+    return _measured(profile, suite, family)["drive_effort"]
+
+
+def _measured(profile: Profile, suite: str, family: str | None) -> dict[str, float]:
     owner = divisors_owner(profile)
     in_mixed = _frozen()["divisors_in_mixed"][owner] if suite == "mixed" else {}
     return dict(in_mixed.get(family) or _frozen()["divisors"][owner][family or suite])

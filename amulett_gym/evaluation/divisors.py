@@ -59,6 +59,7 @@ def _measure(profile_name: str, suite: str) -> dict[str | None, dict[str, float]
             "effort": mean("effort_biceps", "effort_triceps") * squared_degrees,
             "tension": mean("tension_ise"),
             "contact": mean("contact_ise") or NO_CONTACT,
+            "drive_effort": mean("drive_effort") * squared_degrees,
         }
         return {term: float(f"{cost:.4g}") for term, cost in means.items()}
 
@@ -74,7 +75,13 @@ def main() -> None:
     arguments = parser.parse_args()
     content = {
         "version": 2,
-        "units": {"position": "deg2 s", "effort": "deg2/s", "tension": "N2 s", "contact": "N2 m2 s"},
+        "units": {
+            "position": "deg2 s",
+            "effort": "deg2/s",
+            "tension": "N2 s",
+            "contact": "N2 m2 s",
+            "drive_effort": "deg2/s",  # of the full-control cost alone, see `metrics.control_prices`
+        },
         **measure(),
     }
     if arguments.write:

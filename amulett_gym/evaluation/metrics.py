@@ -1,7 +1,9 @@
 """The registry of metrics: the name, unit, definition of every number that is reported of an episode.
 
-There are two costs. ``cost`` is computed from the metrics below and ranks contenders: neither shaped nor capped. The
-*capped cost* is minus the return, at most `COST_CAP` for each agent step: training minimises and validates it.
+``cost`` is computed from the metrics below and ranks contenders within one control loop, the track *schedule*: neither
+shaped nor capped. The *capped cost* is minus the return, at most `COST_CAP` for each agent step: training minimises and
+validates it. ``control_cost`` ranks any loops with any laws, the track *full control*: its effort is of the drives' own
+motion, alike for all loops, and it has no term for the tension, which not every loop controls.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, default_weights, divisors, drive_effort_divisor
+from amulett_gym.profile import Profile
 from amulett_gym.reporting.words import number
+from amulett_gym.simulation.layout import FAMILIES
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class Metric:
 
 
 _COST = "share of the cost"
+_CONTROL = "position ISE, drive effort and contact ISE, weighted, and the cost of failure"
 _TIME = "from a setpoint step to the {} entry into the band around its target; mean over the steps that reached it"
 
 
@@ -78,6 +83,7 @@ _ALL = (
     Metric("cost_tension", "cost of tension", "1", f"tension ISE: {_COST}", True),
     Metric("cost_contact", "cost of contact", "1", f"contact ISE: {_COST}", True),
     Metric("cost_failure", "cost of failure", "1", f"{COST_CAP:g} for each agent step left after a failure", True),
+    Metric("control_cost", "full-control cost", "1", f"{_CONTROL}; that of eq. 6 in training is about 1", True),
     Metric("return", "return", "1", "sum of the rewards: minus the capped cost", False),
     Metric("failed", "failed", "1", "1 if the device left its limits", True),
     Metric("effort", "effort", "deg2/s", "ISAV (eq. 8) of both drives without the setpoint's jump", True),
@@ -112,11 +118,50 @@ UNITS = {key: metric.unit for key, metric in METRICS.items()}
 COSTS = (*COST_TERMS, "failure")
 """Terms of the cost; ``"cost_" + term`` is reported for each."""
 
+CONTROL_TERMS = {"position": "position_ise", "drive_effort": "drive_effort", "contact": "contact_ise"}
+"""Terms of the full-control cost, with their metrics."""
+
 Values = NDArray[np.float64]
 
 
-def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[str, Values]:
-    """Return all of `METRICS` but ``return``: `raw`, and the cost with its terms, failures and effort.
+def control_prices(profile: Profile, suite: str) -> Values:
+    """Return weight / divisor of each family and term of the full-control cost in a suite.
+
+    The weights are the reward's without the tension's, scaled to a sum of 1; the effort's is that of the drives' own
+    motion. Divisors are eq. 6's mean costs in training scenarios (`evaluation.divisors`), as in the reward.
+
+    Returns
+    -------
+    ndarray, shape (len(FAMILIES), len(CONTROL_TERMS))
+        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s and N2 m2 s.
+    """
+    table = np.empty((len(FAMILIES), len(CONTROL_TERMS)))
+    for row, family in zip(table, FAMILIES, strict=True):
+        weights, divisor = default_weights(family or suite), divisors(profile, suite, family)
+        weighted = np.array([weights["position"], weights["effort"], weights["contact"]])
+        effort = drive_effort_divisor(profile, suite, family)
+        row[:] = weighted / weighted.sum() / [divisor["position"], effort, divisor["contact"]]
+    return table
+
+
+def control_cost(raw: Mapping[str, Values], charge: Values, prices: Values) -> Values:
+    """Return the full-control cost of episodes, shape (N,).
+
+    Parameters
+    ----------
+    raw : mapping of str to ndarray, shape (N,)
+        Final values of ``info["metrics"]``.
+    charge : ndarray, shape (N,)
+        `failure_cost` of the devices that failed, 0 for the others.
+    prices : ndarray, shape (N, len(CONTROL_TERMS))
+        Of each scenario: `control_prices` of its family.
+    """
+    terms = [prices[:, k] * raw[metric] for k, metric in enumerate(CONTROL_TERMS.values())]
+    return np.sum([*terms, charge], axis=0)
+
+
+def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_prices: Values) -> dict[str, Values]:
+    """Return all of `METRICS` but ``return``: `raw`, both costs, the cost's terms, failures and effort.
 
     The cost is the sum of each raw metric times its price: its weight over its frozen divisor, both of the scenario's
     family.
@@ -129,13 +174,16 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values) -> dict[st
         `failure_cost` of the devices that failed, 0 for the others.
     prices : ndarray, shape (N, len(COST_TERMS))
         Of each scenario: `envs.reward.prices` of its family.
+    control_prices : ndarray, shape (N, len(CONTROL_TERMS))
+        Of each scenario: `control_prices` of its family.
     """
     effort = raw["effort_biceps"] + raw["effort_triceps"]
     terms = {"effort": effort} | {term: raw[f"{term}_ise"] for term in ("position", "tension", "contact")}
     costs = {f"cost_{term}": prices[:, k] * terms[term] for k, term in enumerate(COST_TERMS)}
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
-    return {"cost": np.sum(list(costs.values()), axis=0), **costs, "failed": failed, "effort": effort, **raw}
+    cost, control = np.sum(list(costs.values()), axis=0), control_cost(raw, charge, control_prices)
+    return {"cost": cost, **costs, "control_cost": control, "failed": failed, "effort": effort, **raw}
 
 
 def capped_cost(values: Mapping[str, Values]) -> Values:

@@ -18,7 +18,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.envs.reward import COST_TERMS, prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.evaluation.metrics import UNITS, derive, failure_cost
+from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import (
@@ -451,7 +451,8 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
             failures[device] = str(info["failure"][device])
             charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
         running &= ~ended
-    values = derive(metrics, charges, prices(protocol.profile, protocol.suite)[families])
+    tables = (table(protocol.profile, protocol.suite)[families] for table in (prices, control_prices))
+    values = derive(metrics, charges, *tables)
     values["return"] = returns
     error, tension, phase, approach = (np.concatenate(column) for column in zip(*seen, strict=True))
     schedule = Schedule(error, tension, phase, env.tension_range, approach)
