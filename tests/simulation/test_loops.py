@@ -1,0 +1,170 @@
+"""The loops of the literature in the kernel: an independent model, symmetry, limits, starts, batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amulett_gym.profile import load_profile
+from amulett_gym.settings import merge
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import LOOPS, METRICS, STATE_NAMES
+from amulett_gym.simulation.random import random_bits
+from amulett_gym.simulation.reference import replay_motion
+from amulett_gym.simulation.reference_loops import replay_loop
+from amulett_gym.simulation.trajectory import record
+from amulett_gym.tasks.scenario import Scenario, pack
+from amulett_gym.tasks.suites import episode_keys, sample
+
+TESTBED = load_profile("testbed")
+VERTICAL = load_profile({"name": "vertical", "base": "testbed", "plant": {"orientation": "vertical"}})
+QUIET = load_profile(
+    {
+        "name": "quiet",
+        "base": "testbed",
+        "sensors": {"encoder_noise_deg": 0.0, "potentiometer_noise": 0.0, "encoder_bits": 0, "potentiometer_bits": 0},
+    }
+)
+
+
+def scenario(**changes) -> Scenario:
+    """Return steps with a second one while the first goes on, a smooth move, a wave and a push."""
+    content = {
+        "moves": [
+            {"time": 0.1, "angle_deg": 45.0, "duration": 0.0},
+            {"time": 0.2, "angle_deg": -20.0, "duration": 0.0},
+            {"time": 0.7, "angle_deg": 10.0, "duration": 0.4},
+        ],
+        "wave": {"time": 1.2, "duration": 0.6, "amplitude_deg": 10.0, "frequency": 1.0},
+        "pushes": [{"time": 0.9, "duration": 0.2, "torque": 0.1}],
+        "noise_seed": 3,
+    }
+    return Scenario.model_validate(merge(content, changes))
+
+
+def start(control, profile=TESTBED, tension=10.0, **changes) -> Simulation:
+    simulation = Simulation(profile, 1, control)
+    simulation.reset(pack(scenario(**changes), profile))
+    simulation.command_tension(tension)
+    return simulation
+
+
+@pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize("profile", [TESTBED, VERTICAL, load_profile("simulation")], ids=lambda profile: profile.name)
+def test_commands_are_those_of_an_independent_model(control, profile):
+    trajectory = record(start(control, profile), 800)
+    expected = replay_loop(profile, trajectory, control)
+    for name, values in expected.items():
+        np.testing.assert_allclose(trajectory[name], values, rtol=0.0, atol=1e-7, err_msg=name)
+    assert np.ptp(trajectory["command_biceps"]) > 0.5
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_motion_is_that_of_an_independent_model(control):
+    # The setpoint turns round in full motion: there one integration step in a tick is off by 0.05 deg, ten are not.
+    fine = load_profile({"name": "fine", "base": "testbed", "loop": {"substeps": 10}})
+    simulation = start(control, fine)
+    trajectory = record(simulation, 300)
+    expected = replay_motion(fine, simulation.read_scenarios(np.array([0]))[0], trajectory)
+    np.testing.assert_allclose(trajectory["angle"], expected["angle"], rtol=0.0, atol=2e-5)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_one_integration_step_in_a_tick_is_enough(control):
+    keys = episode_keys(np.arange(16, dtype=np.uint64), np.zeros(16, dtype=np.uint64), "train")
+    rows, found = sample("mixed", keys, TESTBED), {}
+    for substeps in (1, 10):
+        profile = load_profile({"name": "fine", "base": "testbed", "loop": {"substeps": substeps}})
+        simulation = Simulation(profile, 16, control)
+        simulation.reset(rows)
+        simulation.command_tension(10.0)
+        simulation.advance(1600)
+        found[substeps] = simulation.read("position_ise")
+    np.testing.assert_allclose(found[1], found[10], rtol=1e-3)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_late_ticks_hold_the_commands(control):
+    simulation = start(control, device={"late_probability": 0.3})
+    key = simulation.read_scenarios(np.array([0]))["noise_key"][0]
+    late = np.array([float(random_bits(key, np.uint64(tick * 4 + 3))) * 2.0**-64 < 0.3 for tick in range(600)])
+    trajectory = record(simulation, 600)
+    held = np.diff(trajectory["command_biceps"])[late]
+    assert late.sum() > 100
+    assert not held.any()
+    expected = replay_loop(TESTBED, trajectory, control, late)
+    np.testing.assert_allclose(trajectory["command_biceps"], expected["command_biceps"], rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_flexion_and_extension_are_mirrored(control):
+    def mirrored(sign):
+        moves = [{"time": 0.1, "angle_deg": sign * 40.0, "duration": 0.0}]
+        pushes = [{"time": 0.9, "duration": 0.2, "torque": sign * 0.1}]
+        return record(start(control, QUIET, moves=moves, pushes=pushes, wave=None), 600)
+
+    flexion, extension = mirrored(1.0), mirrored(-1.0)
+    np.testing.assert_allclose(flexion["angle"], -extension["angle"], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(flexion["command_biceps"], -extension["command_triceps"], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize("profile", [QUIET, VERTICAL], ids=lambda profile: profile.name)
+def test_an_arm_at_rest_starts_without_a_jump(control, profile):
+    held = {"initial_angle_deg": 30.0, "moves": [], "wave": None, "pushes": [], "payload": {"mass": 0.1, "arm": 0.1}}
+    trajectory = record(start(control, profile, **held), 200)
+    commands = np.degrees([trajectory["command_biceps"], trajectory["command_triceps"]])
+    assert np.abs(np.diff(commands)).max() < (0.01 if profile is QUIET else 2.0)
+    assert np.abs(np.degrees(trajectory["angle"]) - 30.0).max() < (0.01 if profile is QUIET else 2.0)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_a_snapshot_continues_with_the_same_bits(control):
+    simulation = start(control)
+    simulation.advance(150)
+    snapshot = simulation.get_state()
+    simulation.advance(200)
+    expected = [simulation.read(name) for name in STATE_NAMES]
+    other = start(control)
+    other.set_state(snapshot)
+    other.advance(200)
+    for name, values in zip(STATE_NAMES, expected, strict=True):
+        np.testing.assert_array_equal(other.read(name), values, err_msg=name)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_the_bits_do_not_depend_on_the_batch(control):
+    keys = episode_keys(np.arange(11, dtype=np.uint64), np.zeros(11, dtype=np.uint64), "train")
+    rows = sample("mixed", keys, TESTBED)
+
+    def play(chosen):
+        simulation = Simulation(TESTBED, len(chosen), control)
+        simulation.reset(rows[chosen])
+        simulation.command_tension(8.0)
+        simulation.advance(400)
+        return [simulation.read(name) for name in METRICS]
+
+    together, alone = play(np.arange(11)), play(np.array([9]))
+    for name, many, one in zip(METRICS, together, alone, strict=True):
+        np.testing.assert_array_equal(many[9], one[0], err_msg=name)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize("tension", [0.0, 3.0, 15.0, 30.0])
+def test_slack_and_saturated_strings_fail_nothing(control, tension):
+    simulation = start(control, tension=tension)
+    trajectory = record(simulation, 800)
+    assert simulation.read("failure")[0] == 0
+    assert np.isfinite(trajectory["command_biceps"]).all()
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_commands_stay_within_their_limit_and_integrals_do_not_wind_up(control):
+    near = load_profile({"name": "near", "base": "testbed", "drives": {"command_limit_deg": 150.0}})
+    beyond = [{"time": 0.1, "angle_deg": 80.0, "duration": 0.0}, {"time": 4.0, "angle_deg": 0.0, "duration": 0.0}]
+    trajectory = record(start(control, near, moves=beyond, wave=None, pushes=[]), 2400)
+    commands = np.degrees([trajectory["command_biceps"], trajectory["command_triceps"]])
+    assert np.abs(commands).max() <= 150.0 + 1e-9
+    assert (
+        np.abs(np.degrees(trajectory["angle"][-1])) < 3.0
+    )  # 2 s after the return: an integral that wound up would hold it
