@@ -117,7 +117,7 @@ def _on_shares(found: Content, best: str) -> list[Claim]:
     ]
     foreseen = references["foresight"].get(headline)
     if foreseen is not None:
-        text = f"share closed of {gap} the foresight reference"
+        text = f"share of {gap} the foresight reference that is closed"
         claims.append(_claim(about, text, _share(foreseen, best), None, f"{_gap(foreseen, best)}; reported only"))
     return claims
 

@@ -129,7 +129,10 @@ def physical(found: Content) -> Table:
 def paper_step(found: Content) -> Table:
     """Return the metrics of the paper's Tables 2-5 on its step."""
     keys = ("rise_time", "settling_time", "position_ise", "tension_ise", "isav_biceps", "isav_triceps", "overshoot")
-    note = "In parentheses the ratio to eq. 6's. Tension ISE: of the true force. Episodes differ by sensor noise only."
+    note = (
+        "In parentheses the ratio to eq. 6's. Tension ISE: computed from the true force. Episodes differ by sensor "
+        "noise only."
+    )
     head = ("", *(METRICS[key].paper_heading for key in keys))
     return Table("The paper's step", head, _metric_rows(found, f"{PAPER_STEP}/held-out", keys), note)
 
@@ -204,7 +207,7 @@ def references(found: Content) -> Table:
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     head = (
         *("", "cost", "ratio to eq6", "share of the gap" + ("" if best is None else f", {best}"), "cost, other noise"),
-        *("gain in the last quarter", "each start alone", "gain of a second search", "beaten by an entry"),
+        *("gain in the last quarter", "each start alone", "gain of a second search", "contender below"),
     )
     note = (
         f"Share of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Clairvoyant: the "
@@ -213,11 +216,11 @@ def references(found: Content) -> Table:
         "the schedules with new draws of the noise. Gain in the last quarter: by how much the mean cost fell in the "
         "last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
         "starting points, evaluated with the noise used during the search. Gain of a second search: change of the "
-        "mean cost with the cheaper of the two schedules in each scenario; the second search has another seed "
-        "and twice as many rounds (number of "
-        "scenarios in parentheses). Beaten by an entry: number of scenarios in which at least one contender costs "
-        "less than the reference. If that contender acts inside the loop (eq6), the reference does not bound it. "
-        "Otherwise the search did not converge, or feedback on the actual noise is worth more than foresight."
+        "mean cost if each scenario has the cheaper schedule of the two searches; the second search has another seed "
+        "and twice as many rounds (number of scenarios in parentheses). Contender below: number of scenarios in which "
+        "at least one contender costs less than the reference. The reference is no bound for a contender inside the "
+        "loop (eq6). For others, either the search did not converge, or feedback on the actual noise helps more than "
+        "foresight."
     )
     return Table("References", head, rows, note)
 
@@ -233,7 +236,7 @@ def budgets(found: Content) -> Table:
         else:
             rows.append([name, f"{entry['tuned_episodes']:,}", f"1 ({len(entry['recipe']['seeds'])} starts)", "-"])
     head = ("", "simulated episodes", "runs", "training time [s]")
-    note = "Episodes of one run; of a tuned law those of all starts together."
+    note = "Simulated episodes: of one run; of a tuned law, the sum over all starts."
     return Table("Cost of learning and tuning", head, rows, note)
 
 
@@ -250,8 +253,8 @@ def worst(found: Content) -> Table:
     ]
     head = ("", found["best_learned"], found["best_by_hand"], YARDSTICK, "higher cost", "scenario")
     note = (
-        "Costs; for the learned policy the mean over its training seeds. Higher cost: of the learned policy than of "
-        f"{found['best_by_hand']}. Replay: `amulett simulate --scenario FILE --law ...`."
+        "Costs; for the learned policy the mean over its training seeds. Higher cost: yes if it is "
+        f"above that of {found['best_by_hand']}. Replay: `amulett simulate --scenario FILE --law ...`."
     )
     return Table("Worst scenarios of the learned policy", head, rows, note)
 
@@ -370,4 +373,7 @@ def label(found: Content, name: str) -> str:
 def _position_only(found: Content) -> str:
     if POSITION_ONLY not in found["entries"]:
         return ""
-    return f"{POSITION_ONLY} has other gains and no tension loop: it follows no schedule, so no reference bounds it."
+    return (
+        f"{POSITION_ONLY} has other gains and no tension loop: it follows no tension schedule, so its cost can be "
+        "below that of a reference."
+    )
