@@ -392,8 +392,14 @@ def _unflatten(template: Mapping[str, Any], name: str, plain: Mapping[str, Any],
             tree[key] = plain[path]
         else:
             array = arrays[path]
-            if value.dtype.names and array.size == value.nbytes and plain[path] == _layout(value.dtype):
-                array = array.view(value.dtype).reshape(value.shape)
+            if value.dtype.names:
+                if plain[path] != _layout(value.dtype):
+                    raise ValueError(
+                        f"'{path}' has other fields than in this version; resume with the version that began the run, "
+                        "or train anew"
+                    )
+                if array.size == value.nbytes:
+                    array = array.view(value.dtype).reshape(value.shape)
             if array.dtype != value.dtype or array.shape != value.shape:
                 raise ValueError(f"'{path}' is {array.dtype} of shape {array.shape}; that of the environment differs")
             tree[key] = array

@@ -36,6 +36,7 @@ from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.profile import load_profile  # noqa: E402
+from amulett_gym.settings import merge  # noqa: E402
 from amulett_gym.storage import lock  # noqa: E402
 from amulett_gym.storage.lock import LOCK, locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
@@ -566,14 +567,28 @@ def test_a_run_is_resumed_and_run_again_without_the_files_of_its_device(tmp_path
         assert load_profile(own).spring.measured_curve.force_N == [0.0, 5.0, 12.0, 40.0]
 
 
-def test_a_shipped_profile_of_another_version_is_refused(broken_off):
-    path = newest_checkpoint(broken_off).folder
+def change_state(out, group, **values):
+    """Change a group of the newest checkpoint's state as if it had been written so."""
+    path = newest_checkpoint(out).folder
     state = json.loads((path / STATE).read_text())
-    state["profile"]["loop"]["offset_deg"] = 25.5
+    state[group] = merge(state[group], values)
     (path / STATE).write_text(json.dumps(state))
     manifest = json.loads((path / MANIFEST).read_text())
     manifest["sha256"][STATE] = hashlib.sha256((path / STATE).read_bytes()).hexdigest()
     (path / MANIFEST).write_text(json.dumps(manifest))
+
+
+def test_devices_with_other_fields_are_refused(broken_off):
+    """As those of a version before a quantity was added."""
+    name = "devices.venv.episodes.simulation.states"
+    assert name in newest_checkpoint(broken_off).content.model.devices
+    change_state(broken_off, "model", devices={name: "0" * 64})
+    with pytest.raises(AmulettError, match=rf"'{name}' has other fields .*resume with the version that began the run"):
+        resume(broken_off, progress=False)
+
+
+def test_a_shipped_profile_of_another_version_is_refused(broken_off):
+    change_state(broken_off, "profile", loop={"offset_deg": 25.5})
     with pytest.raises(AmulettError, match=r"profile 'testbed' was changed .*loop\.offset_deg was 25\.5 and is"):
         resume(broken_off, progress=False)
 
