@@ -6,6 +6,7 @@ environment; the others act from outside, through :func:`amulett_gym.laws.polici
 
 from __future__ import annotations
 
+import ast
 import math
 import os
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_names
-from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
 
@@ -111,6 +112,32 @@ def python_file(name: str) -> Path | None:
     return Path(path) if path.endswith(".py") else None
 
 
+def no_function(name: str) -> AmulettError:
+    """Return the error for a Python file without a function; it names the file's functions of one argument."""
+    path = name.rstrip(":")
+    found = _functions(Path(path))
+    choices = f", {' or '.join(f'{path}:{each}' for each in found)}" if len(found) > 1 else ""
+    only = f"; did you mean '{path}:{found[0]}'?" if len(found) == 1 else ""
+    return AmulettError(f"'{name}' names no function of a Python file; write {path}:function{choices}{only}")
+
+
+def _functions(path: Path) -> list[str]:
+    """Return the names of a Python file's public functions that can be called with one argument; it is not run."""
+    try:
+        tree = ast.parse(read_text(path, "Python file"))
+    except (AmulettError, SyntaxError, ValueError, RecursionError):
+        return []
+    found = []
+    for each in tree.body:
+        if isinstance(each, ast.FunctionDef) and not each.name.startswith("_"):
+            given, most = each.args, len(each.args.posonlyargs) + len(each.args.args)
+            fewest = most - len(given.defaults)
+            needs_keyword = None in given.kw_defaults
+            if fewest <= 1 and (most >= 1 or given.vararg) and not needs_keyword:
+                found.append(each.name)
+    return found
+
+
 def constant_tension(name: str) -> float:
     """Return the tension setpoint [N] in a name like ``constant:10``; refuse all but positive, finite numbers."""
     text = name.removeprefix(CONSTANT)
@@ -144,6 +171,8 @@ def bundle_folder(name: str) -> Path:
         raise AmulettError(f"cannot read policy bundle '{name[:100]}': {error.strerror or error}") from error
     if python_file(name) is not None:
         raise AmulettError(f"'{name}' is code; evaluate, simulate and play run it, or amulett_gym.laws.own.load_own")
+    if name.endswith(".py"):
+        raise no_function(name)
     if folder.is_dir():
         raise AmulettError(f"'{name}' holds no policy bundle: it has neither manifest.json nor best/manifest.json")
     if folder.exists():

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.laws.contenders import Own, python_file
+from amulett_gym.laws.contenders import Own, no_function, python_file
 
 
 def load_own(name: str) -> Own:
@@ -37,7 +37,7 @@ def load_own(name: str) -> Own:
     path = python_file(name)
     function_name = name.rpartition(":")[2]
     if path is None or not function_name:
-        raise AmulettError(f"'{name}' names no function of a Python file; write mylaw.py:function")
+        raise no_function(name)
     module = _run(path)
     functions = {key: value for key, value in vars(module).items() if callable(value) and not key.startswith("_")}
     if function_name not in functions:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import amulett_gym
+from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol, evaluate
@@ -68,7 +69,7 @@ def test_a_function_of_a_file_is_a_contender_with_what_its_environment_needs(fil
     [
         ("mylaw.py:sofetr", r"unknown function of '.*mylaw\.py' 'sofetr'.*did you mean 'softer'"),
         ("mylaw.py:NUMBER", "unknown function of .* 'NUMBER'"),
-        ("mylaw.py:", "names no function of a Python file; write mylaw.py:function"),
+        ("mylaw.py:", r"names no function of a Python file; write .*mylaw\.py:function, .*:softer or .*:broken$"),
         ("mylaw.py:pair", r"takes \(observations, more\); it has to take one argument"),
         ("other.py:softer", r"cannot read Python file '.*other\.py': there is no such file"),
         ("wrong.py:softer", r"'.*wrong\.py' raised ZeroDivisionError in line 2: division by zero"),
@@ -81,6 +82,26 @@ def test_what_is_wrong_with_a_file_is_said(file, name, message):
         (file.parent / f"{other}.py").write_text(text)
     with pytest.raises(AmulettError, match=message):
         load_own(f"{file.parent}/{name}")
+
+
+@pytest.mark.parametrize(
+    ("text", "ending"),
+    [
+        ("def one(seen, gain=2): ...\ndef pair(a, b): ...\ndef _own(a): ...\n", "; did you mean '{0}:one'?"),
+        ("def one(*seen): ...\ndef two(seen): ...\n", ", {0}:one or {0}:two"),
+        ("def none(): ...\ndef more(seen, *, gain): ...\n", ""),
+        ("def wrong(:", ""),
+        (None, ""),
+    ],
+)
+def test_a_file_without_a_function_names_the_form_and_its_functions_and_is_not_run(text, ending, tmp_path, capsys):
+    path = tmp_path / "mine.py"
+    if text is not None:
+        path.write_text(f"raise AssertionError('this file ran')\n{text}")
+    for command in (["evaluate", "--policies"], ["simulate", "--law"]):
+        assert main([*command, str(path)]) == 2
+        message = f"'{path}' names no function of a Python file; write {path}:function{ending.format(path)}\n"
+        assert capsys.readouterr().err.endswith(message)
 
 
 def test_an_error_in_a_function_names_its_file_and_line(file, env):
