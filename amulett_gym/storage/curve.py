@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
-from pydantic import Field, ValidationError, model_serializer, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, model_serializer, model_validator
 
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import read_text
@@ -29,19 +29,24 @@ class Curve(Group):
     )
 
     @model_validator(mode="after")
-    def _check_points(self) -> Curve:
+    def _check_points(self, info: ValidationInfo) -> Curve:
+        rows: list[int] | None = info.context and info.context.get("rows")
+
+        def place(k: int) -> str:
+            return f"value {k + 1} of '{name}'" if rows is None else f"row {rows[k]}, column '{name}'"
+
         columns = {name: values for name, values in self if values is not None}
         for name, values in columns.items():
             if len(values) != len(self.deflection_m):
                 raise ValueError(f"'{name}' has {len(values)} values, 'deflection_m' has {len(self.deflection_m)}")
             if values[0] < 0.0:
-                raise ValueError(f"'{name}' starts at {values[0]}; it has to be >= 0")
+                raise ValueError(f"{place(0)}: it starts at {values[0]}; it has to be >= 0")
             least, most = (0.0, 1e6) if name == "force_N" else (_LEAST_RISE, 10.0)
-            for before, value in pairwise(values):
+            for k, (before, value) in enumerate(pairwise(values), start=1):
                 if value - before < least:
-                    raise ValueError(f"'{name}' has to rise from row to row; {value} follows {before}")
+                    raise ValueError(f"{place(k)}: it has to rise from row to row; {value} follows {before}")
             if values[-1] > most:
-                raise ValueError(f"'{name}' reaches {values[-1]}; it has to be at most {most:g}")
+                raise ValueError(f"{place(-1)}: it reaches {values[-1]}; it has to be at most {most:g}")
         if self.force_N[-1] <= 0.0:
             raise ValueError("'force_N' has no force above 0")
         starts = {name: values[0] for name, values in columns.items()}
@@ -77,9 +82,9 @@ def read_curve(source: str | Path) -> Curve:
     what, text = "measured spring curve", str(source)
     if not is_csv(text):
         what, text = f"{what} '{source}'", read_text(source, what, MOST_BYTES)
-    columns = parse_columns(text, what, COLUMNS[:2], COLUMNS[2:])
+    columns, rows = parse_columns(text, what, COLUMNS[:2], COLUMNS[2:])
     try:
-        return Curve.model_validate(dict(zip(COLUMNS, columns, strict=False)))
+        return Curve.model_validate(dict(zip(COLUMNS, columns, strict=False)), context={"rows": rows})
     except ValidationError as error:
         raise describe(error, Curve, what) from error
 

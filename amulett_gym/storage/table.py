@@ -10,8 +10,12 @@ from collections.abc import Sequence
 from amulett_gym.errors import AmulettError, nearest
 
 
-def parse_columns(text: str, what: str, names: Sequence[str], optional: Sequence[str] = ()) -> list[list[float]]:
-    """Return columns of CSV text (comma or semicolon) with a header; other columns may hold anything.
+def parse_columns(
+    text: str, what: str, names: Sequence[str], optional: Sequence[str] = ()
+) -> tuple[list[list[float]], list[int]]:
+    """Return columns of CSV text (comma or semicolon) with a header, and their rows' numbers.
+
+    Other columns may hold anything. Rows are numbered as a spreadsheet numbers them: the header is row 1.
 
     Parameters
     ----------
@@ -27,7 +31,7 @@ def parse_columns(text: str, what: str, names: Sequence[str], optional: Sequence
     ------
     AmulettError
         If a column is missing or there twice, a row has more or fewer cells than the header, or a cell is no finite
-        number. Rows are numbered as a spreadsheet numbers them: the header is row 1.
+        number.
     """
     lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in text.partition("\n")[0] else ",", strict=True)
     try:
@@ -39,18 +43,20 @@ def parse_columns(text: str, what: str, names: Sequence[str], optional: Sequence
                 missing = f"has no column '{name}'{nearest(name, header)} (there are: {', '.join(header)[:200]})"
                 raise ValueError(f"row 1 {problem or missing}")
         columns: list[list[float]] = [[] for _ in names]
+        rows: list[int] = []
         for number, cells in enumerate(lines, start=2):
             if not any(cell.strip() for cell in cells):
                 continue  # spreadsheets leave empty rows behind
             if len(cells) != len(header):
                 raise ValueError(f"row {number} has {len(cells)} cells, the header has {len(header)}")
+            rows.append(number)
             for name, column in zip(names, columns, strict=True):
                 column.append(_number(cells[header.index(name)], name, number))
     except csv.Error as error:
         raise AmulettError(f"{what} is not valid CSV: row {lines.line_num}: {error}") from error
     except ValueError as error:
         raise AmulettError(f"{what}: {error}") from error
-    return columns
+    return columns, rows
 
 
 def _number(cell: str, name: str, row: int) -> float:

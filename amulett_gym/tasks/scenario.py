@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import MOST_TENSION, Profile
@@ -77,7 +77,12 @@ class Setpoint(Group):
     )
 
     @model_validator(mode="after")
-    def _check_samples(self) -> Setpoint:
+    def _check_samples(self, info: ValidationInfo) -> Setpoint:
+        rows: list[int] | None = info.context and info.context.get("rows")
+
+        def place(k: int) -> str:
+            return f"sample {k}" if rows is None else f"row {rows[k]}"
+
         time, angle = np.array(self.time), np.array(self.angle_deg)
         if time.size != angle.size:
             raise ValueError(f"time has {time.size} samples and angle_deg {angle.size}; they have to be equally many")
@@ -85,10 +90,10 @@ class Setpoint(Group):
             wrong = (values < low) | (values > high)
             if wrong.any():
                 sample = int(np.argmax(wrong))
-                raise ValueError(f"{name} of sample {sample} is {values[sample]}; it has to be {low:g} to {high:g}")
+                raise ValueError(f"{name} of {place(sample)} is {values[sample]}; it has to be {low:g} to {high:g}")
         if (np.diff(time) < 0.0).any():
             sample = int(np.argmax(np.diff(time) < 0.0))
-            raise ValueError(f"time falls from {time[sample]} to {time[sample + 1]} s after sample {sample}")
+            raise ValueError(f"time falls from {time[sample]} to {time[sample + 1]} s after {place(sample)}")
         object.__setattr__(self, "angle_deg", [round(value, _DIGITS) for value in self.angle_deg])
         return self
 
@@ -104,18 +109,19 @@ class SetpointFile(Group):
     begin: float | None = Field(default=None, ge=0, le=1e6, description="time of the first sample [s]; null: its own")
     interpolation: Literal["linear", "hold"] = Field(default="linear", description="as of `Setpoint`")
 
-    def read(self, folder: Path) -> dict[str, Any]:
-        """Return the samples: the content of a `Setpoint`."""
+    def read(self, folder: Path) -> tuple[dict[str, Any], list[int]]:
+        """Return the samples, which are the content of a `Setpoint`, and their rows in the file."""
         names, path = [self.time_column, self.column], folder / user_path(self.file)
         text = read_text(path, "setpoint", _MAX_TABLE_BYTES)
-        time, angle = map(np.array, parse_columns(text, f"setpoint '{path}'", names))
+        columns, rows = parse_columns(text, f"setpoint '{path}'", names)
+        time, angle = map(np.array, columns)
         if not time.size:
             raise AmulettError(f"setpoint '{path}' has no samples")
         time = time * (1e-3 if self.time_unit == "ms" else 1.0)
         if self.begin is not None:
             time = time - time[0] + self.begin
         angle = np.degrees(angle) if self.unit == "rad" else angle
-        return {"time": time.tolist(), "angle_deg": angle.tolist(), "interpolation": self.interpolation}
+        return {"time": time.tolist(), "angle_deg": angle.tolist(), "interpolation": self.interpolation}, rows
 
 
 class Wave(Group):
@@ -278,20 +284,21 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     """
     if isinstance(scenario, Scenario):
         return scenario
-    what, folder, content = "scenario", Path(), scenario
+    what, folder, content, rows = "scenario", Path(), scenario, None
     if isinstance(scenario, str | Path):
         path = find_config(scenario, "scenario")
         what, folder, content = f"scenario '{scenario}'", path.parent, _read(path)
     try:
         setpoint = content.get("setpoint") if isinstance(content, Mapping) else None
         if isinstance(content, Mapping) and isinstance(setpoint, Mapping) and "file" in setpoint:
-            content = {**content, "setpoint": _read_samples(setpoint, folder, what)}
-        return Scenario.model_validate(content)
+            samples, rows = _read_samples(setpoint, folder, what)
+            content = {**content, "setpoint": samples}
+        return Scenario.model_validate(content, context={"rows": rows})
     except ValidationError as error:
         raise describe(error, Scenario, what) from error
 
 
-def _read_samples(setpoint: Mapping[str, Any], folder: Path, what: str) -> dict[str, Any]:
+def _read_samples(setpoint: Mapping[str, Any], folder: Path, what: str) -> tuple[dict[str, Any], list[int]]:
     try:
         return SetpointFile.model_validate(setpoint).read(folder)
     except ValidationError as error:

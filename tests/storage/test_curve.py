@@ -21,16 +21,20 @@ BAD_CURVES = {
     ),
     "a force that falls": (
         "deflection_m,force_N\n0,0\n1,5\n2,4\n",
-        "'force_N' has to rise from row to row; 4.0 follows 5.0",
+        "row 4, column 'force_N': it has to rise from row to row; 4.0 follows 5.0",
     ),
     "a deflection twice": (
         "deflection_m,force_N\n0,0\n1,5\n1,6\n",
-        "'deflection_m' has to rise from row to row; 1.0 follows 1.0",
+        "row 4, column 'deflection_m': it has to rise from row to row; 1.0 follows 1.0",
+    ),
+    "a deflection that falls below an empty row": (
+        "deflection_m,force_N\n0,0\n,\n2,5\n1,6\n",
+        "row 5, column 'deflection_m': it has to rise from row to row; 1.0 follows 2.0",
     ),
     "a preload": ("deflection_m,force_N\n0,1\n1,5\n2,6\n", "starts at .*'force_N': 1.0.*have to be 0, or all above"),
     "no force at all": ("deflection_m,force_N\n0,0\n1,0\n2,0\n", "no force above 0"),
-    "below zero": ("deflection_m,force_N\n-1,0\n1,5\n2,6\n", "'deflection_m' starts at -1.0"),
-    "beyond the range": ("deflection_m,force_N\n0,0\n1,1\n2,2e6\n", "'force_N' reaches 2000000.0"),
+    "below zero": ("deflection_m,force_N\n-1,0\n1,5\n2,6\n", "row 2, column 'deflection_m': it starts at -1.0"),
+    "beyond the range": ("deflection_m,force_N\n0,0\n1,1\n2,2e6\n", "row 4, column 'force_N': it reaches 2000000.0"),
     "an endless field": ("deflection_m,force_N\n0," + "1" * 200_000 + "\n", "is not valid CSV: row 2"),
     "an open quote": ('deflection_m,force_N\n0,0\n1,"1\n', "is not valid CSV: row 3"),
     "not a number": ("deflection_m,force_N\n0,0\n1,nan\n2,4\n", "row 3, column 'force_N': 'nan' is no finite number"),
@@ -66,6 +70,11 @@ def test_other_columns_and_empty_rows_are_left_out(tmp_path):
 def test_columns_of_other_lengths_are_refused():
     with pytest.raises(ValueError, match="'force_N' has 2 values, 'deflection_m' has 3"):
         Curve(deflection_m=[0, 1, 2], force_N=[0, 1])
+
+
+def test_values_without_rows_are_named_by_their_number():
+    with pytest.raises(ValueError, match="value 3 of 'force_N': it has to rise from row to row; 1.0 follows 2.0"):
+        Curve(deflection_m=[0, 1, 2], force_N=[0, 2, 1])
 
 
 @pytest.mark.parametrize("name", BAD_CURVES)

@@ -250,9 +250,9 @@ def test_a_command_with_a_long_log_can_be_run_again(tmp_path):
         (["time,angel", "0,1"], r"row 1 has no column 'angle'; did you mean 'angel'"),
         (["time,angle,angle", "0,1,2"], r"row 1 names the column 'angle' 2 times"),
         (["time,angle"], "has no samples"),
-        (["time,angle", "1,1", "0.5,1"], "time falls from 1.0 to 0.5 s after sample 0"),
-        (["time,angle", "0,1", "1,190"], "angle_deg of sample 1 is 190.0; it has to be -180 to 180"),
-        (["time,angle", "-1,1", "1,90"], "time of sample 0 is -1.0; it has to be 0 to 1e.06"),
+        (["time,angle", "", "1,1", "0.5,1"], "time falls from 1.0 to 0.5 s after row 3"),
+        (["time,angle", "0,1", "1,190"], "angle_deg of row 3 is 190.0; it has to be -180 to 180"),
+        (["time,angle", "-1,1", "1,90"], "time of row 2 is -1.0; it has to be 0 to 1e.06"),
     ],
 )
 def test_wrong_logs_are_refused(lines, message, tmp_path):
@@ -270,6 +270,7 @@ def test_wrong_logs_are_refused(lines, message, tmp_path):
         ({"setpoint": {"file": "none.csv", "colum": "a"}}, "setpoint: .*unknown key 'colum'; did you mean 'column'"),
         ({"setpoint": {"file": "none.csv", "column": "a", "unit": "grad"}}, "'unit' is 'grad'"),
         ({"setpoint": {"time": [0.0, 1.0], "angle_deg": [0.0]}}, "time has 2 samples and angle_deg 1"),
+        ({"setpoint": {"time": [1.0, 0.5], "angle_deg": [0.0, 0.0]}}, "time falls from 1.0 to 0.5 s after sample 0"),
         ({"setpoint": {"time": [], "angle_deg": []}}, "'setpoint.time'.*at least 1"),
         ({"setpoint": {"time": [0.0], "angle_deg": [0.0]}, "moves": [{"time": 0.0, "angle_deg": 1.0}]}, "give one of"),
         ({"setpoint": {"time": [0.0], "angle_deg": [float("nan")]}}, "finite"),
