@@ -151,8 +151,11 @@ class Run(BaseCallback):
         """Return the run's result."""
         best, last = self._rows[self._best], self._rows[-1]
         folders, costs = (self.out, self.out / "best", self.out / "last"), (best["cost"], last["cost"])
-        steps, seconds = (int(best["steps"]), int(last["steps"])), time.monotonic() - self._started
-        return TrainResult(*folders, *costs, *steps, seconds, self.interrupted, self.config.seed, self.diverged)
+        done = int(last["steps"]) if self.diverged is None else self.diverged
+        seconds = time.monotonic() - self._started
+        return TrainResult(
+            *folders, *costs, int(best["steps"]), done, seconds, self.interrupted, self.config.seed, self.diverged
+        )
 
     def _checkpoint(self) -> None:
         state = RunState(

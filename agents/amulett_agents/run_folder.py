@@ -42,11 +42,12 @@ _OUTPUTS = (FOLDER, FINISHED, EVALUATIONS, "last_sb3.zip", *BUNDLES, START, "ten
 class TrainResult:
     """The result of a training run.
 
-    `out`, `best` and `last` are the folders of the run and its two bundles; `best_steps` and `steps` their training
-    [agent steps]. `best_cost` and `last_cost` are mean capped costs (minus the return) on the validation scenarios, on
-    which eq. 6 costs about 1. `seconds` includes validation, but neither compilation nor work that a resumed run had
-    lost. `interrupted`: Ctrl-C or SIGTERM ended the run. `diverged`: the agent steps after which a weight was not
-    finite, or too large to store, which ended the run (else None); the bundles are those of the validations before.
+    `out`, `best` and `last` are the folders of the run and its two bundles. `best_steps` is the training of `best`, and
+    `steps` that of the run [agent steps]. `best_cost` and `last_cost` are mean capped costs (minus the return) on the
+    validation scenarios, on which eq. 6 costs about 1. `seconds` includes validation, but neither compilation nor work
+    that a resumed run had lost. `interrupted`: Ctrl-C or SIGTERM ended the run. `diverged`: the agent steps after which
+    a weight was not finite, or too large to store, which ended the run (else None); the bundles are those of the
+    validations before.
     """
 
     out: Path

@@ -58,12 +58,21 @@ def test_divergence_ends_a_run_and_keeps_what_was_good(recipe, updates, monkeypa
     exploding(monkeypatch, updates)
     out = tmp_path / "run"
     result = train(load_train_config(None, recipe), out, progress=False)
-    assert 0 < result.steps <= result.diverged < 2048 and not result.interrupted
+    assert 0 < result.steps == result.diverged < 2048 and not result.interrupted
     assert np.isfinite([result.best_cost, result.last_cost]).all()
     for bundle in (result.best, result.last):
         read_bundle(bundle)
     assert not (out / "checkpoints").exists()
     assert resume(out, progress=False) == result
+
+
+@pytest.mark.parametrize("recipe", [PPO, SAC])
+def test_the_steps_before_the_first_validation_are_counted(recipe, monkeypatch, tmp_path, capsys):
+    exploding(monkeypatch, 1)
+    assert main(["train", "--set", *recipe, "--out", str(tmp_path / "run")]) == 1
+    finished = json.loads((tmp_path / "run" / "finished.json").read_text())
+    assert finished["best_steps"] == 0 < finished["steps"] == finished["diverged"] <= 512
+    assert f"\n{finished['steps']:,} steps in " in capsys.readouterr().out
 
 
 def test_weights_that_no_bundle_can_hold_have_diverged():
