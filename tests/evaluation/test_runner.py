@@ -113,6 +113,21 @@ def test_a_policy_from_elsewhere_is_told_apart(bundle):
     assert all(remark in " ".join(printed.split()) for remark in results.remarks)
 
 
+@pytest.mark.parametrize(
+    ("keywords", "note"),
+    [
+        ({"scenarios": [{"moves": []}]}, "measured on the suite hold-push: these have no pushes."),
+        ({"suite": "steps"}, "measured on the suite hold-push: steps has no pushes."),
+        ({"suite": "hold-push"}, None),
+        ({"scenarios": [{"pushes": [{"time": 0.1, "duration": 0.1, "torque": 0.1}]}]}, None),
+    ],
+)
+def test_where_pushes_were_measured_is_printed(keywords, note):
+    printed = " ".join(in_words(summarise(evaluate(["eq6"], episodes=1, duration=0.4, **keywords))).split())
+    assert ("push deflection was measured" in printed) == (note is not None)
+    assert (note or "") in printed
+
+
 def test_a_failure_where_pushes_were_measured_is_told(fragile):
     results = replace(fragile, push_failures={"eq6": 0, "constant:10": 3})
     assert "constant:10 failed in 3 of 12 on hold-push" in verdict(results)
