@@ -7,7 +7,7 @@ import argparse
 from amulett_gym.cli.options import add_json
 from amulett_gym.cli.output import print_json, printer
 
-HELP = "list environments, suites, splits, laws and profiles"
+HELP = "list environments, control loops, suites, splits, laws and profiles"
 EXAMPLES = """  amulett list
   amulett list --json
 """
@@ -29,15 +29,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
     from amulett_gym import ENV_IDS
+    from amulett_gym.gains import Loops
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.reporting.table import Table
     from amulett_gym.tasks.suites import SPLITS, SUITES
 
-    names = {
+    names: dict[str, dict[str, str]] = {
         "environments": {
             ENV_IDS[0]: "choose the factor by which eq. 6 scales the tension",
             ENV_IDS[1]: "choose the tension setpoint in N",
+        },
+        "control loops": {
+            "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",
+            "position-only": "the paper's without tension controller: a fixed co-contraction",
+            **{key.replace("_", "-"): str(field.description) for key, field in Loops.model_fields.items()},
         },
         "suites": dict(SUITES),
         "splits": dict(zip(SPLITS, _USES, strict=True)),

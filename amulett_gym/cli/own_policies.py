@@ -47,9 +47,12 @@ def own_contenders(
 
 
 def _own_contender(name: str, profile: Profile, env_id: str, trust_pickle: bool) -> Contender:
-    from amulett_gym.laws.contenders import parse_contender, python_file
+    from amulett_gym.laws.contenders import in_loop, parse_contender, python_file, split_loop
     from amulett_gym.laws.own import load_own
 
+    loop, law = split_loop(name)
+    if loop:
+        return in_loop(_own_contender(law, profile, env_id, trust_pickle), loop)
     if python_file(name) is not None:
         return load_own(name)
     if _is_zip(name):

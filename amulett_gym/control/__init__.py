@@ -1,1 +1,1 @@
-"""Control loops: those of section 2.2 of the paper and of the literature."""
+"""The control loops of section 2.2 of the paper, with those of the literature."""

@@ -1,4 +1,4 @@
-"""Co- and counter-rotation ([10] Tonietti et al.): both drives turn together for the position, apart for the stiffness.
+"""Co-/counter-rotation ([10] Tonietti et al.): drives turn together for the position, apart for the stiffness.
 
 The common turn is that of equilibrium-point control with a PID of the joint position.
 """

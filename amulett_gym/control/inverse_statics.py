@@ -1,4 +1,4 @@
-"""Inverse statics: the string forces, and the drive angles, that give a torque at a co-contraction."""
+"""Inverse statics: the drive angles that give a torque at a co-contraction."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
+from amulett_gym.laws.contenders import split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
 from amulett_gym.profile import Profile, is_shipped
 
@@ -28,6 +29,8 @@ def device_remarks(
     files = {name: (places or {}).get(name) or name for name in contenders if is_tuned_file(name)}
     elsewhere = [(name, tuning_differs(file, profile)) for name, file in files.items()]
     remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
+    moved = [name for name in contenders if split_loop(name)[0] and split_loop(name)[1] in tuned_names()]
+    remarks += [f"{name} acts with the parameters tuned in the paper's loop" for name in moved]
     if is_shipped(profile):
         return remarks
     owner = divisors_owner(profile)
@@ -35,7 +38,7 @@ def device_remarks(
         f"costs on the {profile.name} are divided by those of eq6 on the {owner}: eq6's cost need not be about 1, and "
         "a term that is small here, often the effort, has little weight"
     ]
-    tuned = [name for name in contenders if name in tuned_names()]
+    tuned = [name for name in contenders if split_loop(name)[1] in tuned_names()]
     if tuned:
         act = "act" if len(tuned) > 1 else "acts"
         remarks.append(f"{', '.join(tuned)} {act} with the parameters tuned on the {owner}, not on the {profile.name}")

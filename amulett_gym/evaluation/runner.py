@@ -29,12 +29,13 @@ from amulett_gym.laws.contenders import (
     contender_names,
     parse_contender,
     python_file,
+    split_loop,
 )
 from amulett_gym.laws.parametric import is_tuned, is_tuned_file
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
-from amulett_gym.simulation.layout import FAMILIES
+from amulett_gym.simulation.layout import CONTROLS, FAMILIES
 from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
@@ -340,7 +341,9 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
         if profile != protocol.profile:
             other = "another version of the " if profile.name == protocol.profile.name else "the "
             places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
+    loop = trained.keywords.get("control", CONTROLS[0])
     for preposition, there, here in (
+        ("in the loop", loop, contender.env_keywords.get("control", CONTROLS[0])),
         ("for", trained.keywords.get("suite", "steps"), protocol.task),
         ("in", trained.id, protocol.env_id),
     ):
@@ -350,6 +353,9 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
 
 
 def _short(name: str) -> str:
+    loop, name = split_loop(name)
+    if loop:
+        return f"{loop}/{_short(name)}"
     parts = [part for part in Path(name).parts if part not in ("best", "last", "/", ".", "..")]
     return parts[-1] if parts else name
 

@@ -1,7 +1,8 @@
 """Contenders by name: what can be compared, as environment keywords with a policy.
 
 Some contenders act inside the loop (eq. 6 at control rate, position control alone) and are chosen by a keyword of the
-environment; the others act from outside, through :func:`amulett_gym.laws.policies.load_policy`.
+environment; the others act from outside, through :func:`amulett_gym.laws.policies.load_policy`. A name ``loop/law`` is
+that of a law in another control loop than the paper's, such as ``co-rotation/constant:10``.
 """
 
 from __future__ import annotations
@@ -10,17 +11,18 @@ import ast
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_names
+from amulett_gym.simulation.layout import CONTROLS, LOOPS
 from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
@@ -47,6 +49,7 @@ _DESCRIPTIONS = {
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
     "<file.json>": "a tuned law, from `amulett tune-law`",
     "<file.py:function>": "your own function from observations to actions; the file is run",
+    "<loop>/<law>": "any of these in another control loop, for example co-rotation/constant:10",
 }
 
 
@@ -78,10 +81,36 @@ class Own(Contender):
     act: Callable[[NDArray[np.float32]], Any] | None = None
 
 
+C = TypeVar("C", bound=Contender)
+
+
 def contender_names() -> dict[str, str]:
-    """Return the contenders' names (four of them patterns), each with a one-line description."""
+    """Return the contenders' names (five of them patterns), each with a one-line description."""
     entries = list(_DESCRIPTIONS.items())
-    return dict([*entries[:-4], *tuned_names().items(), *entries[-4:]])
+    return dict([*entries[:-5], *tuned_names().items(), *entries[-5:]])
+
+
+def split_loop(name: str) -> tuple[str, str]:
+    """Return the control loop, empty if none is named, and the law in a name like ``co-rotation/constant:10``."""
+    loop, slash, law = name.partition("/")
+    return (loop, law) if slash and loop in CONTROLS else ("", name)
+
+
+def in_loop(contender: C, loop: str) -> C:
+    """Return a contender in a control loop, under the name ``loop/law``; as it is if `loop` is empty.
+
+    Raises
+    ------
+    AmulettError
+        If the contender needs another loop, or the loop controls no tension.
+    """
+    if not loop:
+        return contender
+    name = f"{loop}/{contender.name}"
+    if loop == "position-only" or contender.env_keywords.get("control", loop) != loop:
+        other = contender.env_keywords.get("control", "a loop that controls a tension")
+        raise AmulettError(f"'{name}' is no contender: '{contender.name}' needs {other}, not the loop '{loop}'")
+    return replace(contender, name=name, env_keywords={**contender.env_keywords, "control": loop})
 
 
 def parse_contender(name: str) -> Contender:
@@ -90,8 +119,11 @@ def parse_contender(name: str) -> Contender:
     Raises
     ------
     AmulettError
-        If the name is unknown, a tension is not a positive number, or a file or folder is not valid.
+        If the name is unknown, a tension is no number of at least 0, or a file or folder is not valid.
     """
+    loop, law = split_loop(name)
+    if loop:
+        return in_loop(parse_contender(law), loop)
     if name in IN_THE_LOOP:
         return Contender(name, dict(IN_THE_LOOP[name]))
     if name.startswith(CONSTANT):
@@ -139,14 +171,16 @@ def _functions(path: Path) -> list[str]:
 
 
 def constant_tension(name: str) -> float:
-    """Return the tension setpoint [N] in a name like ``constant:10``; refuse all but positive, finite numbers."""
+    """Return the tension setpoint [N] in a name like ``constant:10``; refuse negative and infinite ones."""
     text = name.removeprefix(CONSTANT)
     try:
         tension = float(text)
     except ValueError:
         tension = math.nan
-    if not 0 < tension < math.inf:
-        raise AmulettError(f"'{name}' has to name a positive tension in N, for example constant:10; it has '{text}'")
+    if not 0 <= tension < math.inf:
+        raise AmulettError(
+            f"'{name}' has to name a tension in N of at least 0, for example constant:10; it has '{text}'"
+        )
     return tension
 
 
@@ -179,5 +213,6 @@ def bundle_folder(name: str) -> Path:
         hint = "; a zip of Stable-Baselines3 is loaded by amulett_agents.load_sb3_zip" if name.endswith(".zip") else ""
         raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json{hint}")
     if os.sep in name:
-        raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist")
+        hint = nearest(name.partition("/")[0], LOOPS) if len(folder.parts) == 2 else ""
+        raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist{hint}")
     raise unknown("policy", name, contender_names())

@@ -17,7 +17,7 @@ from typing import Any
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import FILES, MANIFEST
-from amulett_gym.laws.contenders import CONSTANT, contender_names, python_file
+from amulett_gym.laws.contenders import CONSTANT, contender_names, python_file, split_loop
 from amulett_gym.storage.reading import read_bytes, user_path
 
 FOLDER = "kept_policies"
@@ -117,11 +117,13 @@ def kept_policies(folder: str | Path, record: Any) -> dict[str, str]:
             what = f"kept copy of policy '{name[:100]}'"
             if _digest(_read(place / path, what)) != digest:
                 raise AmulettError(f"the {what}, '{place / path}', was changed: its SHA-256 is not as in command.json")
-        file = python_file(name)
+        loop, law = split_loop(name)
+        file = python_file(law)
         if file is not None:
-            found[name] = f"{place / file.name}:{name.rpartition(':')[2]}"
+            copy = f"{place / file.name}:{law.rpartition(':')[2]}"
         else:
-            found[name] = str(place if MANIFEST in entry["sha256"] else place / Path(name).name)
+            copy = str(place if MANIFEST in entry["sha256"] else place / Path(law).name)
+        found[name] = f"{loop}/{copy}" if loop else copy
     return found
 
 
@@ -133,6 +135,7 @@ def policy_file(name: str) -> Path | None:
     AmulettError
         If the system refuses the name.
     """
+    _, name = split_loop(name)
     if name in contender_names() or name.startswith(CONSTANT):
         return None
     path = user_path(name)

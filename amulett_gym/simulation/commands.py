@@ -1,4 +1,4 @@
-"""What all control loops share: the tension setpoint, and the limited commands with their metrics."""
+"""The begin of every control tick, the tension setpoint, to its end, the limited commands."""
 
 from __future__ import annotations
 

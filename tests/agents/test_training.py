@@ -421,7 +421,7 @@ def test_overrides_are_yaml_and_exponents_are_numbers():
         ("env.id=Amulett/Scalling-v0", "did you mean 'Amulett/Scaling-v0'"),
         ("env.suite=step", "did you mean 'steps'"),
         ("env.reward_weights.efort=1", "did you mean 'effort'"),
-        ("env.tension_range=[9, 5]", "0 < low < high"),
+        ("env.tension_range=[9, 5]", "0 <= low < high"),
         ("ppo.batch_size=1000", "has to divide"),
         ("algorithm=a2c", "'ppo' or 'sac'"),
         ("sac.tau=0", r"'sac\.tau' is 0"),

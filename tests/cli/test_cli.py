@@ -10,6 +10,7 @@ from importlib import import_module
 import pytest
 
 from amulett_gym.cli import COMMANDS, main
+from amulett_gym.simulation.layout import CONTROLS
 from amulett_gym.studies.speed.rates import contestants, race
 
 
@@ -130,7 +131,8 @@ def test_version(capsys):
 def test_list_names_everything(capsys):
     assert main(["list", "--json"]) == 0
     names = json.loads(capsys.readouterr().out)
-    assert set(names) == {"environments", "suites", "splits", "laws", "profiles"}
+    assert set(names) == {"environments", "control loops", "suites", "splits", "laws", "profiles"}
+    assert list(names["control loops"]) == list(CONTROLS)
     assert "steps" in names["suites"]
     assert "eq6" in names["laws"]
     assert main(["list"]) == 0

@@ -47,7 +47,7 @@ KINDS = (lambda number: number, np.float32, np.float64, np.int64, np.array, lamb
         ({"reward_weights": {"effort": math.nan}}, "'reward_weights.effort' is nan"),
         ({"reward_weights": [1.0]}, "'reward_weights'.*dictionary"),
         ({"reward_fn": "mine"}, "'reward_fn' is 'mine'.*callable"),
-        ({"tension_range": (2.0, 1.0)}, "0 < low < high"),
+        ({"tension_range": (2.0, 1.0)}, "0 <= low < high"),
         ({"tension_range": 3.0}, "'tension_range' is 3.0"),
         ({"tension_range": (1.0, 1e7)}, "at most 1,000,000 N"),
         ({"agent_period": 0.0111}, r"multiple of the profile's control period, 0\.0\d+ s; the nearest is 0\.01\d* s"),
@@ -302,3 +302,13 @@ def test_a_mask_of_no_device_resets_nothing_and_gives_the_same_keys(started, sce
 def test_a_float32_agent_period_is_the_multiple_it_stands_for():
     env = ScalingEnv(agent_period=np.float32(0.02))
     assert env.episodes.agent_period == pytest.approx(0.02, rel=1e-12)
+
+
+def test_slack_strings_need_a_loop_that_feeds_the_co_contraction_forward():
+    assert Settings.read({"control": "co-rotation"}).tension_range == (0.0, 15.0)
+    assert Settings.read({"control": "co-rotation", "tension_range": (5.0, 9.0)}).tension_range == (5.0, 9.0)
+    assert Settings.read({}).tension_range == (4.0, 15.0)
+    with pytest.raises(AmulettError, match="the loop 'decentralized' needs a range above 0 N"):
+        Settings.read({"tension_range": (0.0, 15.0)})
+    with pytest.raises(AmulettError, match="did you mean 'co-rotation'"):
+        Settings.read({"control": "co-rotatoin"})

@@ -334,7 +334,7 @@ def test_the_csv_holds_every_scenario_exactly(results, tmp_path):
     ("policies", "keywords", "message"),
     [
         (["eq7"], {}, "unknown policy 'eq7'"),
-        (["constant:x"], {}, "positive tension"),
+        (["constant:x"], {}, "has to name a tension in N of at least 0"),
         (["constant:40"], {}, "40 N"),
         (["no/such/folder"], {}, "no/such/folder"),
         (["eq6"], {"suite": "step"}, "did you mean 'steps'"),

@@ -224,7 +224,7 @@ def test_a_pickle_in_the_place_of_weights_is_not_opened(folder, tmp_path):
         ("policy.json", {"agent_perod": 0.1}, "did you mean 'agent_period'"),
         ("policy.json", {"observations": list(OBSERVATIONS)[::-1]}, "their order"),
         ("policy.json", {"observation_scales": {**OBSERVATION_SCALES, "position_error": 1.0}}, "position_error"),
-        ("policy.json", {"tension_range": [9.0, 4.0]}, "0 < low < high"),
+        ("policy.json", {"tension_range": [9.0, 4.0]}, "0 <= low < high"),
         ("policy.json", {"network": {"layers": [13, 1], "activation": "gelu", "output": "clip"}}, "activation"),
         ("policy.json", {"network": {"layers": [12, 1], "activation": "tanh", "output": "clip"}}, "13 observations"),
         ("env.json", {"max_episode_steps": 0}, "max_episode_steps"),
