@@ -289,10 +289,15 @@ def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
     if Path(profile).suffix.lower() not in (".yaml", ".yml", ".json"):
         raise unknown("profile", str(profile), [*profile_names(), "<file>.yaml"])
     path = find_config(profile, "profile")
-    content = read_yaml(path, "profile")
+    return parse_profile(read_yaml(path, "profile"), path)
+
+
+def parse_profile(content: dict[str, Any], path: Path) -> Profile:
+    """Return the validated profile that a file at `path` holds; errors as of `load_profile`."""
     spring = content.get("spring")
     if isinstance(spring, dict) and isinstance(curve := spring.get("measured_curve"), str) and not is_csv(curve):
-        spring["measured_curve"] = str(path.parent / user_path(curve))  # relative to the file that names it
+        curve = str(path.parent / user_path(curve))  # relative to the file that names it
+        content = {**content, "spring": {**spring, "measured_curve": curve}}
     return _validate(content, f"profile '{path}'", f"in {path.name}")
 
 

@@ -269,10 +269,15 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
     content: Mapping[str, Any] = {} if path is None else read_yaml(find_config(path, "recipe"), "recipe")
     for override in overrides:
         content = merge(content, _parse_override(override))
+    return parse_train_config(content, "recipe" if path is None else f"recipe '{path}'")
+
+
+def parse_train_config(content: Mapping[str, Any], what: str) -> TrainConfig:
+    """Return the recipe in a mapping, which is called `what` in errors; errors as of `load_train_config`."""
     try:
         return TrainConfig.model_validate(content)
     except ValidationError as error:
-        raise describe(error, TrainConfig, "recipe" if path is None else f"recipe '{path}'") from error
+        raise describe(error, TrainConfig, what) from error
 
 
 def _parse_override(override: str) -> dict[str, Any]:

@@ -115,10 +115,7 @@ def load_space(path: str | Path, config: TrainConfig) -> Space:
     AmulettError
         If the file cannot be read, a key is not in the recipe, or a range's end or a choice is not allowed.
     """
-    content = read_yaml(find_config(path, "space"), "space")
-    if not content:
-        raise AmulettError(f"space '{path}' names no key of the recipe")
-    return _parse_space(content, config, path)
+    return parse_space(read_yaml(find_config(path, "space"), "space"), config, path)
 
 
 def stored_study(content: Mapping[str, Any]) -> tuple[TrainConfig, Space]:
@@ -131,7 +128,7 @@ def stored_study(content: Mapping[str, Any]) -> tuple[TrainConfig, Space]:
     """
     try:
         config = TrainConfig.model_validate(content["config"])
-        return config, _parse_space(dict(content["space"]), config, STUDY)
+        return config, parse_space(dict(content["space"]), config, STUDY)
     except ValidationError as error:
         raise describe(error, TrainConfig, "the study's recipe") from error
     except (KeyError, TypeError, ValueError) as error:
@@ -140,7 +137,10 @@ def stored_study(content: Mapping[str, Any]) -> tuple[TrainConfig, Space]:
         raise AmulettError(f"the study's settings are damaged: {error!r}") from error
 
 
-def _parse_space(content: Mapping[Any, Any], config: TrainConfig, path: str | Path) -> Space:
+def parse_space(content: Mapping[Any, Any], config: TrainConfig, path: str | Path) -> Space:
+    """Return the search space that a file at `path` holds; errors as of `load_space`."""
+    if not content:
+        raise AmulettError(f"space '{path}' names no key of the recipe")
     space: Space = {}
     for key, entry in content.items():
         kind: type[Range | Choice] = Choice if isinstance(entry, Mapping) and "choices" in entry else Range

@@ -14,7 +14,9 @@ from amulett_gym.errors import AmulettError
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-HELP = "check a device, recipe, scenario, benchmark or tuning file, or a policy bundle; show its resolved values"
+HELP = (
+    "check a device, recipe, scenario, benchmark or tuning file, a bundle or a training run; show its resolved values"
+)
 EXAMPLES = """  amulett config validate configs/my_device.yaml
   amulett config validate configs/ppo.yaml --show
   amulett config validate my_scenario.json --json
@@ -34,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "action", choices=("validate",), help="validate: report the kind of a valid file, or its first errors"
     )
-    parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or a policy bundle's folder")
+    parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or the folder of a bundle or a training run")
     parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
     add_json(parser, "kind and resolved values")
 
@@ -67,39 +69,34 @@ def validate(path: str | Path) -> Found:
         If the file cannot be read, is of no known kind, or is not valid.
     """
     from amulett_gym.settings import find_config
-    from amulett_gym.storage.reading import read_json, user_path
+    from amulett_gym.storage.reading import user_path
 
     path = user_path(path)
     if path.is_dir():
-        from amulett_gym.laws.bundle import read_bundle
-
-        return Found("a policy bundle", path.name, read_bundle(path).policy)
-    from amulett_gym.tasks.scenario import MAX_BYTES, Scenario, load_scenario
+        return _validate_folder(path)
+    from amulett_gym.learning import load_learning
+    from amulett_gym.profile import Profile, parse_profile
+    from amulett_gym.storage.safe_yaml import read_yaml
+    from amulett_gym.studies.benchmark.description import Benchmark, parse_benchmark
+    from amulett_gym.tasks.scenario import MAX_BYTES, Scenario, parse_scenario
 
     path = find_config(path, "file")
-    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
-        allowed = ".yaml or .json (device, recipe, benchmark, scenario) nor a bundle"
+    is_json = path.suffix.lower() == ".json"
+    if not is_json and path.suffix.lower() not in (".yaml", ".yml"):
+        allowed = ".yaml or .json (device, recipe, benchmark, scenario) nor the folder of a bundle or a training run"
         raise AmulettError(f"'{path}' is neither {allowed}")
-
-    from amulett_gym.learning import load_learning
-    from amulett_gym.profile import Profile, load_profile
-    from amulett_gym.storage.safe_yaml import read_yaml
-    from amulett_gym.studies.benchmark.description import Benchmark, load_benchmark
-
     recipes = load_learning("recipes")
     kinds: Mapping[str, tuple[type[BaseModel], Any]] = {
-        "a device profile": (Profile, load_profile),
-        "a training recipe": (recipes.TrainConfig, recipes.load_train_config),
-        "a benchmark's description": (Benchmark, load_benchmark),
-        "a scenario": (Scenario, load_scenario),
+        "a device profile": (Profile, parse_profile),
+        "a training recipe": (recipes.TrainConfig, _parse_recipe),
+        "a benchmark's description": (Benchmark, parse_benchmark),
+        "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
-    is_json = path.suffix.lower() == ".json"
-    content = read_json(path, "file", MAX_BYTES) if is_json else read_yaml(path, "file")
-    if not isinstance(content, dict):
-        raise AmulettError(f"'{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
+    content = read_yaml(path, "file", *([MAX_BYTES] if is_json else []))
     keys = set(content)
     if keys and all("." in str(key) for key in keys):
-        return Found("a search space of `amulett tune`", path.stem, _load_space(path))
+        space = load_learning("tuning").parse_space(content, recipes.TrainConfig(), path)
+        return Found("a search space of `amulett tune`", path.stem, space)
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
     kind = max(known, key=lambda kind: known[kind])
     if not known[kind] and is_json:
@@ -107,15 +104,44 @@ def validate(path: str | Path) -> Found:
     elif not known[kind]:
         allowed = "; ".join(f"{kind}: {', '.join(model.model_fields)}" for kind, (model, _) in kinds.items())
         raise AmulettError(f"'{path}' has no key of any kind of file ({allowed})")
-    content = kinds[kind][1](path)
+    valid = kinds[kind][1](content, path)
     if kind == "a training recipe":
-        _check_recipe(content)
+        _check_start(valid)
     elif kind == "a benchmark's description":
-        _check_benchmark(content, path)
-    return Found(kind, getattr(content, "name", path.stem), content)
+        _check_benchmark(valid, path)
+    return Found(kind, getattr(valid, "name", path.stem), valid)
 
 
-def _check_recipe(config: Any) -> None:
+def _validate_folder(path: Path) -> Found:
+    """Validate a policy bundle, or a training run: its recipe, the bundle that it starts from, and its best bundle."""
+    from amulett_gym.laws.bundle import MANIFEST, read_bundle
+    from amulett_gym.storage.safe_yaml import read_yaml
+
+    name, recipe, best, start = path.resolve().name, path / "config.yaml", path / "best", path / "start"
+    if (path / MANIFEST).exists():
+        return Found("a policy bundle", name, read_bundle(path).policy)
+    if not recipe.exists():
+        raise AmulettError(
+            f"'{path}' holds neither a policy bundle ({MANIFEST}) nor a training run (config.yaml, and best/ in it)"
+        )
+    config = _parse_recipe(read_yaml(recipe, "recipe"), recipe)
+    if start.exists():  # the copy counts
+        read_bundle(start)
+    else:
+        _check_start(config)
+    if not best.exists():
+        return Found("a training run without a policy yet", name, config)
+    read_bundle(best)
+    return Found("a training run with its best policy", name, config)
+
+
+def _parse_recipe(content: Mapping[str, Any], path: Path) -> Any:
+    from amulett_gym.learning import load_learning
+
+    return load_learning("recipes").parse_train_config(content, f"recipe '{path}'")
+
+
+def _check_start(config: Any) -> None:
     """Refuse a recipe that starts from a bundle that cannot be read; its device has been read."""
     from amulett_gym.laws.bundle import read_bundle
     from amulett_gym.laws.contenders import bundle_folder
@@ -133,7 +159,7 @@ def _check_benchmark(benchmark: Any, path: Path) -> None:
     load_profile_of(benchmark, folder)
     check_starts(benchmark)
     for entry in benchmark.learned.values():
-        _check_recipe(training_recipe(entry, entry.seeds[0], folder))
+        _check_start(training_recipe(entry, entry.seeds[0], folder))
 
 
 def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[str]:
@@ -151,12 +177,6 @@ def show(model: BaseModel | Mapping[str, BaseModel], indent: str = "") -> list[s
         else:
             lines.append(f"{indent}{key}: {_flow(value)}{remark}")
     return lines
-
-
-def _load_space(path: Path) -> Mapping[str, BaseModel]:
-    from amulett_gym.learning import load_learning
-
-    return load_learning("tuning").load_space(path, load_learning("recipes").TrainConfig())
 
 
 def _flow(value: Any) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.reading import MAX_DEPTH, check_tree, read_text
+from amulett_gym.storage.reading import MAX_DEPTH, check_tree, parse_json, read_text
 
 MAX_NODES = 10_000
 """Keys and values in a file, aliases counted at each use; the largest shipped file has 500."""
@@ -64,15 +64,17 @@ def to_yaml(value: Any, **options: Any) -> str:
     return text
 
 
-def read_yaml(path: str | Path, what: str) -> dict[str, Any]:
-    """Return the mapping in a YAML file.
+def read_yaml(path: str | Path, what: str, limit: int = 4_000_000) -> dict[str, Any]:
+    """Return the mapping in a YAML file, or in a JSON file if its name ends in ``.json``.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read, `parse_yaml` refuses its text, or it holds something else.
+        If the file cannot be read or is longer than `limit` [bytes], `parse_yaml` or `parse_json` refuses its text, or
+        it holds something else.
     """
-    content = parse_yaml(read_text(path, what), f"{what} '{path}'")
+    parse = parse_json if Path(path).suffix.lower() == ".json" else parse_yaml
+    content = parse(read_text(path, what, limit), f"{what} '{path}'")
     if not isinstance(content, dict):
         raise AmulettError(f"{what} '{path}' has to hold a mapping of keys to values, not {type(content).__name__}")
     return content

@@ -284,10 +284,18 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenar
     """
     if isinstance(scenario, Scenario):
         return scenario
-    what, folder, content, rows = "scenario", Path(), scenario, None
     if isinstance(scenario, str | Path):
         path = find_config(scenario, "scenario")
-        what, folder, content = f"scenario '{scenario}'", path.parent, _read(path)
+        return parse_scenario(_read(path), path.parent, f"scenario '{scenario}'")
+    return parse_scenario(scenario, Path(), "scenario")
+
+
+def parse_scenario(content: Any, folder: Path, what: str) -> Scenario:
+    """Return the validated scenario in a mapping; errors as of `load_scenario`.
+
+    `what` names it in errors; the path of a setpoint's file is relative to `folder`.
+    """
+    rows = None
     try:
         setpoint = content.get("setpoint") if isinstance(content, Mapping) else None
         if isinstance(content, Mapping) and isinstance(setpoint, Mapping) and "file" in setpoint:

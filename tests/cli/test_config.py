@@ -8,13 +8,15 @@ from pathlib import Path
 
 import pytest
 from annotated_types import Ge, Gt, Le, Lt
+from helpers import make_bundle
 from pydantic import BaseModel
 
-from amulett_agents.config import TrainConfig
+from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.cli import main
 from amulett_gym.cli.config import show, validate
 from amulett_gym.profile import Profile, load_profile
-from amulett_gym.storage.safe_yaml import parse_yaml
+from amulett_gym.storage import reading
+from amulett_gym.storage.safe_yaml import parse_yaml, to_yaml
 from amulett_gym.studies.benchmark.description import Benchmark, Learned
 from amulett_gym.tasks.scenario import Scenario
 
@@ -45,6 +47,58 @@ def test_a_kind_is_told_by_its_keys(name, text, kind, tmp_path):
         text = "{headline: steps, suites: [steps], clairvoyant: {scenarios: {}}}"
         (tmp_path / name).write_text(text)
     assert validate(tmp_path / name).kind == kind
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.name)
+def test_a_file_is_read_once(path, monkeypatch):
+    read, done = reading.read_bytes, []
+
+    def counted(place, *given, **more):
+        done.append(Path(place))
+        return read(place, *given, **more)
+
+    monkeypatch.setattr(reading, "read_bytes", counted)
+    validate(path)
+    assert done.count(path) == 1
+
+
+def test_a_json_file_is_read_alike_by_all(tmp_path):
+    (tmp_path / "mine.json").write_text('{\n\t"name": "mine",\n\t"base": "testbed"\n}')  # YAML knows no tabs
+    assert validate(tmp_path / "mine.json").content == load_profile(tmp_path / "mine.json")
+
+
+RUN = ["total_steps=64", "num_envs=4", "ppo.n_steps=16", "ppo.batch_size=64", "ppo.n_epochs=1", "network.hidden=[4]"]
+
+
+def test_the_folder_of_a_training_run_is_valid_with_its_recipe_and_best_bundle(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "run"
+    run.mkdir()
+    config = load_train_config(None, [*RUN, "network.start=gone"])
+    (run / "config.yaml").write_text(to_yaml(config.model_dump()))
+
+    def validated(code):
+        assert main(["config", "validate", "run"]) == code
+        return "".join(capsys.readouterr())
+
+    assert "unknown policy 'gone'" in validated(2)
+    make_bundle(run / "start")
+    assert "run: valid, a training run without a policy yet (run)" in validated(0)
+    make_bundle(run / "best")
+    assert "run: valid, a training run with its best policy (run)" in validated(0)
+    assert validate(run).content == config
+    monkeypatch.chdir(run / "best")
+    assert validate(".")[:2] == ("a policy bundle", "best")
+    monkeypatch.chdir(tmp_path)
+    (run / "start" / "env.json").open("a").write(" ")
+    assert "start/env.json' was changed or damaged" in validated(2)
+    (run / "start" / "env.json").write_text((run / "start" / "env.json").read_text()[:-1])
+    (run / "best" / "env.json").unlink()
+    assert "best/env.json'" in validated(2)
+    (run / "config.yaml").write_text("{ppo: {gama: 0.9}}")
+    assert "unknown key 'ppo.gama'; did you mean 'gamma'" in validated(2)
+    (run / "config.yaml").unlink()
+    assert "'run' holds neither a policy bundle (manifest.json) nor a training run" in validated(2)
 
 
 @pytest.mark.parametrize(

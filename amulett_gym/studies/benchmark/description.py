@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -205,10 +205,17 @@ def load_benchmark(path: str | Path | None = None) -> Benchmark:
 
     Raises AmulettError if the file cannot be read, a key is unknown, or a value is wrong.
     """
+    if path is None:
+        return Benchmark()
+    return parse_benchmark(read_yaml(find_config(path, "benchmark"), "benchmark"), path)
+
+
+def parse_benchmark(content: Mapping[str, Any], path: str | Path) -> Benchmark:
+    """Return the description that a file at `path` holds; errors as of `load_benchmark`."""
     try:
-        return Benchmark.model_validate({} if path is None else read_yaml(find_config(path, "benchmark"), "benchmark"))
+        return Benchmark.model_validate(content)
     except ValidationError as error:
-        raise describe(error, Benchmark, "benchmark" if path is None else f"benchmark '{path}'") from error
+        raise describe(error, Benchmark, f"benchmark '{path}'") from error
 
 
 def recipe_folder(path: str | Path | None) -> Path:
