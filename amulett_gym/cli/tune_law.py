@@ -1,4 +1,4 @@
-"""`amulett tune-law`: search a law's parameters, or the best constant tension, for a device and a suite."""
+"""`amulett tune-law`: search a law's parameters, the best constant or a loop's gains, for a device and a suite."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from amulett_gym.storage.writing import output_folder, write_json
 if TYPE_CHECKING:
     from amulett_gym.evaluation.search.laws import Recipe
 
-HELP = "tune a law's parameters for a device and a suite; the same command continues an interrupted search"
+HELP = "tune a law or a loop's gains for a device and a suite; the same command continues an interrupted search"
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
   amulett tune-law constant --suite reach --out runs/constant
   amulett tune-law parametric --suite mixed --budget 20000 --seeds 1 --out runs/short
+  amulett tune-law gains --control co-rotation --profile configs/my_device.yaml --out runs/gains
 """
 
 TUNING = "tuning.json"
@@ -30,11 +31,14 @@ TUNING = "tuning.json"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("law", metavar="LAW", help="constant (a tension), eq6-tuned (4 parameters), parametric (18)")
+    laws = "constant (a tension), eq6-tuned (4 parameters), parametric (18), or gains: those of the loop in --control"
+    parser.add_argument("law", metavar="LAW", help=laws)
+    control = "loop that plays (default: decentralized, the paper's); in others the full-control cost is minimised"
+    parser.add_argument("--control", default="decentralized", metavar="LOOP", help=control)
     suite = "suite of scenarios, searched on its split train, chosen on validation (default: mixed)"
     add_options(parser, "--suite", default="mixed", help=suite)
     add_options(parser, "--profile")
-    budget = "simulated training episodes of all starts together (default: as for the shipped laws)"
+    budget = "simulated training episodes of all starts (default: as for the shipped laws; equal for all loops)"
     parser.add_argument("--budget", type=int, metavar="N", help=budget)
     seeds = "seeds of the independent starts, of which the best is chosen (default: 1 2)"
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="N", help=seeds)
@@ -49,10 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Tune, print the result, and write it; return 130 if Ctrl-C ended it."""
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
-    from amulett_gym.evaluation.search.laws import Recipe, check_shippable, result_path, ship
+    from amulett_gym.evaluation.search.gains import GAINS, TENSION
+    from amulett_gym.evaluation.search.laws import Recipe, check_shippable, profile_path, result_path, ship
 
     law, suite, profile = arguments.law, arguments.suite, arguments.profile
-    recipe = Recipe(law, suite, profile, tuple(arguments.seeds), validation=arguments.validation)
+    sizes = {"validation": arguments.validation, "control": arguments.control}
+    recipe = Recipe(law, suite, profile, tuple(arguments.seeds), **sizes)
     if arguments.budget is not None:
         recipe = recipe.within(arguments.budget)
     if arguments.write:
@@ -65,15 +71,22 @@ def run(arguments: argparse.Namespace) -> int:
         print("interrupted; finished generations are kept. Continue with:", file=sys.stderr)
         print(f"       {shlex.join(words)}", file=sys.stderr)
         return 130
-    written = [str(result_path(arguments.out, recipe))]
+    result = str(result_path(arguments.out, recipe))
+    written = [result]
+    loop = "" if recipe.control == "decentralized" else f"{recipe.control}/"
+    contender = f"{loop}{result}"
+    if law == GAINS:
+        profile = str(profile_path(arguments.out))
+        written.append(profile)
+        contender = f"{loop}constant:{content['parameters'][TENSION.name]['value']:.4g}"
     if arguments.write:
         written.append(str(ship(recipe, content)))
     if arguments.json:
         print_json(content)
     show(_in_words(content))
     show(f"Written: {', '.join(written)}", wrap=False)
-    options = ["--suite", suite, "--profile", profile]
-    again = ["amulett", "evaluate", "--policies", "eq6", written[0], *options]
+    policies = [contender] if loop else ["eq6", contender]
+    again = ["amulett", "evaluate", "--policies", *policies, "--suite", suite, "--profile", profile]
     show(f"Compare: {shlex.join(again)}", wrap=False)
     return 0
 
@@ -98,7 +111,7 @@ def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., 
     def begin(done: int) -> None:
         starts = ", ".join(map(str, recipe.seeds))
         show(
-            f"{recipe.law} on {recipe.suite} of the {recipe.device().name}, starts {starts}: "
+            f"{recipe.law} in {recipe.control} on {recipe.suite} of the {recipe.device().name}, starts {starts}: "
             f"{total:,} simulated episodes, {recipe.episodes:,} on train with {recipe.population} candidates in a "
             f"generation, and {recipe.judging:,} to judge what was found" + (f"; {done:,} are done" if done else "")
         )
@@ -107,7 +120,7 @@ def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., 
         show(f"start {seed}: cost {start['train']:.4f} on train, {start['validation']:.4f} on validation")
 
     with output_folder(out, "tuned law", [[TUNING]]), locked_folder(out):
-        _refuse_other(Path(out), {key: config[key] for key in ("law", "suite", "profile")})
+        _refuse_other(Path(out), {key: config[key] for key in ("law", "control", "suite", "profile")})
         write_provenance(out, "tune-law", config, recipe.seeds, words)
         content = tune(out, recipe, report, begin, progress=True)
     show(f"{total:,} episodes were simulated.")
@@ -122,7 +135,7 @@ def _refuse_other(folder: Path, subject: Mapping[str, Any]) -> None:
     if path.is_file() and (found := read_json(path, "tuned law's folder")) != subject:
         there = found if isinstance(found, dict) else {}
         other = "another device" if there.get("profile") != subject["profile"] else ""
-        named = " on ".join(str(there[key]) for key in ("law", "suite") if key in there) or "something else"
+        named = "{law} on {suite} in {control}".format(**there) if {*subject} <= {*there} else "something else"
         raise AmulettError(
             f"'{folder}' holds a tuning of {named}{f', for {other}' if other else ''}; choose another folder"
         )
@@ -143,5 +156,5 @@ def _in_words(content: Mapping[str, Any]) -> str:
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
-    options = ("suite", "profile", "budget", "seeds", "validation", "out")
+    options = ("control", "suite", "profile", "budget", "seeds", "validation", "out")
     return ["amulett", "tune-law", arguments.law, *command_words(arguments, *options)]

@@ -30,7 +30,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -38,17 +38,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.action import TENSION_RANGE, compiled_tension_of
+from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, compiled_tension_of
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile, load_profile
+from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.storage.reading import read_json
 
 RANGE = TENSION_RANGE
-"""Range of the laws' tension setpoints [N]: that of the environments' default actions."""
+"""Range of the shipped laws' tension setpoints [N]: that of the environments' default actions."""
 
 DEFAULT_SUITE = "mixed"
 """Suite on which a law was tuned if its name does not contain one."""
@@ -79,7 +80,10 @@ Tensions = Callable[..., None]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A tunable parameter, searched from `low` to `high`, first at `start`; `logarithmic`: by its logarithm."""
+    """A tunable parameter, searched from `low` to `high`, first at `start`; `logarithmic`: by its logarithm.
+
+    `beyond`: it is a tension, searched over the law's range and this much more at both ends [N].
+    """
 
     name: str
     unit: str
@@ -88,6 +92,7 @@ class Parameter:
     start: float
     meaning: str
     logarithmic: bool = False
+    beyond: float | None = None
 
 
 @dataclass(frozen=True)
@@ -144,14 +149,26 @@ class Space:
 
 @dataclass(frozen=True)
 class Law(Space):
-    """A law with its parameters; the compiled `fill` computes the tensions of a batch."""
+    """A law with its parameters and its range of tensions [N]; the compiled `fill` computes those of a batch."""
 
     fill: Tensions
+    range: tuple[float, float] = RANGE
+
+    def over(self, tension_range: tuple[float, float]) -> Law:
+        """Return this law over another range of tensions [N]."""
+        low, high = tension_range
+        parameters = tuple(
+            parameter
+            if parameter.beyond is None
+            else replace(parameter, low=low - parameter.beyond, high=high + parameter.beyond)
+            for parameter in self.parameters
+        )
+        return self if tension_range == self.range else replace(self, parameters=parameters, range=tension_range)
 
     def tensions(
         self, observations: NDArray[Any], vectors: Values, device: Device, setpoint_range: tuple[float, float]
     ) -> Values:
-        """Return the tension setpoints of a batch [N], shape (N,), within `RANGE`.
+        """Return the tension setpoints of a batch [N], shape (N,), within the law's range.
 
         Parameters
         ----------
@@ -165,7 +182,7 @@ class Law(Space):
         tensions = np.empty(len(observations))
         rows = np.asarray(observations, dtype=np.float64)
         constants, period = device.constants, device.agent_period
-        self.fill(rows, np.ascontiguousarray(vectors), constants, period, *setpoint_range, tensions)
+        self.fill(rows, np.ascontiguousarray(vectors), constants, period, *setpoint_range, *self.range, tensions)
         return tensions
 
 
@@ -191,13 +208,13 @@ class Device:
 
 
 @compiled
-def _fill_constant(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+def _fill_constant(rows, vectors, device, period, low, high, least, most, tensions):  # type: ignore[no-untyped-def]
     for k in range(rows.shape[0]):
         tensions[k] = vectors[k if vectors.shape[0] > 1 else 0, 0]
 
 
 @compiled
-def _fill_eq6(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+def _fill_eq6(rows, vectors, device, period, low, high, least, most, tensions):  # type: ignore[no-untyped-def]
     for k in range(rows.shape[0]):
         nominal, minimum, offset, exponent = vectors[k if vectors.shape[0] > 1 else 0]
         error = abs(rows[k, _ERROR_AT]) * _ERROR * 180.0 / math.pi
@@ -205,7 +222,7 @@ def _fill_eq6(rows, vectors, device, period, low, high, tensions):  # type: igno
 
 
 @compiled
-def _fill_parametric(rows, vectors, device, period, low, high, tensions):  # type: ignore[no-untyped-def]
+def _fill_parametric(rows, vectors, device, period, low, high, least, most, tensions):  # type: ignore[no-untyped-def]
     for k in range(rows.shape[0]):
         p = vectors[k if vectors.shape[0] > 1 else 0]
         row = rows[k]
@@ -230,7 +247,7 @@ def _fill_parametric(rows, vectors, device, period, low, high, tensions):  # typ
             + p[11] * early * way
         )
         last = compiled_tension_of(row[_SETPOINT_AT], low, high)
-        tensions[k] = _follow(last, _squash(wanted), p[16], p[17], period)
+        tensions[k] = _follow(last, _squash(wanted, least, most), p[16], p[17], period, least, most)
 
 
 @compiled
@@ -240,20 +257,22 @@ def _size(x: float) -> float:
 
 
 @compiled
-def _squash(wanted: float) -> float:
-    """Limit a tension [N] smoothly to `RANGE`; in the middle 80 % it changes by less than 0.1 N.
+def _squash(wanted: float, least: float, most: float) -> float:
+    """Limit a tension [N] smoothly to a range; in the middle 80 % of `RANGE` it changes by less than 0.1 N.
 
     It is ``m + h x / (1 + x^8)^(1/8)``, where m and h are the range's middle and half width.
     """
-    middle, half = 0.5 * (RANGE[0] + RANGE[1]), 0.5 * (RANGE[1] - RANGE[0])
+    middle, half = 0.5 * (least + most), 0.5 * (most - least)
     x = (wanted - middle) / half
     return middle + half * x / (1.0 + x**8) ** 0.125
 
 
 @compiled
-def _follow(last: float, wanted: float, rise_time: float, fall_time: float, period: float) -> float:
+def _follow(
+    last: float, wanted: float, rise_time: float, fall_time: float, period: float, least: float, most: float
+) -> float:
     """Return the next tension [N] on the way from the last to the wanted one: a low-pass with two time constants."""
-    last = min(max(last, RANGE[0]), RANGE[1])
+    last = min(max(last, least), most)
     time_constant = rise_time if wanted > last else fall_time
     return last + (wanted - last) * period / (time_constant + period)
 
@@ -272,7 +291,7 @@ def _gain(name: str, meaning: str) -> Parameter:
 BEST_CONSTANT = Law(
     "constant",
     "a constant tension",
-    (Parameter("tension", "N", *RANGE, 10.0, "the constant tension setpoint"),),
+    (Parameter("tension", "N", *RANGE, 10.0, "the constant tension setpoint", beyond=0.0),),
     _fill_constant,
 )
 
@@ -280,8 +299,8 @@ EQ6_TUNED = Law(
     "eq6-tuned",
     "eq. 6 with tuned parameters, from outside at agent rate",
     (
-        Parameter("nominal_tension", "N", *RANGE, 10.0, "tension at no error; sigma"),
-        Parameter("minimum_tension", "N", *RANGE, 4.0, "tension from the offset on; sigma_min"),
+        Parameter("nominal_tension", "N", *RANGE, 10.0, "tension at no error; sigma", beyond=0.0),
+        Parameter("minimum_tension", "N", *RANGE, 4.0, "tension from the offset on; sigma_min", beyond=0.0),
         Parameter(
             "error_offset", "deg", 2.0, 90.0, 30.0, "error from which the tension is the minimum; d_offset", True
         ),
@@ -294,7 +313,10 @@ PARAMETRIC = Law(
     "parametric",
     "a tuned law of error, velocity, direction, time since the setpoint moved and external torque",
     (
-        Parameter("base", "N", 2.0, 17.0, 8.0, "tension of a resting arm on its setpoint, but for the torque's share"),
+        Parameter(
+            *("base", "N", 2.0, 17.0, 8.0, "tension of a resting arm on its setpoint, but for the torque's share"),
+            beyond=2.0,
+        ),
         _gain("error_gain", "g1, far from the setpoint"),
         _gain("direction_gain", "g2, in flexion; minus that in extension"),
         _gain("switch_gain", "g3, when the other drive will have to take over"),
@@ -360,6 +382,8 @@ def read_tuned(path: str) -> tuple[Law, Values]:
     content = _tuned_file(path)
     try:
         law = LAWS[content["recipe"]["law"]]
+        if content["recipe"].get("control") in LOOPS:
+            law = law.over(FEED_FORWARD_RANGE)
         values = {key: float(entry["value"]) for key, entry in content["parameters"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise AmulettError(f"tuned law '{path}' is damaged: {type(error).__name__} {error}") from error

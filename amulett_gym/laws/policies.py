@@ -18,7 +18,7 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension
-from amulett_gym.laws.parametric import BEST_CONSTANT, RANGE, Device, is_tuned, tuned_vector
+from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, tuned_vector
 from amulett_gym.profile import Profile
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
@@ -134,9 +134,9 @@ def _eq6(profile: Profile, tension_range: tuple[float, float], printed: bool) ->
 def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agent_period: float) -> Act:
     """Return a law with parameters that were tuned on a suite."""
     law, vector = tuned_vector(name, profile)
-    if law is BEST_CONSTANT:
+    if law.name == BEST_CONSTANT.name:
         return _constant(float(vector[0]), tension_range)
-    _check_reach(f"'{name}'", *RANGE, tension_range)
+    _check_reach(f"'{name}'", *law.range, tension_range)
     device = Device.of(profile, agent_period)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -37,7 +37,9 @@ def place(tmp_path, monkeypatch):
 def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, capsys):
     assert main([*SEARCH, "--profile", "dev.yaml", "--out", "tuned"]) == 0
     out, err = capsys.readouterr()
-    assert "eq6-tuned on steps of the mine, starts 3: 90 simulated episodes, 84 on train" in " ".join(out.split())
+    assert "eq6-tuned in decentralized on steps of the mine, starts 3: 90 simulated episodes, 84 on train" in " ".join(
+        out.split()
+    )
     assert "90 episodes were simulated." in out
     assert "Compare: amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json --suite steps --profile dev.yaml" in out
     assert "Note: costs on the mine are divided by those of eq6 on the testbed" in err
@@ -74,7 +76,8 @@ def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(pl
     monkeypatch.setattr(tuning, "mean_costs", interrupted)
     assert main([*SEARCH, "--out", "tuned"]) == 130
     err = capsys.readouterr().err
-    words = "amulett tune-law eq6-tuned --suite steps --profile testbed --seeds 3 --validation 4 --out tuned"
+    words = "amulett tune-law eq6-tuned --control decentralized --suite steps --profile testbed --seeds 3"
+    words += " --validation 4 --out tuned"
     assert f"interrupted; finished generations are kept. Continue with:\n       {words}\n" in err
     assert main(["rerun", "tuned", "--out", "again"]) == 2
     assert "'tuned' is not finished" in capsys.readouterr().err.replace(str(place) + "/", "")
@@ -116,6 +119,9 @@ def test_the_package_is_written_only_when_asked_for_and_before_nothing_is_search
         (["constant", "--budget", "0", "--out", "x"], "a budget of 0 simulated episodes is too small"),
         (["constant", "--seeds", "1", "1", "--out", "x"], "seeds are .1, 1.; they have to differ"),
         (["constant", "--validation", "0", "--out", "x"], "at least 1"),
+        (["gains", "--out", "x"], "the loop 'decentralized' has no gains to tune"),
+        (["gains", "--control", "co-rotaton", "--out", "x"], "did you mean 'co-rotation'"),
+        (["eq6-tuned", "--control", "co-rotation", "--write", "--out", "x"], "of the paper's loop only"),
         (["constant", "--write", "--out", "x"], "no tuned constant"),
         (["constant", "--out", "dev.yaml"], "is a file"),
     ],
@@ -126,12 +132,32 @@ def test_wrong_input_is_refused_before_anything_is_made(words, message, place, c
     assert [path.name for path in place.iterdir()] == ["dev.yaml"]
 
 
+def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch):
+    monkeypatch.setattr(tuning, "GAIN_POPULATION", 5)
+    words = ["tune-law", "gains", "--control", "equilibrium-point", *SEARCH[2:], "--out", "tuned"]
+    assert main([*words, "--profile", "dev.yaml"]) == 0
+    out = capsys.readouterr().out
+    assert "Written: tuned/equilibrium-point-gains-steps.json, tuned/profile.yaml" in out
+    tension = json.loads((place / "tuned" / "equilibrium-point-gains-steps.json").read_text())["parameters"]
+    law = f"equilibrium-point/constant:{tension['co_contraction']['value']:.4g}"
+    assert f"Compare: amulett evaluate --policies {law} --suite steps --profile tuned/profile.yaml" in out
+    assert main(["config", "validate", "tuned/profile.yaml"]) == 0
+    assert main(["simulate", "--profile", "tuned/profile.yaml", "--duration", "0.1"]) == 0
+    assert main(["rerun", "tuned", "--out", "again"]) == 0
+    assert (place / "again" / "profile.yaml").read_text() == (place / "tuned" / "profile.yaml").read_text()
+    assert main([*words, "--profile", "testbed"]) == 2
+    assert "holds a tuning of gains on steps in equilibrium-point, for another device" in capsys.readouterr().err
+
+
 def test_a_folder_holds_one_law(place, capsys):
     assert main([*SEARCH, "--out", "tuned"]) == 0
     assert main([*SEARCH, "--out", "tuned", "--seeds", "3", "4"]) == 0  # another start is added
     assert main(["tune-law", "constant", "--suite", "steps", "--out", "tuned"]) == 2
-    assert "'tuned' holds a tuning of eq6-tuned on steps; choose another folder" in capsys.readouterr().err
+    assert (
+        "'tuned' holds a tuning of eq6-tuned on steps in decentralized; choose another folder"
+        in capsys.readouterr().err
+    )
     assert main([*SEARCH, "--out", "tuned", "--profile", "dev.yaml"]) == 2
-    assert "eq6-tuned on steps, for another device; choose another folder" in capsys.readouterr().err
+    assert "eq6-tuned on steps in decentralized, for another device; choose another folder" in capsys.readouterr().err
     assert main([*SEARCH, "--out", "."]) == 2
     assert "holds no tuned law" in capsys.readouterr().err

@@ -144,7 +144,7 @@ def test_the_external_torque_is_the_push_on_an_arm_at_rest():
 
 def test_the_squash_is_a_smooth_clip():
     wanted = np.linspace(-20.0, 40.0, 601)
-    tensions = np.array([_squash(value) for value in wanted])
+    tensions = np.array([_squash(value, *RANGE) for value in wanted])
     assert (np.diff(tensions) >= 0.0).all()
     assert np.abs(tensions - np.clip(wanted, *RANGE)).max() < 0.5
     inner = (wanted > 5.1) & (wanted < 13.9)

@@ -1,4 +1,7 @@
-"""Tune by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
+"""Tune laws and gains by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
+
+In the paper's loop, laws are tuned by the cost of an episode, minus its return. In the other loops, laws and gains are
+tuned by the full-control cost (`metrics.control_prices`). Gains are tuned with a constant co-contraction.
 
 `tune` searches from several independent starts, each with random candidates. What is finished in the folder is not
 repeated: starts, and generations of a start. ``amulett tune-law`` is the command.
@@ -19,19 +22,27 @@ from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
 from amulett_gym import __version__
-from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
+from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, tension_to_action
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.evaluation.runner import Protocol
-from amulett_gym.evaluation.search.trials import Choose, Trials
+from amulett_gym.evaluation.search.gains import GAINS, TENSION, Gains, gains_of, profile_text, shipped_text
+from amulett_gym.evaluation.search.trials import Choose, Trials, held
 from amulett_gym.laws.parametric import BEST_CONSTANT, FORMAT, LAWS, TUNED, Device, Law
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import to_plain
+from amulett_gym.simulation.layout import CONTROLS, LOOPS
 from amulett_gym.storage.kept import digest, read_kept, write_kept
-from amulett_gym.storage.writing import write_json
+from amulett_gym.storage.writing import write_json, write_text
 
 STAGES = ((14, 40), (42, 20))
 """Stages of a start, as in `Recipe`. The first, with few scenarios, finds the region; the second refines it."""
+
+GAIN_STAGES = ((14, 120), (42, 60))
+"""The same for gains: as many simulated episodes for each loop."""
+
+GAIN_POPULATION = 24
+"""Candidates in a generation of gains, in each loop."""
 
 Values = NDArray[np.float64]
 
@@ -43,16 +54,19 @@ class Recipe:
     Attributes
     ----------
     law, suite : str
+        One of `parametric.LAWS`, or `gains.GAINS`.
     profile : str or dict
         Anything that `load_profile` takes; kept as the name of a shipped profile, or else as the content.
     seeds : tuple of int
         One for each independent start.
     population : int
-        Candidates in a generation; 0: four, and two for each of the law's parameters.
+        Candidates in a generation; 0: four, and two for each of the law's parameters; `GAIN_POPULATION` of gains.
     generations : tuple of (int, int)
-        Stages of a start: the number of training scenarios, and of generations on them.
+        Stages of a start: the number of training scenarios, and of generations on them; empty: `STAGES`, `GAIN_STAGES`.
     validation : int
         Validation scenarios, which choose among the starts.
+    control : str
+        The loop that plays.
 
     Raises
     ------
@@ -65,19 +79,24 @@ class Recipe:
     profile: Any = "testbed"
     seeds: tuple[int, ...] = (1, 2)
     population: int = 0
-    generations: tuple[tuple[int, int], ...] = STAGES
+    generations: tuple[tuple[int, int], ...] = ()
     validation: int = 200
+    control: Any = "decentralized"
 
     def __post_init__(self) -> None:
-        if self.law not in LAWS:
-            raise unknown("law", self.law, LAWS)
+        if self.law not in (*LAWS, GAINS):
+            raise unknown("law", self.law, (*LAWS, GAINS))
+        if self.control not in (known := [name for name in CONTROLS if name != "position-only"]):
+            raise unknown("control loop that takes a tension", self.control, known)
         profile = load_profile(self.profile)
         kept = profile.name if is_shipped(profile) else profile.model_dump(mode="json")
         object.__setattr__(self, "profile", kept)
         object.__setattr__(self, "seeds", tuple(self.seeds))
-        object.__setattr__(self, "generations", tuple((count, number) for count, number in self.generations))
-        if not self.population:
-            object.__setattr__(self, "population", 4 + 2 * len(LAWS[self.law].parameters))
+        stages = self.generations or (GAIN_STAGES if self.law == GAINS else STAGES)
+        object.__setattr__(self, "generations", tuple((count, number) for count, number in stages))
+        own = GAIN_POPULATION if self.law == GAINS else 4 + 2 * len(self.space().parameters)
+        object.__setattr__(self, "population", self.population or own)
+        self.space()
         if self.population < 5:
             raise AmulettError(f"population is {self.population}; differential evolution needs at least 5")
         if not self.seeds or min(self.seeds) < 0 or len(set(self.seeds)) < len(self.seeds):
@@ -127,6 +146,18 @@ class Recipe:
             )
         return replace(self, generations=((few, ratio * number + rest // few), (many, number)))
 
+    def space(self) -> Law | Gains:
+        """Return what is tuned."""
+        if self.law == GAINS:
+            return gains_of(self.control)
+        return LAWS[self.law].over(FEED_FORWARD_RANGE if self.control in LOOPS else TENSION_RANGE)
+
+    def trials(self) -> tuple[Trials, Trials]:
+        """Return the training and the validation scenarios."""
+        scenarios = (("train", self.scenarios), ("validation", self.validation))
+        train, validation = (Trials(self.protocol(split, count), self.control) for split, count in scenarios)
+        return train, validation
+
     def protocol(self, split: str, episodes: int) -> Protocol:
         """Return the scenarios of a split."""
         return Protocol(self.device(), self.suite, split, episodes=episodes)
@@ -141,7 +172,12 @@ Report = Callable[[int, Mapping[str, Any]], None]
 
 def result_path(folder: str | Path, recipe: Recipe) -> Path:
     """Return the file of the result in a folder."""
-    return Path(folder) / f"{recipe.law}-{recipe.suite}.json"
+    return Path(folder) / f"{_name(recipe)}.json"
+
+
+def _name(recipe: Recipe) -> str:
+    loop = f"{recipe.control}-" if recipe.control in LOOPS else ""
+    return f"{loop}{recipe.law}-{recipe.suite}"
 
 
 def tune(
@@ -151,9 +187,10 @@ def tune(
     begin: Callable[[int], object] = lambda done: None,
     progress: bool = False,
 ) -> dict[str, Any]:
-    """Tune a law, write `result_path` and ``stages/``, and return the file's content.
+    """Tune a law or gains, write `result_path` and ``stages/``, and return the file's content.
 
-    The file is a contender. Its parameters are those of the start with the lowest cost on `validation`.
+    The file of a law is a contender; for gains there is `profile_path`, too. The parameters are those of the start with
+    the lowest cost on `validation`.
 
     Parameters
     ----------
@@ -171,8 +208,7 @@ def tune(
     AmulettError
         If a file cannot be read or written.
     """
-    train = Trials(recipe.protocol("train", recipe.scenarios))
-    validation = Trials(recipe.protocol("validation", recipe.validation))
+    train, validation = recipe.trials()
     starts = [_Start(folder, recipe, seed, train, validation) for seed in recipe.seeds]
     done = sum(start.done for start in starts)
     begin(done)
@@ -182,7 +218,26 @@ def tune(
             report(start.seed, start.result)
     content = _content(recipe, {start.seed: start.result for start in starts}, train, validation)
     write_json(result_path(folder, recipe), content)
+    if recipe.law == GAINS:
+        write_text(profile_path(folder), profile_text(recipe.device(), *_tuned_gains(recipe, content)))
     return content
+
+
+def profile_path(folder: str | Path) -> Path:
+    """Return the file of the profile with tuned gains in a folder."""
+    return Path(folder) / "profile.yaml"
+
+
+def _tuned_gains(recipe: Recipe, content: Mapping[str, Any]) -> tuple[str, dict[str, float], str]:
+    """Return the loop, its tuned gains, and their source."""
+    values = {name: float(f"{entry['value']:.6g}") for name, entry in content["parameters"].items()}
+    tension = values.pop(TENSION.name)
+    command = f"amulett tune-law {GAINS} --control {recipe.control} --suite {recipe.suite}"
+    source = (
+        f"identified: tuned on train of {recipe.suite}, {recipe.episodes} simulated episodes, with a constant of "
+        f"{tension:.3g} N: {command}"
+    )
+    return recipe.control, values, source
 
 
 def check_shippable(recipe: Recipe) -> None:
@@ -193,14 +248,21 @@ def check_shippable(recipe: Recipe) -> None:
         )
     if recipe.law == BEST_CONSTANT.name:
         raise AmulettError("the package has no tuned constant: name it, for example constant:6")
+    if recipe.law != GAINS and recipe.control in LOOPS:
+        raise AmulettError(f"the package has tuned laws of the paper's loop only, not of '{recipe.control}'")
 
 
 def ship(recipe: Recipe, content: Mapping[str, Any]) -> Path:
-    """Put a result into the package, instead of the present one; return the file."""
+    """Put a law, or gains into their profile, into the package instead of the present ones; return the file."""
     check_shippable(recipe)
-    with resources.as_file(resources.files("amulett_gym").joinpath(*TUNED)) as folder:
-        path = result_path(folder / recipe.profile, recipe)
-        write_json(path, content)
+    with resources.as_file(resources.files("amulett_gym")) as package:
+        if recipe.law == GAINS:
+            path = package / "profiles" / f"{recipe.profile}.yaml"
+            text = shipped_text(path.read_text("utf-8"), recipe.device(), *_tuned_gains(recipe, content))
+            write_text(path, text)
+        else:
+            path = result_path(package.joinpath(*TUNED, recipe.profile), recipe)
+            write_json(path, content)
     return path
 
 
@@ -217,7 +279,7 @@ class _Start:
     result: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.path = Path(self.folder) / "stages" / f"{self.recipe.law}-{self.recipe.suite}-{self.seed}.json"
+        self.path = Path(self.folder) / "stages" / f"{_name(self.recipe)}-{self.seed}.json"
         self.inputs = _inputs(self.recipe, self.seed, self.train, self.validation)
         found = read_kept(self.path, self.inputs)
         if isinstance(found, dict) and "parameters" in found:
@@ -278,7 +340,7 @@ def search(
         ``parameters`` (a list), the mean cost on ``train`` (all its scenarios) and ``validation``, and ``history``:
         pairs of the number of simulated episodes and the least cost found so far on the stage's own scenarios.
     """
-    law = LAWS[recipe.law]
+    law = recipe.space()
     rng = np.random.default_rng(seed)
     points = rng.uniform(size=(recipe.population, len(law.parameters)))
     points[0] = law.to_unit(law.start())
@@ -312,12 +374,21 @@ def search(
     return {"parameters": vector.tolist(), "train": cost(train), "validation": cost(validation), "history": history}
 
 
-def mean_costs(law: Law, vectors: Values, trials: Trials, scenarios: NDArray[np.int64]) -> Values:
+def mean_costs(space: Law | Gains, vectors: Values, trials: Trials, scenarios: NDArray[np.int64]) -> Values:
     """Return the mean cost of each parameter vector, shape (candidates, parameters), over the scenarios."""
+    if isinstance(space, Gains):
+        return np.array([_cost_of_gains(space, vector, trials, scenarios) for vector in vectors])
     candidates = len(vectors)
-    each = np.repeat(vectors, scenarios.size, axis=0)
-    costs = trials.play(np.tile(scenarios, candidates), following(law, each, trials)).sum(axis=0)
+    each, rows = np.repeat(vectors, scenarios.size, axis=0), np.tile(scenarios, candidates)
+    choose = following(space, each, trials)
+    costs = trials.control_costs(rows, choose) if trials.control in LOOPS else trials.play(rows, choose).sum(axis=0)
     return costs.reshape(candidates, scenarios.size).mean(axis=1)
+
+
+def _cost_of_gains(space: Gains, vector: Values, trials: Trials, scenarios: NDArray[np.int64]) -> float:
+    """Return the mean full-control cost of one candidate: all devices of a batch share their gains."""
+    choose = held(np.full(scenarios.size, vector[-1]), trials.tension_range)
+    return float(trials.control_costs(scenarios, choose, space.profile(trials.protocol.profile, vector)).mean())
 
 
 def following(law: Law, vectors: Values, trials: Trials) -> Choose:
@@ -325,8 +396,8 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
     device = Device.of(trials.protocol.profile, trials.protocol.agent_period)
 
     def choose(step: int, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        tensions = law.tensions(observations, vectors, device, TENSION_RANGE)
-        return tension_to_action(tensions, TENSION_RANGE).astype(np.float32)
+        tensions = law.tensions(observations, vectors, device, trials.tension_range)
+        return tension_to_action(tensions, trials.tension_range).astype(np.float32)
 
     return choose
 
@@ -334,7 +405,7 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
 def _content(
     recipe: Recipe, starts: Mapping[int, Mapping[str, Any]], train: Trials, validation: Trials
 ) -> dict[str, Any]:
-    law = LAWS[recipe.law]
+    law, loop = recipe.space(), recipe.control in LOOPS
     chosen = min(starts, key=lambda seed: starts[seed]["validation"])
     described = {}
     for parameter, value in zip(law.parameters, starts[chosen]["parameters"], strict=True):
@@ -343,7 +414,8 @@ def _content(
         "format": FORMAT,
         "version": 1,
         "parameters": described,
-        "recipe": to_plain(asdict(recipe)),
+        "recipe": {key: value for key, value in to_plain(asdict(recipe)).items() if loop or key != "control"},
+        **({"cost": "control_cost"} if loop else {}),
         "chosen_seed": chosen,
         "training_episodes": recipe.episodes,
         "starts": {str(seed): {key: start[key] for key in ("train", "validation")} for seed, start in starts.items()},
@@ -355,7 +427,7 @@ def _content(
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
     """Return all that a start's result depends on."""
     this = asdict(replace(recipe, seeds=(seed,))) | {"profile": recipe.device().name}
-    law = [asdict(parameter) for parameter in LAWS[recipe.law].parameters]
+    law = [asdict(parameter) for parameter in recipe.space().parameters]
     scenarios = [train.digest(), validation.digest()]
     long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}
     return {"recipe": this, "sha256": digest(long)}

@@ -1,7 +1,7 @@
 """Batches of episodes for searches: each device of a batch has its own scenario, played by its own law.
 
-The cost of an episode is minus its return in the environment, bit for bit: search costs equal evaluated costs. All
-searches (tuned laws, the clairvoyant reference) use this.
+The cost of an episode is minus its return in the environment, or its full-control cost, bit for bit: search costs equal
+evaluated costs. All searches (tuned laws, the clairvoyant reference) use this.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.envs.episodes import Episodes, Observations, device_seeds
 from amulett_gym.envs.reward import COST_CAP, prices
 from amulett_gym.envs.settings import Settings
-from amulett_gym.envs.transition import FIRST_READING
+from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, METRICS, READINGS
+from amulett_gym.evaluation.metrics import control_cost, control_prices, failure_cost
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
-from amulett_gym.simulation.layout import RUNNING, Control
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.layout import RUNNING, Control, pack_loop
 from amulett_gym.simulation.random import derive_keys
 
 Actions = NDArray[np.float32]
@@ -49,12 +51,16 @@ class Trials:
 
     Attributes
     ----------
+    control : str
+        As given.
     rows : ndarray of `simulation.layout.SCENARIO`, shape (protocol.episodes,)
         The scenarios, with the keys of their sensor noise.
     steps : int
         Agent steps of an episode.
     draws : int
         Rows of each scenario, which differ by chance only: 1, but see `redrawn`.
+    tension_range : tuple of float
+        Tension setpoints at action -1 and 1 [N].
 
     Raises
     ------
@@ -68,6 +74,7 @@ class Trials:
         self.protocol = protocol
         self._threads = threads
         self.steps: int = protocol.keywords(parse_contender(f"{CONSTANT}10"))["max_episode_steps"]
+        self.control = control
         self._laws: tuple[Control, str] = (control, tension_law)
         self._batches: dict[int, Episodes] = {}
         first, every = self._batch(protocol.episodes), np.arange(protocol.episodes)
@@ -75,6 +82,7 @@ class Trials:
         first.start(every)
         self.rows = first.simulation.read_scenarios(every)
         self.draws = 1
+        self.tension_range = first.settings.tension_range
 
     def redrawn(self, draws: int, first: int = 0) -> Trials:
         """Return the same scenarios with `draws` rows each, which differ by chance, from draw number `first` on.
@@ -91,7 +99,7 @@ class Trials:
         other.rows["noise_key"] = derive_keys(other.rows["noise_key"], stream)
         return other
 
-    def play(self, scenarios: Devices, choose: Choose) -> Costs:
+    def play(self, scenarios: Devices, choose: Choose, gains: Profile | None = None) -> Costs:
         """Play one episode with each device.
 
         Parameters
@@ -100,6 +108,8 @@ class Trials:
             Index into `rows` of each device's scenario.
         choose : callable
             See `Choose`.
+        gains : Profile, optional
+            The protocol's profile with other gains of the loop, if that is one of `layout.LOOPS`.
 
         Returns
         -------
@@ -107,6 +117,8 @@ class Trials:
             Cost of each agent step: minus its reward; 0 after a failure, whose cost is in the step of the failure.
         """
         episodes = self._batch(scenarios.size)
+        if episodes.simulation.loop is not None:
+            episodes.simulation.loop[0][...] = pack_loop(gains or self.protocol.profile, self.control)
         devices = np.arange(scenarios.size)
         episodes.simulation.reset(self.rows[scenarios], devices)
         episodes.started[:] = True
@@ -120,11 +132,22 @@ class Trials:
             running &= report[:, FIRST_READING] == RUNNING
         return costs
 
+    def control_costs(self, scenarios: Devices, choose: Choose, gains: Profile | None = None) -> Costs:
+        """Play as in `play`; return the full-control cost of each episode, shape (N,)."""
+        self.play(scenarios, choose, gains)
+        protocol, report = self.protocol, self._batch(scenarios.size).report()
+        readings = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
+        charge = np.zeros(scenarios.size)
+        for device in np.flatnonzero(readings["failure"] != RUNNING):
+            charge[device] = failure_cost(readings["time"][device], protocol.duration, protocol.agent_period)
+        prices = control_prices(protocol.profile, protocol.suite)[self.rows["family"][scenarios]]
+        return control_cost(dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True)), charge, prices)
+
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:
         """Return a SHA-256 of all that the scenarios' costs depend on: device, rows, loop, rates, prices."""
         profile, suite = self.protocol.profile, self.protocol.suite
         costs = [prices(profile, suite).tolist(), COST_CAP]
-        loop = [self._laws, self.steps, self.protocol.agent_period, TENSION_RANGE]
+        loop = [self._laws, self.steps, self.protocol.agent_period, self.tension_range]
         content = hashlib.sha256(profile.model_dump_json().encode())
         for name in self.rows.dtype.names or ():  # not whole records: the padding between fields is undefined
             content.update(np.ascontiguousarray(self.rows[name][scenarios]).tobytes())
@@ -136,15 +159,15 @@ class Trials:
         if devices not in self._batches:
             control, tension_law = self._laws
             shared = {key: getattr(self.protocol, key) for key in ("profile", "suite", "split", "agent_period")}
-            own = {"tension_range": TENSION_RANGE, "failure_horizon": self.steps}
-            settings = Settings.read({**shared, "control": control, "tension_law": tension_law, **own})
+            own = {"control": control, "tension_law": tension_law, "failure_horizon": self.steps}
+            settings = Settings.read({**shared, **own})
             self._batches[devices] = Episodes(devices, settings, self._threads)
         return self._batches[devices]
 
 
-def held(tensions: ArrayLike) -> Choose:
+def held(tensions: ArrayLike, tension_range: tuple[float, float] = TENSION_RANGE) -> Choose:
     """Return constant tension setpoints [N], one for each device, shape (N,)."""
-    actions = tension_to_action(np.asarray(tensions, dtype=np.float64), TENSION_RANGE).astype(np.float32)
+    actions = tension_to_action(np.asarray(tensions, dtype=np.float64), tension_range).astype(np.float32)
     return lambda step, observations: actions
 
 

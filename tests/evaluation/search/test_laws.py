@@ -12,11 +12,13 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.laws import Recipe, following, mean_costs, tune
-from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.laws.parametric import (
     BEST_CONSTANT,
     EQ6_TUNED,
     PARAMETRIC,
+    Device,
+    read_tuned,
     tuned_content,
     tuned_vector,
     tuning_differs,
@@ -89,9 +91,9 @@ def test_the_episodes_that_were_simulated_are_those_of_the_recipe(tmp_path):
 def test_no_other_splits_than_train_and_validation_are_played(tmp_path, monkeypatch):
     seen = []
 
-    def watched(protocol):
+    def watched(protocol, control):
         seen.append(protocol.split)
-        return Trials(protocol)
+        return Trials(protocol, control)
 
     monkeypatch.setattr(tuning, "Trials", watched)
     tune(tmp_path, replace(SMALL, seeds=(1,)))
@@ -169,6 +171,40 @@ def test_only_laws_of_shipped_devices_can_be_put_into_the_package(tmp_path, monk
     assert json.loads(path.read_text()) == {"a": 1}
 
 
+def test_a_law_in_another_loop_is_tuned_over_its_range_by_the_full_control_cost(tmp_path):
+    recipe = replace(SMALL, law="constant", seeds=(1,), control="co-rotation")
+    content = tune(tmp_path, recipe)
+    path = tmp_path / "co-rotation-constant-steps.json"
+    law, vector = read_tuned(str(path))
+    assert law.range == (0.0, 15.0)
+    assert content["cost"] == "control_cost" and content["recipe"]["control"] == "co-rotation"
+    train, _ = recipe.trials()
+    tension_range, every = train.tension_range, np.arange(4)
+    costs = [
+        train.control_costs(every, held([tension] * 4, tension_range)).mean() for tension in (*range(16), vector[0])
+    ]
+    assert content["starts"]["1"]["train"] == costs[-1]
+    assert costs[-1] < 1.02 * min(costs)
+    paper = gym.make("amulett_gym:Amulett/Scaling-v0")
+    other = gym.make("amulett_gym:Amulett/Scaling-v0", control="co-rotation")
+    assert load_policy(str(path), other)(np.zeros(13)) == pytest.approx([vector[0] / 7.5 - 1.0], abs=1e-6)
+    path.write_text(json.dumps({**content, "parameters": {"tension": {"value": 2.0}}}))
+    with pytest.raises(AmulettError, match="2 N"):
+        load_policy(str(path), paper)
+
+
+@pytest.mark.parametrize("law", [EQ6_TUNED, PARAMETRIC], ids=lambda law: law.name)
+def test_a_law_over_a_wider_range_uses_it(law):
+    wide = law.over((0.0, 15.0))
+    assert law.over(law.range) is law
+    rows = np.random.default_rng(0).uniform(-1, 1, (200, 13))
+    vectors = wide.from_unit(np.random.default_rng(1).uniform(size=(200, len(law.parameters))))
+    device = Device.of(load_profile("testbed"), 0.02)
+    tensions = wide.tensions(rows, vectors, device, (0.0, 15.0))
+    assert tensions.min() >= 0.0 and tensions.max() <= 15.0
+    assert tensions.min() < 3.0
+
+
 def test_a_damaged_stage_is_done_again(tmp_path):
     first = tune(tmp_path, SMALL)
     path = tmp_path / "stages" / "eq6-tuned-steps-1.json"
@@ -185,6 +221,9 @@ def test_a_damaged_stage_is_done_again(tmp_path):
         ({"population": 3}, "at least 5"),
         ({"seeds": (1, 1)}, "differ"),
         ({"generations": ((0, 5),)}, "at least 1"),
+        ({"control": "co-rotaton"}, "did you mean 'co-rotation'"),
+        ({"control": "position-only"}, "unknown control loop that takes a tension 'position-only'"),
+        ({"law": "gains"}, "the loop 'decentralized' has no gains to tune; choose from equilibrium-point"),
     ],
 )
 def test_wrong_recipes_are_refused(wrong, message):

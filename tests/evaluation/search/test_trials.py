@@ -1,12 +1,14 @@
 """Many laws in many scenarios at once: what an episode costs there is what it costs in the environment."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amulett_gym.evaluation.runner import Protocol, evaluate
+from amulett_gym.evaluation.runner import Protocol, evaluate, play
 from amulett_gym.evaluation.search.trials import Trials, held, scheduled
+from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import load_profile
 
 PROTOCOL = Protocol(load_profile("testbed"), episodes=3, seed=5, duration=4.0)
@@ -102,3 +104,16 @@ def test_redrawn_scenarios_differ_by_chance_alone(trials):
     for wrong in (lambda: trials.redrawn(0), lambda: several.redrawn(2)):
         with pytest.raises(ValueError, match="it has to be at least 1, of 1 each"):
             wrong()
+
+
+@pytest.mark.parametrize("control", ["decentralized", "co-rotation"])
+def test_the_full_control_cost_is_that_of_the_environment(control):
+    device = {"name": "mine", "base": "testbed", "plant": {"velocity_limit_deg": 60.0}}  # where some fail
+    protocol = Protocol(load_profile(device), "mixed", episodes=6, duration=4.0)
+    trials = Trials(protocol, control)
+    costs = trials.control_costs(np.arange(6), held([7.0] * 6, trials.tension_range))
+    keywords = {"profile": protocol.profile, "suite": "mixed", "split": "held-out", "control": control}
+    env = gym.make_vec(protocol.env_id, num_envs=6, max_episode_steps=200, failure_horizon=200, **keywords)
+    run = play(protocol, env, load_policy("constant:7", env))
+    assert costs.tolist() == run.values["control_cost"].tolist()
+    assert 0.0 < run.values["failed"].sum() < 6.0
