@@ -5,33 +5,39 @@ A loop that is left out of a profile has the defaults, which hold for the testbe
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from amulett_gym.settings import Group, Sourced
 
-ReferenceTime = Annotated[float, Field(ge=0.01, le=10)]
 Lead = Annotated[float, Field(ge=0, le=1)]
 Filter = Annotated[float, Field(ge=0, le=1)]
 
 
-class EquilibriumPoint(Sourced):
+class Following(Sourced):
+    """How a loop's reference follows a jump of the setpoint (`control.reference_motion`)."""
+
+    reference: Literal["minimum-jerk", "critically-damped", "first-order"] = Field(
+        default="minimum-jerk", description="shape of the answer to a jump of the setpoint"
+    )
+    reference_time: float = Field(
+        default=0.21,
+        ge=0.01,
+        le=10,
+        description="duration of a minimum-jerk answer, or time until 2 % are left of a filter's [s]",
+    )
+
+
+class EquilibriumPoint(Following):
     """Gains of `control.equilibrium_point`."""
 
-    reference_time: ReferenceTime = Field(
-        default=0.21, description="duration of the minimum-jerk answer to a jump of the setpoint [s]"
-    )
     lead: Lead = Field(default=0.135, description="time by which the drives lead the reference, against their lag [s]")
 
 
-class CoRotation(Sourced):
+class CoRotation(EquilibriumPoint):
     """Gains of `control.co_rotation`."""
 
-    reference_time: ReferenceTime = Field(
-        default=0.207, description="duration of the minimum-jerk answer to a jump of the setpoint [s]"
-    )
-    lead: Lead = Field(default=0.135, description="time by which the drives lead the reference, against their lag [s]")
     kp: float = Field(default=0.405, ge=0, le=100, description="drive angle by position error [1]")
     ki: float = Field(default=0.59, ge=0, le=1000, description="rate of the drive angle by position error [1/s]")
     kd: float = Field(default=0.0205, ge=0, le=10, description="drive angle by rate of the position error [s]")

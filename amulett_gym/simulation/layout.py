@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.control import reference_motion
 from amulett_gym.errors import unknown
 from amulett_gym.gains import Loops
 from amulett_gym.jit.compiled import record
@@ -75,19 +76,25 @@ PARAMETERS = record(
 )
 """What the kernel reads of a profile and the control mode."""
 
-_GAINS = sorted({name for _, group in Loops() for name, _ in group if name != "sources"})
+_GAINS = sorted({name for _, group in Loops() for name, _ in group} - {"reference", "sources"})
+_REFERENCES = {
+    "minimum-jerk": reference_motion.MINIMUM_JERK,
+    "critically-damped": reference_motion.CRITICALLY_DAMPED,
+    "first-order": reference_motion.FIRST_ORDER,
+}
 
 LOOP_PARAMETERS = record(
-    _fields("loop", "i8")  # index into `LOOPS`
+    _fields("loop reference_shape", "i8")  # index into `LOOPS`; one of `_REFERENCES`
     + _fields("position_table", "f8", CELLS, 4)
     + _fields("max_force drive_share drive_step inertia weight")
     + _fields(" ".join(_GAINS))
 )
 """What the kernel reads of a loop that is not the paper's.
 
-These are: its index; the springs' inverse table (`model.spring.find_position`) and largest force [N]; the share of the
-way to its command that a drive turns in a control period, and the largest step in it (`control.drive_model`); J [kg m2]
-and M_m [N m] of the bare arm; the gains of `gains.Loops`, 0 where the loop has none of that name.
+These are: its index; the shape of its reference motion; the springs' inverse table (`model.spring.find_position`) and
+largest force [N]; the share of the way to its command that a drive turns in a control period, and the largest step in
+it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare arm; the gains of `gains.Loops`, 0 where the loop has
+none of that name.
 """
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
@@ -323,9 +330,10 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     packed["drive_step"] = np.radians(drives.rate_limit_deg or np.inf) * loop.control_period
     packed["inertia"] = inertia(masses, arms)
     packed["weight"] = static_torque(masses, arms) if profile.plant.orientation == "vertical" else 0.0
-    for name, value in getattr(profile.loops, control.replace("-", "_")):
-        if name != "sources":
-            packed[name] = value
+    gains = getattr(profile.loops, control.replace("-", "_"))
+    for name in _GAINS:
+        packed[name] = getattr(gains, name, 0.0)
+    packed["reference_shape"] = _REFERENCES[gains.reference]
     return packed
 
 

@@ -70,14 +70,10 @@ def move_reference(p, g, s, q, i):
         jump += moved
         moved = 0.0
     if jump != 0.0:
-        offset, rate, acceleration = remaining_offset(
-            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i], time - q.jump_time[i], g.reference_time
-        )
+        offset, rate, acceleration = offset_now(g, q, i, time)
         q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - jump, rate, acceleration
         q.jump_time[i] = time
-    offset, rate, acceleration = remaining_offset(
-        q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i], time - q.jump_time[i], g.reference_time
-    )
+    offset, rate, acceleration = offset_now(g, q, i, time)
     setpoint_rate = moved / elapsed
     q.reference[i] = s.setpoint[i] + offset
     q.reference_rate[i] = setpoint_rate + rate
@@ -88,6 +84,14 @@ def move_reference(p, g, s, q, i):
     q.last_setpoint[i], q.last_rate[i], q.last_time[i] = s.setpoint[i], setpoint_rate, time
     q.last_angle[i] = s.measured_angle[i]
     s.setpoint_jump[i] = 0.0
+
+
+@compiled
+def offset_now(g, q, i, time):
+    """Return what is left of the setpoint's jumps, its rate and its acceleration."""
+    elapsed = time - q.jump_time[i]
+    begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
+    return remaining_offset(g.reference_shape, *begun, elapsed, g.reference_time)
 
 
 @compiled_lanes

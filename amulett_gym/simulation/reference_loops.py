@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from amulett_gym.model.spring import build_tables
@@ -52,7 +53,7 @@ def replay_loop(
     device = Device(profile)
     command = float(trajectory["command_biceps"][0]), float(trajectory["command_triceps"][0])
     start = float(trajectory["angle"][0])
-    motion = ReferenceMotion(gains.reference_time, start)
+    motion = ReferenceMotion(gains.reference, gains.reference_time, start)
     joint_rate = Rate(getattr(gains, "velocity_filter", 0.0), float(trajectory["measured_angle"][0]))
     loop = _LOOPS[control](device, gains)
 
@@ -148,11 +149,12 @@ class Device:
 
 
 class ReferenceMotion:
-    """The setpoint, whose jumps become minimum-jerk motions."""
+    """The setpoint, whose jumps become smooth motions."""
 
-    def __init__(self, duration: float, start: float) -> None:
-        self.duration, self.last, self.last_rate = duration, start, 0.0
-        self.begin, self.polynomial = 0.0, np.polynomial.Polynomial([0.0])
+    def __init__(self, shape: str, duration: float, start: float) -> None:
+        self.shape, self.duration, self.last, self.last_rate = shape, duration, start, 0.0
+        self.begin, self.begun = 0.0, (0.0, 0.0, 0.0)
+        self.polynomial = np.polynomial.Polynomial([0.0])
 
     def update(self, time: float, elapsed: float, setpoint: float, jump: float) -> tuple[float, float, float]:
         """Return reference, rate and acceleration [rad, rad/s, rad/s2]."""
@@ -161,7 +163,8 @@ class ReferenceMotion:
             jump, moved = jump + moved, 0.0
         if jump != 0.0:
             offset, rate, acceleration = self._offset(time)
-            self.begin, self.polynomial = time, self._way_to_zero(offset - jump, rate, acceleration)
+            self.begin, self.begun = time, (offset - jump, rate, acceleration)
+            self.polynomial = self._way_to_zero(*self.begun)
         setpoint_rate = moved / elapsed
         offset, rate, acceleration = self._offset(time)
         change = (setpoint_rate - self.last_rate) / elapsed
@@ -170,10 +173,25 @@ class ReferenceMotion:
 
     def _offset(self, time: float) -> tuple[float, float, float]:
         elapsed = time - self.begin
+        if self.shape != "minimum-jerk":
+            return self._filtered(elapsed)
         if elapsed >= self.duration:
             return 0.0, 0.0, 0.0
         first, second = self.polynomial.deriv(1), self.polynomial.deriv(2)
         return float(self.polynomial(elapsed)), float(first(elapsed)), float(second(elapsed))
+
+    def _filtered(self, elapsed: float) -> tuple[float, float, float]:
+        """Return a filter's free answer, by the exponential of its matrix, which has 2 % left at the duration."""
+        if self.shape == "first-order":
+            pace = brentq(lambda pace: math.exp(-pace * self.duration) - 0.02, 0.0, 100.0 / self.duration)
+            left = self.begun[0] * math.exp(-pace * elapsed)
+            return left, -pace * left, pace**2 * left
+        pace = brentq(
+            lambda p: (1.0 + p * self.duration) * math.exp(-p * self.duration) - 0.02, 0.0, 100 / self.duration
+        )
+        matrix = np.array([[0.0, 1.0], [-(pace**2), -2.0 * pace]])
+        state = expm(matrix * elapsed) @ self.begun[:2]
+        return float(state[0]), float(state[1]), float((matrix @ state)[1])
 
     def _way_to_zero(self, offset: float, rate: float, acceleration: float) -> np.polynomial.Polynomial:
         t, powers = self.duration, np.arange(6)

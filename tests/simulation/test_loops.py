@@ -59,6 +59,15 @@ def test_commands_are_those_of_an_independent_model(control, profile):
     assert np.ptp(trajectory["command_biceps"]) > 0.5
 
 
+@pytest.mark.parametrize("reference", ["critically-damped", "first-order"])
+def test_references_are_those_of_an_independent_model(reference):
+    profile = load_profile({"name": "own", "base": "testbed", "loops": {"co_rotation": {"reference": reference}}})
+    trajectory = record(start("co-rotation", profile), 800)
+    expected = replay_loop(profile, trajectory, "co-rotation")
+    for name, values in expected.items():
+        np.testing.assert_allclose(trajectory[name], values, rtol=0.0, atol=1e-6, err_msg=name)
+
+
 @pytest.mark.parametrize("control", LOOPS)
 def test_motion_is_that_of_an_independent_model(control):
     # The setpoint turns round in full motion: there one integration step in a tick is off by 0.05 deg, ten are not.
