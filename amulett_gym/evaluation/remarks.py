@@ -21,13 +21,14 @@ def device_remarks(
 ) -> list[str]:
     """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
-    On any device: laws from files that were tuned on another one. On the user's own device: divisors and parameters of
-    a shipped one, and the findings of `diagnose` for this tension range [N]. `places` maps names of files that were
-    moved to where they are.
+    On any device: laws from files that were tuned on another one, or in another loop. On the user's own device:
+    divisors and parameters of a shipped one, and the findings of `diagnose` for this tension range [N]. `places` maps
+    names of files that were moved to where they are.
     """
     contenders = list(contenders)
-    files = {name: (places or {}).get(name) or name for name in contenders if is_tuned_file(name)}
-    elsewhere = [(name, tuning_differs(file, profile)) for name, file in files.items()]
+    files = {name: (places or {}).get(name) or split_loop(name)[1] for name in contenders if is_tuned_file(name)}
+    loops = {name: split_loop(name)[0] or "decentralized" for name in files}
+    elsewhere = [(name, tuning_differs(file, profile, loops[name])) for name, file in files.items()]
     remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
     moved = [name for name in contenders if split_loop(name)[0] and split_loop(name)[1] in tuned_names()]
     remarks += [f"{name} acts with the parameters tuned in the paper's loop" for name in moved]

@@ -380,6 +380,8 @@ def read_tuned(path: str) -> tuple[Law, Values]:
         If it cannot be read or is not such a file.
     """
     content = _tuned_file(path)
+    if "co_contraction" in content.get("parameters", {}):
+        raise AmulettError(f"'{path}' holds gains of a control loop, not a law; use the profile.yaml in its folder")
     try:
         law = LAWS[content["recipe"]["law"]]
         if content["recipe"].get("control") in LOOPS:
@@ -390,18 +392,23 @@ def read_tuned(path: str) -> tuple[Law, Values]:
     return law, law.vector(values)
 
 
-def tuning_differs(path: str, profile: Profile) -> str:
-    """Return on which other device a file's law was tuned, as the end of a sentence; an empty string if on this one."""
+def tuning_differs(path: str, profile: Profile, loop: str = "decentralized") -> str:
+    """Return in which other loop, and on which other device, a file's law was tuned, as the end of a sentence.
+
+    It is an empty string if the law was tuned in `loop`, on this device.
+    """
     recipe = _tuned_file(path).get("recipe")
-    there = recipe.get("profile") if isinstance(recipe, dict) else None
+    recipe = recipe if isinstance(recipe, dict) else {}
+    there, in_loop, device = recipe.get("profile"), str(recipe.get("control", "decentralized")), ""
     try:
         tuned = load_profile(there if isinstance(there, str | dict) else "")
+        if tuned != profile:
+            other = "another version of the " if tuned.name == profile.name else "the "
+            device = f"on {other}{tuned.name}, not on the {profile.name}"
     except AmulettError:
-        return f"was tuned on a device that cannot be read, not on the {profile.name}"
-    if tuned == profile:
-        return ""
-    other = "another version of the " if tuned.name == profile.name else "the "
-    return f"was tuned on {other}{tuned.name}, not on the {profile.name}"
+        device = f"on a device that cannot be read, not on the {profile.name}"
+    differences = [device, f"in {in_loop}, not in {loop}" if in_loop != loop else ""]
+    return f"was tuned {', '.join(filter(None, differences))}" if any(differences) else ""
 
 
 def _tuned_file(path: str) -> dict[str, Any]:

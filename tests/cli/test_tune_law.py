@@ -57,6 +57,22 @@ def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, cap
     assert amulett_gym.load_policy(law, env)(env.reset(seed=0)[0]).shape == (1,)
 
 
+def test_a_law_tuned_in_another_loop_acts_in_it(place, capsys):
+    assert main(["tune-law", "constant", "--control", "co-rotation", *SEARCH[2:], "--out", "tuned"]) == 0
+    law = "tuned/co-rotation-constant-steps.json"
+    assert f"Compare: amulett evaluate --policies co-rotation/{law} --suite steps" in capsys.readouterr().out
+    for command in (
+        ["evaluate", "--episodes", "1", "--policies"],
+        ["simulate", "--duration", "0.1", "--law"],
+        ["play", "--steps", "1", "--video", "a.png"],
+    ):
+        assert main([*command, f"co-rotation/{law}", "--json"]) == 0
+        assert not any("tuned" in remark for remark in json.loads(capsys.readouterr().out)["remarks"])
+        assert main([*command, f"equilibrium-point/{law}", "--json"]) == 0
+        remark = f"equilibrium-point/{law} was tuned in co-rotation, not in equilibrium-point"
+        assert remark in json.loads(capsys.readouterr().out)["remarks"]
+
+
 def test_json_is_the_file(place, capsys):
     assert main([*SEARCH, "--out", "tuned", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -142,7 +158,9 @@ def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch
     law = f"equilibrium-point/constant:{tension['co_contraction']['value']:.4g}"
     assert f"Compare: amulett evaluate --policies {law} --suite steps --profile tuned/profile.yaml" in out
     assert main(["config", "validate", "tuned/profile.yaml"]) == 0
-    assert main(["simulate", "--profile", "tuned/profile.yaml", "--duration", "0.1"]) == 0
+    assert main(["evaluate", "--policies", law, "--profile", "tuned/profile.yaml", "--episodes", "1"]) == 0
+    assert main(["simulate", "--law", "tuned/equilibrium-point-gains-steps.json"]) == 2
+    assert "holds gains of a control loop, not a law; use the profile.yaml in its folder" in capsys.readouterr().err
     assert main(["rerun", "tuned", "--out", "again"]) == 0
     assert (place / "again" / "profile.yaml").read_text() == (place / "tuned" / "profile.yaml").read_text()
     assert main([*words, "--profile", "testbed"]) == 2
