@@ -84,10 +84,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(content)
     show(_in_words(content))
-    show(f"Written: {', '.join(written)}", wrap=False)
+    show(f"Written: {', '.join(written)}")
     policies = [contender] if loop else ["eq6", contender]
-    again = ["amulett", "evaluate", "--policies", *policies, "--suite", suite, "--profile", profile]
-    show(f"Compare: {shlex.join(again)}", wrap=False)
+    again = shlex.join(["amulett", "evaluate", "--policies", *policies])
+    options = shlex.join(["--suite", suite, "--profile", profile])
+    show(f"Compare:\n  {again} \\\n      {options}", wrap=False)
     return 0
 
 

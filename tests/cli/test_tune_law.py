@@ -41,7 +41,9 @@ def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, cap
         out.split()
     )
     assert "90 episodes were simulated." in out
-    assert "Compare: amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json --suite steps --profile dev.yaml" in out
+    compare = "amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json \\\n      --suite steps --profile dev.yaml"
+    assert f"Compare:\n  {compare}\n" in out
+    assert max(map(len, out.splitlines())) <= 80
     assert "Note: costs on the mine are divided by those of eq6 on the testbed" in err
     law = "tuned/eq6-tuned-steps.json"
     for command in (
@@ -60,7 +62,7 @@ def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, cap
 def test_a_law_tuned_in_another_loop_acts_in_it(place, capsys):
     assert main(["tune-law", "constant", "--control", "co-rotation", *SEARCH[2:], "--out", "tuned"]) == 0
     law = "tuned/co-rotation-constant-steps.json"
-    assert f"Compare: amulett evaluate --policies co-rotation/{law} --suite steps" in capsys.readouterr().out
+    assert f"  amulett evaluate --policies co-rotation/{law} \\\n" in capsys.readouterr().out
     for command in (
         ["evaluate", "--episodes", "1", "--policies"],
         ["simulate", "--duration", "0.1", "--law"],
@@ -156,7 +158,7 @@ def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch
     assert "Written: tuned/equilibrium-point-gains-steps.json, tuned/profile.yaml" in out
     tension = json.loads((place / "tuned" / "equilibrium-point-gains-steps.json").read_text())["parameters"]
     law = f"equilibrium-point/constant:{tension['co_contraction']['value']:.4g}"
-    assert f"Compare: amulett evaluate --policies {law} --suite steps --profile tuned/profile.yaml" in out
+    assert f"  amulett evaluate --policies {law} \\\n      --suite steps --profile tuned/profile.yaml" in out
     assert main(["config", "validate", "tuned/profile.yaml"]) == 0
     assert main(["evaluate", "--policies", law, "--profile", "tuned/profile.yaml", "--episodes", "1"]) == 0
     assert main(["simulate", "--law", "tuned/equilibrium-point-gains-steps.json"]) == 2
