@@ -257,6 +257,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),
     "tune-law": (_tune_law_again, _tuned),
+    "loops": (_command_again, _reader("loops.json")),
     "reproduce": (_command_again, _reader("reproduction.json")),
     "bench": (_command_again, _measured),
 }

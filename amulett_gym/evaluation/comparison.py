@@ -111,7 +111,7 @@ def in_words(summary: Summary) -> str:
     if not summary["yardstick"]["listed"]:
         remarks.append(f"{YARDSTICK} was not named; it always runs, as the baseline of the ratios")
     if summary["push_suite"] != summary["task"]:
-        where = "these scenarios have" if summary["scenarios"] else f"{summary['task']} has"
+        where = "these have" if summary["scenarios"] else f"{summary['task']} has"
         remarks.append(f"the push deflection was measured on the suite {summary['push_suite']}: {where} no pushes")
     lines = [summary["verdict"], *(f"Note: {remark}." for remark in remarks)]
     return "\n".join([table(summary).text(), "", *map(fill, lines)])

@@ -116,7 +116,7 @@ def test_a_policy_from_elsewhere_is_told_apart(bundle):
 @pytest.mark.parametrize(
     ("keywords", "note"),
     [
-        ({"scenarios": [{"moves": []}]}, "measured on the suite hold-push: these scenarios have no pushes."),
+        ({"scenarios": [{"moves": []}]}, "measured on the suite hold-push: these have no pushes."),
         ({"suite": "steps"}, "measured on the suite hold-push: steps has no pushes."),
         ({"suite": "hold-push"}, None),
         ({"scenarios": [{"pushes": [{"time": 0.1, "duration": 0.1, "torque": 0.1}]}]}, None),

@@ -1,0 +1,1 @@
+"""Comparison of the control loops on the paper's step."""

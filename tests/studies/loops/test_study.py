@@ -1,0 +1,63 @@
+"""The comparison of loops: its numbers against closed forms, and the files of the command."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from amulett_gym.cli import main
+from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.studies.loops import study
+from amulett_gym.studies.loops.figures import draw
+
+
+@pytest.fixture(scope="module")
+def found():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "TIMES", (0.3, 1.0))
+        patch.setattr(study, "CONSTANTS", (6.0,))
+        done = []
+        result = study.measure("testbed", episodes=2, report=done.append)
+        assert len(done) == study.parts()
+        return result
+
+
+def test_every_loop_is_compared(found):
+    names = [row[0] for row in study.table(found).rows]
+    assert names == ["eq6", "constant:10", *(f"{loop}/constant:10" for loop in LOOPS)]
+    assert set(found.fronts) == {"decentralized", *LOOPS}
+    assert json.loads(json.dumps(found.content(), allow_nan=False))["episodes"] == 2
+
+
+def test_the_feed_forward_trades_off_as_the_closed_form_says(found):
+    # Minimum jerk: the integrals' product is 0.560 and not 0.25 times the least; at 1 s the joint follows its drives.
+    profile = found.results.protocol.profile
+    rows = {(row["reference"], row["reference_time"]): row for row in found.fronts["equilibrium-point"]}
+    for shape, factor in (("minimum-jerk", 0.560 / 0.25), ("first-order", 1.0)):
+        row = rows[shape, 1.0]
+        assert row["position_ise"] / study.least_ise(profile, row["drive_effort"]) == pytest.approx(factor, rel=0.05)
+
+
+def test_a_longer_reference_needs_less_drive_effort(found):
+    for loop in LOOPS:
+        fast, slow = found.fronts[loop][:2]
+        assert slow["drive_effort"] < fast["drive_effort"]
+        assert slow["position_ise"] > fast["position_ise"]
+
+
+def test_figures_show_every_contender(found):
+    figures = draw(found)
+    labels = {line.get_label() for line in figures["loops_step"].axes[0].get_lines()}
+    assert labels == {*study.contenders(), "setpoint"}
+    labels = {line.get_label() for line in figures["loops_trade_off"].axes[0].get_lines()}
+    assert {*LOOPS, "eq6"} <= labels
+
+
+def test_the_command_writes_numbers_and_figures(found, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(study, "measure", lambda *arguments: found)
+    assert main(["loops", "--out", str(tmp_path / "loops"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["profile"] == "testbed"
+    written = {path.name for path in (tmp_path / "loops").iterdir()}
+    assert written == {"loops.json", "command.json", "loops_step.png", "loops_trade_off.png"}
+    assert main(["loops", "--episodes", "0"]) == 2
