@@ -194,6 +194,7 @@ def test_policies_are_kept_by_content_once_each_and_compared_again(tmp_path, mon
     (tmp_path / "laws" / "mine.py").write_text(law)
     shutil.copy(resources.files("amulett_gym").joinpath(*TUNED, "testbed", "eq6-tuned-mixed.json"), "mine.json")
     names = ["run", "run/best", "twin", "laws/mine.py:f", "laws/mine.py:g", "mine.json", "./mine.json", "constant:8"]
+    names += [f"co-rotation/{name}" for name in ("run", "laws/mine.py:f", "mine.json", "constant:8")]
     words = ["--profile", "simulation", "--episodes", "2", "--duration", "1", "--out", "kept"]
     assert main(["evaluate", "--policies", *names, *words]) == 0
     copies = [sorted(path.name for path in place.iterdir()) for place in sorted((tmp_path / "kept" / FOLDER).iterdir())]
@@ -204,7 +205,7 @@ def test_policies_are_kept_by_content_once_each_and_compared_again(tmp_path, mon
     assert main(["rerun", "kept", "--out", "again", "--trust-python"]) == 0
     assert "numbers are the same" in capsys.readouterr().out
     results = [json.loads((tmp_path / name / "results.json").read_text()) for name in ("kept", "again")]
-    assert list(results[0]["policies"]) == ["eq6", "run", "twin", *names[3:6], "constant:8"]
+    assert list(results[0]["policies"]) == ["eq6", "run", "twin", *names[3:6], *names[7:]]
     assert any(remark.startswith("mine.json was tuned on the testbed") for remark in results[0]["remarks"])
     for key in ("policies", "remarks", "labels", "verdict"):
         assert results[0][key] == results[1][key]
