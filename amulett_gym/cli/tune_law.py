@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     if law == GAINS:
         profile = str(profile_path(arguments.out))
         written.append(profile)
-        contender = f"{loop}constant:{content['parameters'][TENSION.name]['value']:.4g}"
+        contender = f"{loop}constant:{content['parameters'][TENSION]['value']:.4g}"
     if arguments.write:
         written.append(str(ship(recipe, content)))
     if arguments.json:

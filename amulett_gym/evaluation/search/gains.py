@@ -2,34 +2,38 @@
 
 Range and scale of the search come from the loop's group in `amulett_gym.gains`: from a tenth to ten times the default,
 on a logarithmic scale, within the gain's own range; or what the field names as ``json_schema_extra={"search": (low,
-high)}``, logarithmic if `low` is above 0. The search starts at the group's defaults.
+high)}``, logarithmic if `low` is above 0. A gain whose default is 0 is off, and is not searched unless its field names
+a range. The search starts at the group's defaults; for the paper's loop these are the gains of the profile.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
-from amulett_gym.envs.action import FEED_FORWARD_RANGE
+from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.errors import AmulettError
 from amulett_gym.gains import Loops
 from amulett_gym.laws.parametric import Parameter, Space
 from amulett_gym.profile import Profile, is_shipped
-from amulett_gym.settings import Sourced
+from amulett_gym.settings import Group, merge
 from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.storage.safe_yaml import parse_yaml, to_yaml
 
 GAINS = "gains"
 """Name of what is tuned, instead of a law's."""
 
-TENSION = Parameter("co_contraction", "N", *FEED_FORWARD_RANGE, 10.0, "constant tension with which the gains are tuned")
+TENSION = "co_contraction"
+"""Name of the constant tension with which gains are tuned."""
+
+G = TypeVar("G", bound=Group)
 
 FACTOR = 10.0
 """A gain is searched from its default over this to its default times this."""
@@ -37,35 +41,61 @@ FACTOR = 10.0
 
 @dataclass(frozen=True)
 class Gains(Space):
-    """The gains of one loop, and the co-contraction as the last parameter."""
+    """The gains of one loop, and the co-contraction as the last parameter.
+
+    `places` are the paths of the gains in a profile.
+    """
 
     control: str = ""
+    places: tuple[tuple[str, ...], ...] = ()
 
     def profile(self, base: Profile, vector: NDArray[np.float64]) -> Profile:
         """Return a profile with these gains, and with its own sources."""
-        key = group_name(self.control)
-        gains = zip(self.parameters[:-1], vector[:-1].tolist(), strict=True)
-        group = getattr(base.loops, key).model_copy(update={parameter.name: gain for parameter, gain in gains})
-        return base.model_copy(update={"loops": base.loops.model_copy(update={key: group})})
+        for place, gain in zip(self.places, vector[:-1].tolist(), strict=True):
+            base = _with(base, place, gain)
+        return base
+
+    def changes(self, profile: Profile, vector: NDArray[np.float64], source: str) -> dict[str, Any]:
+        """Return the groups with gains as a profile's content, with these gains and their source."""
+        tuned, found = self.profile(profile, vector), dict[str, Any]()
+        for group, key, *_ in self.places:  # loops: co_rotation: ..., or loop: position: ...
+            content = getattr(getattr(tuned, group), key).model_dump(mode="json")
+            if group == "loop":
+                sources = {**tuned.loop.sources, **found.get(group, {}).get("sources", {}), key: source}
+                found[group] = {**found.get(group, {}), key: content, "sources": sources}
+            else:
+                names = [place[-1] for place in self.places]
+                content["sources"] = {**content["sources"], **dict.fromkeys(names, source)}
+                found[group] = {key: content}
+        return found
 
 
-def gains_of(control: str) -> Gains:
-    """Return the gains of a loop.
+def gains_of(control: str, profile: Profile) -> Gains:
+    """Return the gains of a loop that takes a tension.
 
     Raises
     ------
     AmulettError
-        If the loop has none in `profile.loops`.
+        If the loop takes none.
     """
-    if control not in LOOPS:
-        raise AmulettError(f"the loop '{control}' has no gains to tune; choose from {', '.join(LOOPS)}")
-    group: Sourced = getattr(Loops(), group_name(control))
-    parameters = [
-        _parameter(name, field, getattr(group, name))
-        for name, field in type(group).model_fields.items()
-        if isinstance(getattr(group, name), float)
-    ]
-    return Gains(GAINS, f"gains of {control}", (*parameters, TENSION), control)
+    if control in LOOPS:
+        key = group_name(control)
+        groups: list[tuple[tuple[str, str], Group]] = [(("loops", key), getattr(Loops(), key))]
+    elif control == "decentralized":
+        groups = [(("loop", "position"), profile.loop.position), (("loop", "tension"), profile.loop.tension)]
+    else:
+        raise AmulettError(f"the loop '{control}' takes no tension, with which its gains could be tuned")
+    parameters, places = list[Parameter](), list[tuple[str, ...]]()
+    for place, group in groups:
+        for name, value in group:
+            field = type(group).model_fields[name]
+            found = _parameter(name, field, value) if isinstance(value, float) else None
+            if found is not None:
+                parameters.append(found if control in LOOPS else replace(found, name=f"{place[1]}_{name}"))
+                places.append((*place, name))
+    tensions = FEED_FORWARD_RANGE if control in LOOPS else TENSION_RANGE
+    constant = Parameter(TENSION, "N", *tensions, 10.0, "constant tension with which the gains are tuned")
+    return Gains(GAINS, f"gains of {control}", (*parameters, constant), control, tuple(places))
 
 
 def group_name(control: str) -> str:
@@ -73,30 +103,29 @@ def group_name(control: str) -> str:
     return control.replace("-", "_")
 
 
-def profile_text(profile: Profile, control: str, gains: Mapping[str, float], source: str) -> str:
-    """Return a profile file with gains of a loop and their source, based on a shipped profile if `profile` is one."""
+def profile_text(profile: Profile, changes: Mapping[str, Any]) -> str:
+    """Return a profile file with changed groups, based on a shipped profile if `profile` is one."""
     own: dict[str, Any] = {"name": f"{profile.name}-tuned", "base": profile.name}
     if not is_shipped(profile):
         own = profile.model_dump(mode="json", exclude_defaults=True)
-    return to_yaml({**own, "loops": {**own.get("loops", {}), **_group(profile, control, gains, source)}})
+    return to_yaml(merge(own, changes))
 
 
-def shipped_text(text: str, profile: Profile, control: str, gains: Mapping[str, float], source: str) -> str:
-    """Return the text of a shipped profile with these gains of a loop; all but the group `loops` stays as it is."""
-    loops = parse_yaml(text, "profile").get("loops", {}) | _group(profile, control, gains, source)
+def shipped_text(text: str, loops: Mapping[str, Any]) -> str:
+    """Return the text of a shipped profile with these groups in `loops`; all but this group stays as it is."""
+    content = {"loops": parse_yaml(text, "profile").get("loops", {}) | loops}
     others = re.sub(r"^loops:.*\n((?:[ #].*)?\n)*", "", text, flags=re.MULTILINE).rstrip()
-    return f"{others}\n\n{to_yaml({'loops': loops})}"
+    return f"{others}\n\n{to_yaml(content)}"
 
 
-def _group(profile: Profile, control: str, gains: Mapping[str, float], source: str) -> dict[str, Any]:
-    """Return a loop's group with these gains and their source, by its name."""
-    group = getattr(profile.loops, group_name(control))
-    sources = {**group.sources, **dict.fromkeys(gains, source)}
-    return {group_name(control): {**group.model_dump(mode="json"), **gains, "sources": sources}}
+def _with(group: G, place: Sequence[str], gain: float) -> G:
+    """Return a group with another value at a path of keys."""
+    name, *below = place
+    return group.model_copy(update={name: _with(getattr(group, name), below, gain) if below else gain})
 
 
-def _parameter(name: str, field: FieldInfo, default: float) -> Parameter:
-    """Return a gain's range and scale in the search."""
+def _parameter(name: str, field: FieldInfo, default: float) -> Parameter | None:
+    """Return a gain's range and scale in the search; None if it is off."""
     extra = field.json_schema_extra
     low, high = default / FACTOR, default * FACTOR
     for bound in field.metadata:
@@ -104,6 +133,6 @@ def _parameter(name: str, field: FieldInfo, default: float) -> Parameter:
     if isinstance(extra, dict) and "search" in extra:
         low, high = cast(tuple[float, float], extra["search"])
     if not low < high:
-        raise AmulettError(f"the gain '{name}' has no range to search: its field has to name one")
+        return None
     meaning, _, unit = (field.description or "").partition(" [")
     return Parameter(name, unit.partition("]")[0] or "1", low, high, default, meaning, logarithmic=low > 0.0)

@@ -1,7 +1,7 @@
 """Tune laws and gains by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
 
-In the paper's loop, laws are tuned by the cost of an episode, minus its return. In the other loops, laws and gains are
-tuned by the full-control cost (`metrics.control_prices`). Gains are tuned with a constant co-contraction.
+In the paper's loop, laws are tuned by the cost of an episode, minus its return. Laws in other loops, and gains of any
+loop, are tuned by the full-control cost (`metrics.control_prices`). Gains are tuned with a constant co-contraction.
 
 `tune` searches from several independent starts, each with random candidates. What is finished in the folder is not
 repeated: starts, and generations of a start. ``amulett tune-law`` is the command.
@@ -25,7 +25,7 @@ from amulett_gym import __version__
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, tension_to_action
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.evaluation.runner import Protocol
-from amulett_gym.evaluation.search.gains import GAINS, TENSION, Gains, gains_of, profile_text, shipped_text
+from amulett_gym.evaluation.search.gains import GAINS, Gains, gains_of, profile_text, shipped_text
 from amulett_gym.evaluation.search.trials import Choose, Trials, held
 from amulett_gym.laws.parametric import BEST_CONSTANT, FORMAT, LAWS, TUNED, Device, Law
 from amulett_gym.profile import Profile, is_shipped, load_profile
@@ -149,7 +149,7 @@ class Recipe:
     def space(self) -> Law | Gains:
         """Return what is tuned."""
         if self.law == GAINS:
-            return gains_of(self.control)
+            return gains_of(self.control, self.device())
         return LAWS[self.law].over(FEED_FORWARD_RANGE if self.control in LOOPS else TENSION_RANGE)
 
     def trials(self) -> tuple[Trials, Trials]:
@@ -176,7 +176,7 @@ def result_path(folder: str | Path, recipe: Recipe) -> Path:
 
 
 def _name(recipe: Recipe) -> str:
-    loop = f"{recipe.control}-" if recipe.control in LOOPS else ""
+    loop = f"{recipe.control}-" if recipe.control in LOOPS or recipe.law == GAINS else ""
     return f"{loop}{recipe.law}-{recipe.suite}"
 
 
@@ -219,7 +219,7 @@ def tune(
     content = _content(recipe, {start.seed: start.result for start in starts}, train, validation)
     write_json(result_path(folder, recipe), content)
     if recipe.law == GAINS:
-        write_text(profile_path(folder), profile_text(recipe.device(), *_tuned_gains(recipe, content)))
+        write_text(profile_path(folder), profile_text(recipe.device(), _changes(recipe, content)))
     return content
 
 
@@ -228,16 +228,15 @@ def profile_path(folder: str | Path) -> Path:
     return Path(folder) / "profile.yaml"
 
 
-def _tuned_gains(recipe: Recipe, content: Mapping[str, Any]) -> tuple[str, dict[str, float], str]:
-    """Return the loop, its tuned gains, and their source."""
-    values = {name: float(f"{entry['value']:.6g}") for name, entry in content["parameters"].items()}
-    tension = values.pop(TENSION.name)
-    command = f"amulett tune-law {GAINS} --control {recipe.control} --suite {recipe.suite}"
+def _changes(recipe: Recipe, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a profile's groups with tuned gains and their source."""
+    space, profile = gains_of(recipe.control, recipe.device()), recipe.device()
+    vector = np.array([float(f"{content['parameters'][gain.name]['value']:.6g}") for gain in space.parameters])
     source = (
         f"identified: tuned on train of {recipe.suite}, {recipe.episodes} simulated episodes, with a constant of "
-        f"{tension:.3g} N: {command}"
+        f"{vector[-1]:.3g} N: amulett tune-law {GAINS} --control {recipe.control} --suite {recipe.suite}"
     )
-    return recipe.control, values, source
+    return space.changes(profile, vector, source)
 
 
 def check_shippable(recipe: Recipe) -> None:
@@ -248,6 +247,8 @@ def check_shippable(recipe: Recipe) -> None:
         )
     if recipe.law == BEST_CONSTANT.name:
         raise AmulettError("the package has no tuned constant: name it, for example constant:6")
+    if recipe.law == GAINS and recipe.control not in LOOPS:
+        raise AmulettError("the gains of the paper's loop stay as they are in the package")
     if recipe.law != GAINS and recipe.control in LOOPS:
         raise AmulettError(f"the package has tuned laws of the paper's loop only, not of '{recipe.control}'")
 
@@ -258,7 +259,7 @@ def ship(recipe: Recipe, content: Mapping[str, Any]) -> Path:
     with resources.as_file(resources.files("amulett_gym")) as package:
         if recipe.law == GAINS:
             path = package / "profiles" / f"{recipe.profile}.yaml"
-            text = shipped_text(path.read_text("utf-8"), recipe.device(), *_tuned_gains(recipe, content))
+            text = shipped_text(path.read_text("utf-8"), _changes(recipe, content)["loops"])
             write_text(path, text)
         else:
             path = result_path(package.joinpath(*TUNED, recipe.profile), recipe)
@@ -405,7 +406,7 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
 def _content(
     recipe: Recipe, starts: Mapping[int, Mapping[str, Any]], train: Trials, validation: Trials
 ) -> dict[str, Any]:
-    law, loop = recipe.space(), recipe.control in LOOPS
+    law, loop = recipe.space(), recipe.control in LOOPS or recipe.law == GAINS
     chosen = min(starts, key=lambda seed: starts[seed]["validation"])
     described = {}
     for parameter, value in zip(law.parameters, starts[chosen]["parameters"], strict=True):

@@ -24,7 +24,7 @@ from amulett_gym.evaluation.metrics import control_cost, control_prices, failure
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.laws.contenders import CONSTANT, parse_contender
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import RUNNING, Control, pack_loop
+from amulett_gym.simulation.layout import RUNNING, Control, pack_loop, pack_parameters
 from amulett_gym.simulation.random import derive_keys
 
 Actions = NDArray[np.float32]
@@ -109,7 +109,7 @@ class Trials:
         choose : callable
             See `Choose`.
         gains : Profile, optional
-            The protocol's profile with other gains of the loop, if that is one of `layout.LOOPS`.
+            The protocol's profile with other gains of the loop.
 
         Returns
         -------
@@ -117,8 +117,10 @@ class Trials:
             Cost of each agent step: minus its reward; 0 after a failure, whose cost is in the step of the failure.
         """
         episodes = self._batch(scenarios.size)
-        if episodes.simulation.loop is not None:
-            episodes.simulation.loop[0][...] = pack_loop(gains or self.protocol.profile, self.control)
+        simulation, profile = episodes.simulation, gains or self.protocol.profile
+        simulation.parameters[...] = pack_parameters(profile, *self._laws)
+        if simulation.loop is not None:
+            simulation.loop[0][...] = pack_loop(profile, self.control)
         devices = np.arange(scenarios.size)
         episodes.simulation.reset(self.rows[scenarios], devices)
         episodes.started[:] = True

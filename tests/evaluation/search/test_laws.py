@@ -223,7 +223,6 @@ def test_a_damaged_stage_is_done_again(tmp_path):
         ({"generations": ((0, 5),)}, "at least 1"),
         ({"control": "co-rotaton"}, "did you mean 'co-rotation'"),
         ({"control": "position-only"}, "unknown control loop that takes a tension 'position-only'"),
-        ({"law": "gains"}, "the loop 'decentralized' has no gains to tune; choose from equilibrium-point"),
     ],
 )
 def test_wrong_recipes_are_refused(wrong, message):
