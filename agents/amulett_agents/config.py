@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.settings import Suite, TensionList, Weights
+from amulett_gym.envs.settings import ControlLoop, CostTrack, Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
@@ -28,6 +28,8 @@ class EnvSettings(Group):
     id: str = Field(ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field("testbed", description="shipped profile, YAML file or mapping (kept whole)")
     suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
+    control: ControlLoop = Field("decentralized", description="control loop; see `amulett list`")
+    track: CostTrack = Field("schedule", description="cost in the reward: schedule, or full-control to compare loops")
     tension_range: TensionList = Field([*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
     agent_period: float = Field(0.02, gt=0, le=10, description="time from action to action [s]")
     follow_time: float = Field(
@@ -67,8 +69,14 @@ class EnvSettings(Group):
         """Return the keywords for `gym.make`, without those that differ between training and validation."""
         names = ("profile", "suite", "tension_range", "agent_period", "reward_weights", "observation_noise")
         own = {name: getattr(self, name) for name in names}
+        # Not in the records of the paper's loop, which are older.
+        own |= {name: getattr(self, name) for name in ("control", "track") if getattr(self, name) != _default(name)}
         more = {"failure_horizon": self.max_episode_steps, "threads": self.threads, "privileged": self.privileged}
         return own | more
+
+
+def _default(name: str) -> Any:
+    return EnvSettings.model_fields[name].default
 
 
 class PpoSettings(Group):

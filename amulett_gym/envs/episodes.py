@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
-from amulett_gym.envs.reward import COST_CAP, TERMS, own_reward, prices
+from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward, prices
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
@@ -67,7 +67,8 @@ class Episodes:
         self._constants["cost_cap"] = COST_CAP
         self._constants["observation_noise"] = settings.observation_noise
         self._constants["horizon"] = settings.failure_horizon
-        weighted = prices(self.profile, settings.suite, settings.reward_weights)
+        self._constants["full_control"] = settings.track == FULL_CONTROL
+        weighted = prices(self.profile, settings.suite, settings.reward_weights, settings.track)
         self._constants["prices"] = weighted * list(_REWARDED.values())
         simulation = self.simulation
         self._arrays = simulation.parameters, self._constants, simulation.scenarios, simulation.states
@@ -169,7 +170,8 @@ class Episodes:
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""
         read = self.simulation.read
-        efforts = read("effort_biceps") + read("effort_triceps")
+        full_control = self.settings.track == FULL_CONTROL
+        efforts = read("drive_effort") if full_control else read("effort_biceps") + read("effort_triceps")
         costs = read("position_ise"), efforts, read("tension_ise"), read("contact_ise")
         return {name: unit * cost for (name, unit), cost in zip(_REWARDED.items(), costs, strict=True)}
 

@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,15 @@ CONTACT_WEIGHTS = {"position": 0.35, "effort": 0.3, "tension": 0.05, "contact": 
 """Weights in families with obstacles; they sum to 1, too."""
 
 MOST_WEIGHT = 1e6
+
+Track = Literal["schedule", "full-control"]
+SCHEDULE, FULL_CONTROL = TRACKS = get_args(Track)
+"""What is compared, by which cost.
+
+*Schedule*: tension laws in one control loop; the effort is that of the commands without the setpoint's jump. *Full
+control*: any loops with any laws; the effort is that of the drives' own motion, alike for all loops, and there is no
+term for the tension, which not every loop controls.
+"""
 
 COST_TERMS = tuple(DEFAULT_WEIGHTS)
 TERMS = (*COST_TERMS, "failure")
@@ -79,23 +88,33 @@ def divisors_owner(profile: Profile) -> str:
     return profile.root if profile.root in _frozen()["divisors"] else "testbed"
 
 
-def default_weights(suite: str) -> dict[str, float]:
-    """Return the default weights of the reward in a suite or family."""
-    return dict(CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS)
+def default_weights(suite: str, track: Track = SCHEDULE) -> dict[str, float]:
+    """Return the default weights of the reward in a suite or family; on *full control* those without the tension."""
+    weights = CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS
+    if track == SCHEDULE:
+        return dict(weights)
+    total = sum(weights.values()) - weights["tension"]
+    return {term: 0.0 if term == "tension" else weight / total for term, weight in weights.items()}
 
 
-def prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = None) -> NDArray[np.float64]:
+def prices(
+    profile: Profile, suite: str, weights: Mapping[str, float] | None = None, track: Track = SCHEDULE
+) -> NDArray[np.float64]:
     """Return weight / divisor of each family and cost term in an environment of a suite.
 
     Returns
     -------
     ndarray, shape (len(FAMILIES), len(COST_TERMS))
         One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s. `weights` replace the
-        families' default weights.
+        families' default weights (`default_weights`). On the track *full control* the divisor of the effort is eq. 6's
+        of the drives' own motion.
     """
     table = np.empty((len(FAMILIES), len(COST_TERMS)))
     for row, family in zip(table, FAMILIES, strict=True):
-        weighed, divisor = {**default_weights(family or suite), **(weights or {})}, divisors(profile, suite, family)
+        weighed = {**default_weights(family or suite, track), **(weights or {})}
+        divisor = divisors(profile, suite, family)
+        if track == FULL_CONTROL:
+            divisor["effort"] = drive_effort_divisor(profile, suite, family)
         row[:] = [weighed[term] / divisor[term] for term in COST_TERMS]
     return table
 

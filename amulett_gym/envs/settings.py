@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
-from amulett_gym.envs.reward import RewardFunction, check_weights
+from amulett_gym.envs.reward import SCHEDULE, TRACKS, RewardFunction, Track, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
@@ -54,6 +54,8 @@ def _check_steps(steps: int) -> int:
 AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 Suite = Annotated[str, _one_of("suite", suite_names())]
 Split = Annotated[str, _one_of("split", SPLITS)]
+ControlLoop = Annotated[Control, _one_of("control", CONTROLS)]
+CostTrack = Annotated[Track, _one_of("track", TRACKS)]
 TensionRange = Annotated[tuple[float, float], AfterValidator(_check_range)]
 TensionList = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_check_range)]  # of JSON files
 AgentPeriod = Annotated[float, Field(gt=0, le=100)]
@@ -77,12 +79,16 @@ class Settings(Group):
     split: Split = Field(
         default="train", description="part of the suite: disjoint scenarios, or shifted beyond their ranges"
     )
-    control: Annotated[Control, _one_of("control", CONTROLS)] = Field(
+    control: ControlLoop = Field(
         default="decentralized",
         description="control loop: the paper's with the tension loop, or without (position-only), or one of the others",
     )
     tension_law: Annotated[str, _one_of("tension law", TENSION_LAWS)] = Field(
         default="agent", description="what sets the tension: the agent, or eq. 6 in each control tick"
+    )
+    track: CostTrack = Field(
+        default=SCHEDULE,
+        description="cost in the reward: schedule, within one loop; full-control, to compare loops (see `envs.reward`)",
     )
     reward_weights: Weights | None = Field(
         default=None, description="reward term -> weight [1], instead of each family's default"

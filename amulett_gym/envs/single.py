@@ -311,8 +311,12 @@ class ScalingEnv(TensionEnv):
     | `suite`             | `"steps"`         | one of the suites below                                              |
     | `split`             | `"train"`         | `"train"`, `"validation"`, `"held-out"`: disjoint scenarios; or      |
     |                     |                   | `"shifted"`: outside their ranges                                    |
-    | `control`           | `"decentralized"` | or `"position-only"`: no tension loop; the action has no effect      |
+    | `control`           | `"decentralized"` | the paper's control loop; `"position-only"`: without tension loop,   |
+    |                     |                   | the action has no effect; or another loop (`amulett list`), with the |
+    |                     |                   | tension as co-contraction, in `tension_range` from 0 to 15 N         |
     | `tension_law`       | `"agent"`         | or `"eq6"`, `"eq6-printed"`, inside the loop; actions have no effect |
+    | `track`             | `"schedule"`      | cost in the reward; or `"full-control"`, to compare loops: effort of |
+    |                     |                   | the drives' own motion, no tension term, weights scaled to sum to 1  |
     | `reward_weights`    | None              | mapping of term to weight, instead of each family's default          |
     | `reward_fn`         | None              | a reward of your own, see above                                      |
     | `tension_range`     | (4, 15)           | tension setpoints at action -1 and +1 [N], up to 1e6; `action_range`,|

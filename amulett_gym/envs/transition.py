@@ -19,6 +19,7 @@ SETTINGS = record(
         ("horizon", "f8"),  # agent steps in an episode
         ("low", "f8"),  # tension setpoint at action -1 [N]
         ("high", "f8"),  # tension setpoint at action +1 [N]
+        ("full_control", "i8"),  # 1: the effort is that of the drives' own motion
         ("prices", "f8", (len(FAMILIES), len(COST_TERMS))),  # `reward.prices`, per rad2 s, rad2/s, N2 s, N2 m2 s
         ("cost_cap", "f8"),
         ("observation_noise", "f8"),
@@ -132,7 +133,7 @@ def step_block(p, e, c, s, m, paths, loop, block, first, end, actions, observati
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
-        terms[0], terms[1], terms[2], terms[3] = costs(s, i)
+        terms[0], terms[1], terms[2], terms[3] = costs(e, s, i)
     advance_block(p, c, s, m, paths, loop, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
@@ -191,9 +192,10 @@ def observe(p, e, c, s, i, row):
 
 
 @compiled
-def costs(s, i):
+def costs(e, s, i):
     """Return the raw costs of the episode so far, in the order of `COST_TERMS`."""
-    return s.position_ise[i], s.effort_biceps[i] + s.effort_triceps[i], s.tension_ise[i], s.contact_ise[i]
+    effort = s.drive_effort[i] if e.full_control else s.effort_biceps[i] + s.effort_triceps[i]
+    return s.position_ise[i], effort, s.tension_ise[i], s.contact_ise[i]
 
 
 @compiled
@@ -201,7 +203,7 @@ def write_reward(e, c, s, i, report):
     """Report the step's reward with its terms, which hold the costs before the step, by the prices of the family."""
     terms = report[FIRST_TERM:FIRST_READING]
     family = c.family[i]
-    position, effort, tension, contact = costs(s, i)
+    position, effort, tension, contact = costs(e, s, i)
     terms[0] = -e.prices[family, 0] * (position - terms[0])
     terms[1] = -e.prices[family, 1] * (effort - terms[1])
     terms[2] = -e.prices[family, 2] * (tension - terms[2])

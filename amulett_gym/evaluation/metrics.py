@@ -15,10 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS, default_weights, divisors, drive_effort_divisor
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, prices
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.words import number
-from amulett_gym.simulation.layout import FAMILIES
 
 
 @dataclass(frozen=True)
@@ -127,21 +126,14 @@ Values = NDArray[np.float64]
 def control_prices(profile: Profile, suite: str) -> Values:
     """Return weight / divisor of each family and term of the full-control cost in a suite.
 
-    The weights are the reward's without the tension's, scaled to a sum of 1; the effort's is that of the drives' own
-    motion. Divisors are eq. 6's mean costs in training scenarios (`evaluation.divisors`), as in the reward.
-
     Returns
     -------
     ndarray, shape (len(FAMILIES), len(CONTROL_TERMS))
-        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s and N2 m2 s.
+        One row for each of `simulation.layout.FAMILIES`, of `envs.reward.prices` on the track *full control*; per deg2
+        s, deg2/s and N2 m2 s.
     """
-    table = np.empty((len(FAMILIES), len(CONTROL_TERMS)))
-    for row, family in zip(table, FAMILIES, strict=True):
-        weights, divisor = default_weights(family or suite), divisors(profile, suite, family)
-        weighted = np.array([weights["position"], weights["effort"], weights["contact"]])
-        effort = drive_effort_divisor(profile, suite, family)
-        row[:] = weighted / weighted.sum() / [divisor["position"], effort, divisor["contact"]]
-    return table
+    table = prices(profile, suite, track=FULL_CONTROL)
+    return table[:, [COST_TERMS.index(term) for term in ("position", "effort", "contact")]]
 
 
 def control_cost(raw: Mapping[str, Values], charge: Values, prices: Values) -> Values:

@@ -16,11 +16,12 @@ from gymnasium.vector import AutoresetMode
 
 import amulett_gym
 from amulett_gym.control.variable_stiffness import scaling_factor
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS, DEFAULT_WEIGHTS, divisors, prices
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, DEFAULT_WEIGHTS, default_weights, divisors, prices
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import conformance
 from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
+from amulett_gym.evaluation.metrics import control_cost, control_prices
 from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import families_of, suite_names
@@ -505,3 +506,41 @@ def test_an_action_is_reached_on_a_ramp_and_then_kept():
     assert env.episodes.simulation.read("tension_rate") == 0.0
     env.step(np.array([0.0], dtype=np.float32))
     assert env.episodes.simulation.read("tension_rate") == pytest.approx((9.5 - 15.0) / ticks)
+
+
+@pytest.mark.parametrize("control", ["decentralized", "co-rotation"])
+@pytest.mark.parametrize("suite", ["mixed", "contact"])
+def test_the_reward_of_full_control_is_minus_its_cost(control, suite):
+    env = gym.make("Amulett/Tension-v0", suite=suite, control=control, track="full-control", max_episode_steps=100)
+    env.reset(seed=4)
+    total, info = 0.0, {}
+    for step in range(100):
+        _, reward, _, _, info = env.step(np.float32([0.8 if step % 20 < 10 else -0.5]))
+        assert info["reward_terms"]["tension"] == 0.0
+        total += reward
+    raw = {name: np.array([value]) for name, value in info["metrics"].items()}
+    family = env.unwrapped.episodes.scenario(0)["family"]
+    prices = control_prices(env.unwrapped.profile, suite)[[family]]
+    assert control_cost(raw, np.zeros(1), prices)[0] == pytest.approx(-total, rel=1e-9)
+    assert total < -0.001
+
+
+def test_a_reward_function_gets_the_drives_effort_on_full_control():
+    seen = []
+
+    def own(costs, terms):
+        seen.append(float(costs["effort"][0]))
+        return -costs["position"]
+
+    env = gym.make("Amulett/Tension-v0", track="full-control", reward_fn=own)
+    env.reset(seed=1)
+    for _ in range(30):
+        *_, info = env.step(np.float32([0.3]))
+    assert sum(seen) == pytest.approx(info["metrics"]["drive_effort"], rel=1e-9)
+
+
+def test_weights_of_full_control_sum_to_one():
+    for suite in ("steps", "contact"):
+        weights = default_weights(suite, "full-control")
+        assert weights["tension"] == 0.0
+        assert sum(weights.values()) == pytest.approx(1.0)
