@@ -171,9 +171,10 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         info["failure"] = FAILURES[int(info["failure"])]
         info["reward_terms"] = dict(zip(TERMS, values[FIRST_TERM:FIRST_READING], strict=True))
         info["metrics"] = metrics = dict(zip(METRICS, values[FIRST_METRIC:], strict=True))
-        for name in MAY_BE_MISSING:
-            if math.isnan(metrics[name]):
-                metrics[name] = _NOT_REACHED
+        for found, names in ((metrics, MAY_BE_MISSING), (info, ("stiffness_setpoint",))):
+            for name in names:
+                if math.isnan(found[name]):
+                    found[name] = _NOT_REACHED
         return info
 
 
@@ -286,7 +287,9 @@ class ScalingEnv(TensionEnv):
 
     Further entries of `info` are the true state: `time` [s], `joint_angle` [deg], `joint_velocity` [deg/s],
     `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
-    `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string).
+    `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string). With `control`
+    `"torque-stiffness"` or `"feedforward-feedback"`, the tension asks for the joint stiffness that it gives without a
+    torque, `stiffness_setpoint` [N m/rad]; `joint_stiffness` is what comes. In other loops it is NaN.
 
     ## Starting State
 

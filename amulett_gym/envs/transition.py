@@ -98,8 +98,9 @@ READINGS = (
     "joint_stiffness",
     "push_torque",
     "contact_torque",
+    "stiffness_setpoint",
 )
-"""Names of further entries of ``info``: the true state."""
+"""Names of further entries of ``info``: the true state. `stiffness_setpoint` is NaN in loops that take no stiffness."""
 
 FIRST_TERM = 1
 FIRST_READING = FIRST_TERM + len(TERMS)
@@ -233,6 +234,7 @@ def write_report(p, c, s, i, report):
     r[7] = joint_stiffness(p, c, i, s.angle[i], s.drive_biceps[i], s.drive_triceps[i])
     r[8] = s.push_torque[i]
     r[9] = s.contact_torque[i]
+    r[10] = s.stiffness_setpoint[i]
     m = report[FIRST_METRIC:]
     settled, settling = s.settling_count[i], s.settling_sum[i]
     if not math.isnan(s.inside_since[i]):

@@ -42,6 +42,8 @@ class SpringTables:
         deflection.
     estimated_force : ndarray
         The force over the *square root* of the linear spring's deflection: the microcontroller's table.
+    estimated_slope : ndarray
+        The slope of the force by the string deflection [N/m] over the same square root.
     position : ndarray
         The inverse of `force`: the position in it, 0 to 1, over the *fourth root* of the force as a share of the
         largest one. Near rest a force may grow with the third power of the deflection.
@@ -52,6 +54,7 @@ class SpringTables:
     force: NDArray[np.float64]
     spring_deflection: NDArray[np.float64]
     estimated_force: NDArray[np.float64]
+    estimated_slope: NDArray[np.float64]
     position: NDArray[np.float64]
     max_deflection: float
     max_spring_deflection: float
@@ -127,16 +130,24 @@ def _tables(
     root = np.sqrt(spring_deflection)
     uniform_root = np.linspace(0.0, root[-1], CELLS + 1)
     forces = _coefficients(force)
+    slope = np.append(forces[:, 1], forces[-1] @ [0.0, 1.0, 2.0, 3.0]) * CELLS / deflection[-1]
     rising = np.linspace(0.0, 1.0, CELLS + 1) ** 4 * look_up(forces, 1.0)
     tables = SpringTables(
         force=forces,
         spring_deflection=_coefficients(spring_deflection),
         estimated_force=_coefficients(PchipInterpolator(root, force)(uniform_root)),
+        estimated_slope=_coefficients(PchipInterpolator(root, slope)(uniform_root)),
         position=_coefficients(np.array([0.0, *(inverse_look_up(forces, value) for value in rising[1:])])),
         max_deflection=float(deflection[-1]),
         max_spring_deflection=float(spring_deflection[-1]),
     )
-    for table in (tables.force, tables.spring_deflection, tables.estimated_force, tables.position):
+    for table in (
+        tables.force,
+        tables.spring_deflection,
+        tables.estimated_force,
+        tables.estimated_slope,
+        tables.position,
+    ):
         table.flags.writeable = False  # shared by all devices with this spring
     return tables
 
@@ -161,6 +172,18 @@ def look_up_slope(table: NDArray[np.float64], position: float) -> float:
     cell = min(int(scaled), cells - 1)
     w = scaled - cell
     return (table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])) * cells
+
+
+@compiled
+def look_up_curve(table: NDArray[np.float64], position: float) -> tuple[float, float, float]:
+    """Return a table's value, its slope and its curvature by `position`; beyond both ends, those at the end."""
+    cells = table.shape[0]
+    scaled = min(max(position, 0.0), 1.0) * cells
+    cell = min(int(scaled), cells - 1)
+    w = scaled - cell
+    value = table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
+    slope = table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])
+    return value, slope * cells, (2.0 * table[cell, 2] + w * 6.0 * table[cell, 3]) * cells * cells
 
 
 @compiled
@@ -194,7 +217,10 @@ def find_position(force_table: NDArray[np.float64], position_table: NDArray[np.f
 
 @compiled
 def estimate_force(table: NDArray[np.float64], spring_deflection: float, max_spring_deflection: float) -> float:
-    """Return the string force [N] that the microcontroller's table gives for a measured spring deflection [m]."""
+    """Return the string force [N] that the microcontroller's table gives for a measured spring deflection [m].
+
+    Any table over the square root of the spring deflection can be read so.
+    """
     return look_up(table, math.sqrt(max(spring_deflection, 0.0) / max_spring_deflection))
 
 

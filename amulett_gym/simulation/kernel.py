@@ -712,6 +712,7 @@ def settle_strings(p, c, s, i):
         tension = s.force_triceps[i] if biceps_is_agonist else s.force_biceps[i]
     s.position_output[i] = s.position_integral[i] = output
     s.tension_setpoint[i] = s.tension_command[i] = tension
+    s.stiffness_setpoint[i] = math.nan  # most loops take none
     biceps = stretch_biceps(p, c, i, turn_biceps, angle)
     triceps = stretch_triceps(p, c, i, turn_triceps, angle)
     s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)

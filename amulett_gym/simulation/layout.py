@@ -19,23 +19,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.control import reference_motion
-from amulett_gym.errors import unknown
+from amulett_gym.control.torque_stiffness import regulator_gains
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.gains import Loops
 from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
-from amulett_gym.model.spring import CELLS, build_tables
+from amulett_gym.model.spring import CELLS, SpringTables, build_tables
 from amulett_gym.profile import Pid, Profile
 
-Control = Literal["decentralized", "position-only", "equilibrium-point", "co-rotation"]
+Control = Literal[
+    "decentralized", "position-only", "equilibrium-point", "co-rotation", "torque-stiffness", "feedforward-feedback"
+]
 CONTROLS: tuple[Control, ...] = get_args(Control)
 
 LOOPS: tuple[Control, ...] = CONTROLS[2:]
 """The loops with gains in `profile.loops`; the paper's are those before."""
 
+BY_STIFFNESS: tuple[Control, ...] = ("torque-stiffness", "feedforward-feedback")
+"""The loops that turn the co-contraction asked for into a joint stiffness."""
+
 LANES = 8
 _CACHE_LINE = 64  # bytes
 MAX_MOVES = 10
 MAX_PUSHES = 4
+_DIP = 0.05  # of the largest slope: by so much a measured curve may soften, and by more it has to stiffen in all
 
 AGENT, EQ6, EQ6_PRINTED = 0, 1, 2
 TENSION_LAWS = {"agent": AGENT, "eq6": EQ6, "eq6-printed": EQ6_PRINTED}
@@ -86,15 +93,18 @@ _REFERENCES = {
 LOOP_PARAMETERS = record(
     _fields("loop reference_shape", "i8")  # index into `LOOPS`; one of `_REFERENCES`
     + _fields("position_table", "f8", CELLS, 4)
-    + _fields("max_force drive_share drive_step inertia weight")
+    + _fields("slope_table", "f8", CELLS, 4)
+    + _fields("max_force floor_position drive_share highest_factor drive_step inertia weight")
+    + _fields("torque_kp torque_ki torque_kd")
     + _fields(" ".join(_GAINS))
 )
 """What the kernel reads of a loop that is not the paper's.
 
-These are: its index; the shape of its reference motion; the springs' inverse table (`model.spring.find_position`) and
-largest force [N]; the share of the way to its command that a drive turns in a control period, and the largest step in
-it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare arm; the gains of `gains.Loops`, 0 where the loop has
-none of that name.
+These are: its index; the shape of its reference motion; the springs' inverse table (`model.spring.find_position`), the
+table of slopes over the slider's reading (`model.spring.SpringTables.estimated_slope`), the largest force [N] and the
+position of the sensors' floor; the share of the way to its command that a drive turns in a control period, its inverse,
+and the largest step in it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare arm; the gains of
+`control.torque_stiffness`, 0 in other loops; the gains of `gains.Loops`, 0 where the loop has none of that name.
 """
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
@@ -167,7 +177,7 @@ _STATE_FIELDS = [
     *_fields("measured_biceps measured_triceps measured_difference estimate_biceps estimate_triceps"),
     *_fields("untrusted_biceps untrusted_triceps", "i8"),
     # the loop's memory; an agent's tension setpoint moves by `tension_rate` [N] a tick
-    *_fields("tension_command tension_rate tension_setpoint agonist"),
+    *_fields("tension_command tension_rate tension_setpoint stiffness_setpoint agonist"),
     *_fields("position_output position_integral position_derivative position_signal kick_derivative"),
     *_fields("tension_output tension_integral tension_derivative tension_signal"),
     *_fields("offset_biceps offset_triceps command_biceps command_triceps"),
@@ -203,7 +213,7 @@ LOOP_BLOCK = _block(
     + _fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
     # what the loop knows of joint and drives
     + _fields("velocity last_angle model_biceps model_triceps")
-    + _fields("integral")
+    + _fields("integral stiffness_integral stiffness_reference stiffness_error")
     # what the loop wants, and what is added to it, so that it starts at rest
     + _fields("biceps triceps trim_biceps trim_triceps")
 )
@@ -321,20 +331,51 @@ def pack_parameters(
 def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     """Return the gains of one of `LOOPS` and what it knows of the device, as `LOOP_PARAMETERS` of shape (1,)."""
     tables, loop, drives = build_tables(profile.spring), profile.loop, profile.drives
+    if control in BY_STIFFNESS:
+        _check_stiffening(tables, control)
     masses: list[Numbers] = [item.mass for item in profile.plant.masses]
     arms: list[Numbers] = [item.arm for item in profile.plant.masses]
     packed = np.zeros(1, dtype=LOOP_PARAMETERS)
     packed["loop"] = LOOPS.index(control)
     packed["position_table"], packed["max_force"] = tables.position, tables.max_force
     packed["drive_share"] = -np.expm1(-loop.control_period / drives.lag) if drives.lag > 0 else 1.0
+    packed["highest_factor"] = 1.0 / packed["drive_share"]
     packed["drive_step"] = np.radians(drives.rate_limit_deg or np.inf) * loop.control_period
     packed["inertia"] = inertia(masses, arms)
     packed["weight"] = static_torque(masses, arms) if profile.plant.orientation == "vertical" else 0.0
+    packed["slope_table"] = tables.estimated_slope
+    floor = min(profile.sensors.force_floor, tables.max_force)
+    packed["floor_position"] = tables.deflection_at(floor) / tables.max_deflection if floor > 0.0 else 0.0
     gains = getattr(profile.loops, control.replace("-", "_"))
     for name in _GAINS:
         packed[name] = getattr(gains, name, 0.0)
     packed["reference_shape"] = _REFERENCES[gains.reference]
+    if control == "torque-stiffness":
+        weights = gains.integral_weight, gains.angle_weight, gains.rate_weight, gains.torque_weight
+        found = regulator_gains(*weights, float(packed["inertia"][0]))
+        packed["torque_ki"], packed["torque_kp"], packed["torque_kd"] = found
     return packed
+
+
+def _check_stiffening(tables: SpringTables, control: Control) -> None:
+    """Raise an AmulettError if a joint stiffness cannot be set: the slope of the springs has to rise."""
+    slopes = np.append(tables.force[:, 1], tables.force[-1] @ [0.0, 1.0, 2.0, 3.0]) * (CELLS / tables.max_deflection)
+    highest = np.maximum.accumulate(slopes)
+    worst = int(np.argmax(highest - slopes))
+    tolerated = _DIP * highest[-1]
+    needs = f"control '{control}' sets the joint stiffness, so the slope of the springs has to rise with the deflection"
+    if highest[worst] - slopes[worst] > tolerated:
+        peak = int(np.argmax(slopes[: worst + 1]))
+        deflections = 1000.0 * tables.max_deflection * np.array([peak, worst]) / CELLS
+        raise AmulettError(
+            f"{needs}; those of the profile soften, from {slopes[peak]:.4g} N/m at {deflections[0]:.3g} mm to "
+            f"{slopes[worst]:.4g} N/m at {deflections[1]:.3g} mm. Choose another control, such as 'co-rotation'"
+        )
+    if slopes[-1] - slopes[0] <= tolerated:
+        raise AmulettError(
+            f"{needs}; that of the profile's springs is {slopes[0]:.4g} N/m at rest and {slopes[-1]:.4g} N/m at their "
+            "end. Choose another control, such as 'co-rotation'"
+        )
 
 
 def slider_end(profile: Profile, max_spring_deflection: float) -> float:

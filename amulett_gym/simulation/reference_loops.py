@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.interpolate import PchipInterpolator
+from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import brentq
 
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import Control
-from amulett_gym.simulation.reference import arm, string_force
+from amulett_gym.simulation.layout import Control, slider_end
+from amulett_gym.simulation.reference import arm, decay_rate, string_force
 from amulett_gym.simulation.trajectory import Trajectory
 
 Pair = tuple[float, float]
@@ -120,6 +121,9 @@ class Device:
         tables = build_tables(profile.spring)
         self.profile, self.force = profile, string_force(profile)
         self.end, self.max_force = tables.max_deflection, tables.max_force
+        knots = np.append(tables.force[:, 0], tables.max_force)
+        self.slope = PchipInterpolator(np.linspace(0.0, self.end, knots.size), knots).derivative()
+        self.slider_end = slider_end(profile, tables.max_spring_deflection)
         self.drive_radius, self.joint_radius = profile.plant.drive_pulley_radius, profile.plant.joint_pulley_radius
         self.inertia, self.weight = arm(profile)
         fastest = profile.drives.rate_limit_deg
@@ -142,6 +146,39 @@ class Device:
         biceps, triceps = (stretch, other) if torque >= 0.0 else (other, stretch)
         wound = angle * self.joint_radius
         return (wound + biceps) / self.drive_radius, (wound - triceps) / self.drive_radius
+
+    def hold_stiff(self, angle: float, torque: float, tension: float) -> tuple[float, float, float, float]:
+        """Return the drive angles [rad] for an angle and a torque, the stiffness [N m/rad], the smaller force [N].
+
+        The stiffness is that of the tension without a torque, as near as the strings can have it.
+        """
+        pull = min(abs(torque) / self.joint_radius, self.max_force)
+
+        def stiffness(antagonist: float) -> float:
+            stretches = self.deflection(antagonist), self.deflection(antagonist + pull)
+            return self.joint_radius**2 * float(sum(self.slope(stretches)))
+
+        wanted = 2.0 * self.joint_radius**2 * float(self.slope(self.deflection(tension)))
+        low, high = 0.0, self.max_force - pull
+        if stiffness(low) >= wanted:
+            tension = low
+        elif stiffness(high) <= wanted:
+            tension = high
+        else:
+            tension = float(brentq(lambda force: stiffness(force) - wanted, low, high, xtol=1e-12))
+        return *self.hold(angle, torque, tension), stiffness(tension), tension
+
+    def stiffness(self, now: Reading) -> float:
+        """Return the joint stiffness [N m/rad] by both sliders, for springs with the geometric model."""
+        width = self.profile.spring.half_width
+        longer = np.array([now.measured_biceps, now.measured_triceps]) + width
+        stretches = np.minimum(np.sqrt(np.maximum(longer**2 - width**2, 0.0)), self.end)
+        return self.joint_radius**2 * float(self.slope(stretches).sum())
+
+    def torque(self, now: Reading, angle: float) -> float:
+        """Return the torque [N m] that the reference motion needs at an angle [rad]."""
+        friction = 2.0 * decay_rate(self.profile, now.tension) * now.reference_rate
+        return self.inertia * (now.reference_acceleration + friction) + self.weight * math.sin(angle)
 
     def turn(self, angle: float, command: float) -> float:
         """Return a drive's angle [rad] after a control period by the model of lag and largest rate."""
@@ -235,6 +272,13 @@ class Loop:
         angle = now.reference + self.gains.lead * now.reference_rate
         return self.device.hold(angle, self.device.weight * math.sin(now.reference), now.tension)
 
+    def move(self, now: Reading, biceps: float, triceps: float) -> Pair:
+        """Return the commands that bring the drives to given angles [rad], which move with the reference."""
+        rate = now.reference_rate * self.device.joint_radius / self.device.drive_radius
+        own, factor = np.array(now.drives), min(self.gains.factor, 1.0 / self.device.share)
+        led = own + factor * (np.array([biceps, triceps]) - own) + self.gains.lead * rate
+        return float(led[0]), float(led[1])
+
     def integrate(self, now: Reading, error: float, gain: float) -> float:
         """Return the integral term, which stops at the commands' limits."""
         if now.may_rise if error > 0.0 else now.may_fall:
@@ -256,7 +300,54 @@ class _CoRotation(Loop):
         return biceps + turn, triceps + turn
 
 
+class _TorqueStiffness(Loop):
+    def wants(self, now: Reading) -> Pair:
+        gains, device = self.gains, self.device
+        chain = np.diag([1.0, 1.0], 1)
+        by_torque = np.array([[0.0], [0.0], [1.0 / device.inertia]])
+        weights = np.diag([max(gains.integral_weight, 1e-9), gains.angle_weight, gains.rate_weight])
+        riccati = solve_continuous_are(chain, by_torque, weights, [[gains.torque_weight]])
+        of_integral, of_angle, of_rate = (by_torque.T @ riccati)[0] / gains.torque_weight
+        error, most = now.reference - now.measured_angle, device.max_force * device.joint_radius
+        torque = device.torque(now, now.measured_angle) + of_angle * error
+        torque += of_rate * (now.reference_rate - now.velocity)
+        if abs(torque + self.integral) < most or (torque + self.integral) * error < 0.0:
+            self.integrate(now, error, of_integral)
+        return self.move(now, *device.hold_stiff(now.measured_angle, torque + self.integral, now.tension)[:2])
+
+
+class _FeedforwardFeedback(Loop):
+    def __init__(self, device: Device, gains: Any) -> None:
+        super().__init__(device, gains)
+        self.reference, self.error, self.stiffness_integral = math.nan, 0.0, 0.0
+
+    def wants(self, now: Reading) -> Pair:
+        gains, error = self.gains, now.reference - now.measured_angle
+        turn = gains.kp * error + self.integrate(now, error, gains.ki)
+        turn += gains.kd * (now.reference_rate - now.velocity)
+        torque = self.device.torque(now, now.reference)
+        biceps, triceps, stiffness, slackest = self.device.hold_stiff(now.reference, torque, now.tension)
+        apart = self._apart(now, stiffness, slackest >= self.device.profile.sensors.force_floor)
+        return self.move(now, biceps + turn + apart, triceps + turn - apart)
+
+    def _apart(self, now: Reading, stiffness: float, measurable: bool) -> float:
+        gains, last = self.gains, self.error
+        if math.isnan(self.reference):
+            self.reference = stiffness
+        else:
+            self.reference += (stiffness - self.reference) * now.period / (now.period + gains.lead)
+        error = self.reference - self.device.stiffness(now) if measurable else 0.0
+        self.error += (error - self.error) * now.period / (now.period + gains.stiffness_filter)
+        seen = max(now.measured_biceps, now.measured_triceps) < self.device.slider_end
+        if now.may_rise and now.may_fall and measurable and (seen or self.error < 0.0):
+            self.stiffness_integral += gains.stiffness_ki * self.error * now.period
+        rate = (self.error - last) / now.period
+        return float(gains.stiffness_kp * self.error + self.stiffness_integral + gains.stiffness_kd * rate)
+
+
 _LOOPS: dict[Control, Callable[[Device, Any], Loop]] = {
     "equilibrium-point": _EquilibriumPoint,
     "co-rotation": _CoRotation,
+    "torque-stiffness": _TorqueStiffness,
+    "feedforward-feedback": _FeedforwardFeedback,
 }

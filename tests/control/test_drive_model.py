@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from amulett_gym.control.drive_model import next_angle
+from amulett_gym.control.drive_model import drive_command, next_angle
 
 
 def test_it_is_the_exact_response_of_a_lag():
@@ -23,3 +23,14 @@ def test_its_rate_is_limited(sign):
 
 def test_an_ideal_drive_is_where_it_is_commanded():
     assert next_angle(0.0, 1.2, 1.0, math.inf) == 1.2
+
+
+@pytest.mark.parametrize("factor", [1.0, 4.0])
+def test_a_command_brings_a_drive_to_a_moving_angle_faster_by_its_factor(factor):
+    lag, period, rate, angle = 0.14, 1e-4, 2.0, 0.0
+    share = 1.0 - math.exp(-period / lag)
+    for tick in range(1000):
+        wanted = 1.0 + rate * tick * period
+        angle = next_angle(angle, drive_command(angle, wanted, factor, rate, lag), share, math.inf)
+    behind = 1.0 + rate * 1000 * period - angle
+    assert behind == pytest.approx(math.exp(-factor * 0.1 / lag), rel=5e-3)

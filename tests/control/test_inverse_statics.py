@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from amulett_gym.control.inverse_statics import drive_angles, string_forces
+from amulett_gym.control.inverse_statics import drive_angles, stiff_pair, string_forces
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps
 from amulett_gym.model.spring import build_tables, find_position, inverse_look_up
 from amulett_gym.profile import load_profile
@@ -68,3 +70,59 @@ def test_the_fast_inverse_takes_a_curve_with_a_flat_part():
     for force in (0.5, 4.99, 5.00005, 5.5, 12.0):
         position = find_position(tables.force, tables.position, force)
         assert tables.force_at(position * tables.max_deflection) == pytest.approx(force, abs=0.02)
+
+
+def stiffness(tables, antagonist, pull):
+    """Return K of both strings [N m/rad], the agonist's force greater than the antagonist's by `pull`."""
+    deflections = (tables.deflection_at(min(force, tables.max_force)) for force in (antagonist, antagonist + pull))
+    return PLANT.joint_pulley_radius**2 * sum(tables.stiffness_at(deflection) for deflection in deflections)
+
+
+def pair(tables, torque, tension):
+    """Return the forces of biceps and triceps [N] and the stiffness [N m/rad] of `stiff_pair`."""
+    start = find_position(tables.force, tables.position, tension)
+    difference = torque / PLANT.joint_pulley_radius
+    *positions, slopes = stiff_pair(tables.force, tables.position, difference, start, tables.max_force)
+    forces = [tables.force_at(position * tables.max_deflection) for position in positions]
+    return *forces, slopes * PLANT.joint_pulley_radius**2 / tables.max_deflection
+
+
+def springs(**changes):
+    return build_tables(load_profile({"name": "other", "base": "testbed", "spring": changes}).spring)
+
+
+OTHERS = {
+    "shipped": TABLES,
+    "half free": springs(free_length=0.004),
+    "wide": springs(half_width=0.03, free_length=0.0299),
+    "measured": springs(measured_curve="deflection_m,force_N\n0,0\n0.002,1\n0.004,7\n0.006,20\n"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("load", [-0.5, -0.06, 0.0, 0.1, 0.3])
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6])
+def test_torque_and_stiffness_come_out(name, load, share):
+    tables = OTHERS[name]
+    tension, pull = share * tables.max_force, abs(load) * tables.max_force
+    torque = load * tables.max_force * PLANT.joint_pulley_radius
+    wanted = stiffness(tables, tension, 0.0)
+    biceps, triceps, found = pair(tables, torque, tension)
+    assert PLANT.joint_pulley_radius * (biceps - triceps) == pytest.approx(torque, abs=1e-7)
+    lowest, highest = stiffness(tables, 0.0, pull), stiffness(tables, tables.max_force - pull, pull)
+    assert found == pytest.approx(min(max(wanted, lowest), highest), rel=2e-3)
+    if lowest < wanted < highest:
+        expected = brentq(lambda force: stiffness(tables, force, pull) - wanted, 0.0, tables.max_force - pull)
+        assert min(biceps, triceps) == pytest.approx(expected, abs=0.03)
+
+
+def test_torque_comes_before_stiffness():
+    most = TABLES.max_force * PLANT.joint_pulley_radius
+    assert pair(TABLES, 2.0 * most, 10.0)[:2] == pytest.approx((TABLES.max_force, 0.0), abs=1e-6)
+    biceps, triceps, _ = pair(TABLES, -0.9 * most, 20.0)
+    assert (biceps, triceps) == pytest.approx((0.1 * TABLES.max_force, TABLES.max_force), abs=1e-6)
+
+
+def test_a_slack_string_has_no_nan():
+    assert np.isfinite([pair(TABLES, torque, 0.0) for torque in (-0.1, 0.0, 0.1)]).all()
+    assert pair(TABLES, 0.2, 0.0)[:2] == pytest.approx((5.0, 0.0), abs=1e-3)

@@ -12,10 +12,13 @@ import pytest
 from helpers import BUSY
 
 import amulett_gym  # noqa: F401  (registers the ids)
+from amulett_gym.envs.action import tension_to_action
 from amulett_gym.envs.reward import divisors
-from amulett_gym.envs.single import ScalingEnv
+from amulett_gym.envs.single import NotReached, ScalingEnv
 from amulett_gym.envs.transition import METRICS, OBSERVATIONS
 from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.model.spring import build_tables
+from amulett_gym.simulation.layout import BY_STIFFNESS
 from amulett_gym.simulation.random import normal
 
 ID = "amulett_gym:Amulett/Tension-v0"
@@ -180,3 +183,26 @@ def test_observation_noise_is_drawn_anew_for_each_entry_and_step_and_apart_from_
     sensors = normal(np.array([9], dtype=np.uint64), np.zeros(1, dtype=np.uint64), counters.max() + 1)[0][counters]
     sensors = np.delete(sensors, OBSERVATIONS.index("agonist"), axis=1)
     assert abs(np.corrcoef(sensors.ravel(), drawn.ravel())[0, 1]) < 0.1
+
+
+@pytest.mark.parametrize("control", BY_STIFFNESS)
+def test_the_info_holds_the_stiffness_that_the_tension_asks_for(control):
+    single = gym.make(ID, control=control).unwrapped
+    many = gym.make_vec(ID, 2, control=control)
+    single.reset(seed=1)
+    many.reset(seed=1)
+    action = float(tension_to_action(8.0, single.tension_range))
+    for _ in range(20):
+        info = single.step(np.array([action]))[4]
+        infos = many.step(np.full((2, 1), action))[4]
+    radius, springs = single.profile.plant.joint_pulley_radius, build_tables(single.profile.spring)
+    asked = 2.0 * radius**2 * springs.stiffness_at(springs.deflection_at(8.0))
+    assert info["stiffness_setpoint"] == pytest.approx(asked)
+    assert infos["stiffness_setpoint"] == pytest.approx([asked, asked])
+    assert info["joint_stiffness"] == pytest.approx(asked, rel=0.1)
+
+
+def test_loops_that_take_no_stiffness_ask_for_none(played):
+    _, (*_, info) = played
+    assert math.isnan(info["stiffness_setpoint"])
+    assert info["stiffness_setpoint"] == NotReached("nan")  # equal infos are equal

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from helpers import PROFILES
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
-from amulett_gym.simulation.layout import LOOPS, pack_loop, pack_parameters
+from amulett_gym.simulation.layout import BY_STIFFNESS, LOOPS, pack_loop, pack_parameters
 from amulett_gym.tasks.scenario import empty_rows
 
 
@@ -55,3 +57,30 @@ def test_every_number_of_a_profile_reaches_the_kernel(base):
         else:
             raise AssertionError(f"{path} can have no other value")
     assert met > 40
+
+
+@pytest.mark.parametrize("control", BY_STIFFNESS)
+@pytest.mark.parametrize(
+    ("spring", "reason"),
+    [
+        ({"free_length": 0.0}, r"is 1.932e\+04 N/m at rest and 1.932e\+04 N/m at their end"),
+        ({"measured_curve": "deflection_m,force_N\n0,0\n0.001,5\n0.002,9\n0.004,12\n"}, "soften, from .* N/m at .* mm"),
+    ],
+    ids=["linear", "softening"],
+)
+def test_a_stiffness_needs_springs_that_stiffen(control, spring, reason):
+    profile = load_profile({"name": "other", "base": "testbed", "spring": spring})
+    with pytest.raises(AmulettError, match=f"control '{control}' sets the joint stiffness.*{reason}"):
+        pack_loop(profile, control)
+    pack_loop(profile, "co-rotation")
+
+
+@pytest.mark.parametrize("control", BY_STIFFNESS)
+def test_a_measured_curve_may_have_a_dent(control):
+    deflection = np.linspace(0.0, 0.006, 12)
+    force = 1e8 * deflection**3
+    force[6] *= 1.05
+    curve = {"deflection_m": deflection, "force_N": force}
+    profile = load_profile({"name": "other", "base": "testbed", "spring": {"measured_curve": curve}})
+    assert np.diff(build_tables(profile.spring).force[:, 1]).min() < 0.0
+    pack_loop(profile, control)
