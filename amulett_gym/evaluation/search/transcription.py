@@ -35,7 +35,7 @@ Values = NDArray[np.float64]
 STEP = 5e-3
 """Longest Runge-Kutta step [s]."""
 
-DEGREE = 13
+DEGREE = 9
 """Degree of the polynomial that replaces the springs' table."""
 
 ROUNDED_STRETCH = 4e-3
