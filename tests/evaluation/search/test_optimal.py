@@ -109,10 +109,12 @@ def test_ideal_drives_follow_lines_to_their_commands():
     np.testing.assert_allclose(result.predicted, result.played, rtol=0.01)
 
 
-def test_half_the_interval_changes_the_cost_by_less_than_one_percent(found):
-    finer = found_in(options=replace(ONE_START, interval=0.01))
-    assert PRICES @ finer.played == pytest.approx(PRICES @ found.played, rel=0.01)
-    assert PRICES @ finer.played != PRICES @ found.played
+@pytest.mark.slow
+def test_half_the_interval_changes_the_cost_by_less_than_a_thousandth():
+    """With all starts: one alone may find another local optimum."""
+    coarse, fine = (found_in(options=Options(interval=interval)) for interval in (0.02, 0.01))
+    assert PRICES @ fine.played == pytest.approx(PRICES @ coarse.played, rel=1e-3)
+    assert PRICES @ fine.played < PRICES @ coarse.played  # more freedom
 
 
 def test_slow_motion_costs_what_the_closed_form_says():
