@@ -56,8 +56,10 @@ def _frozen() -> dict[str, Any]:
     return dict(json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text()))
 
 
-def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[str, float]:
+def divisors(profile: Profile, suite: str, family: str | None = None, track: Track = SCHEDULE) -> dict[str, float]:
     """Return eq. 6's mean costs of an episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
+
+    On the track *full control* the effort is that of the drives' own motion.
 
     Parameters
     ----------
@@ -69,12 +71,8 @@ def divisors(profile: Profile, suite: str, family: str | None = None) -> dict[st
         the suite.
     """
     measured = _measured(profile, suite, family)
-    return {term: measured[term] for term in COST_TERMS}
-
-
-def drive_effort_divisor(profile: Profile, suite: str, family: str | None = None) -> float:
-    """Return eq. 6's mean effort of the drives' own motion in an episode [deg2/s]; see :func:`divisors`."""
-    return _measured(profile, suite, family)["drive_effort"]
+    found = {term: measured[term] for term in COST_TERMS}
+    return found if track == SCHEDULE else {**found, "effort": measured["drive_effort"]}
 
 
 def _measured(profile: Profile, suite: str, family: str | None) -> dict[str, float]:
@@ -112,9 +110,7 @@ def prices(
     table = np.empty((len(FAMILIES), len(COST_TERMS)))
     for row, family in zip(table, FAMILIES, strict=True):
         weighed = {**default_weights(family or suite, track), **(weights or {})}
-        divisor = divisors(profile, suite, family)
-        if track == FULL_CONTROL:
-            divisor["effort"] = drive_effort_divisor(profile, suite, family)
+        divisor = divisors(profile, suite, family, track)
         row[:] = [weighed[term] / divisor[term] for term in COST_TERMS]
     return table
 

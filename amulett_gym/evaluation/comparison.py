@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from amulett_gym import __version__
 from amulett_gym.envs.reward import COST_CAP, default_weights, divisors, divisors_owner
 from amulett_gym.envs.transition import MAY_BE_MISSING
-from amulett_gym.evaluation.metrics import METRICS, UNITS
+from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS, UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, labels
 from amulett_gym.evaluation.statistics import LEVEL, RESAMPLES, SEED, Estimate, draw_weights, mean, ratio_of_sums
 from amulett_gym.reporting.table import Table, csv_text, fill
@@ -50,6 +50,7 @@ def summarise(results: Results) -> Summary:
     return {
         "suite": protocol.suite,
         "task": protocol.task,
+        "track": results.track,
         "scenarios": [scenario.model_dump() for scenario in protocol.scenarios],
         "profile": protocol.profile.name,
         **{key: getattr(protocol, key) for key in ("env_id", "split", "seed", "episodes", "duration", "agent_period")},
@@ -59,8 +60,10 @@ def summarise(results: Results) -> Summary:
         "remarks": list(results.remarks),
         "yardstick": {"name": YARDSTICK, "listed": results.listed},
         "cost": {
-            "weights": {family: default_weights(family) for family in families},
-            "divisors": {family: divisors(protocol.profile, protocol.suite, family) for family in families},
+            "weights": {family: default_weights(family, results.track) for family in families},
+            "divisors": {
+                family: divisors(protocol.profile, protocol.suite, family, results.track) for family in families
+            },
             "divisors_of": divisors_owner(protocol.profile),
             "failure": f"{COST_CAP:g} for each agent step left",
         },
@@ -80,7 +83,8 @@ def verdict(results: Results) -> str:
     """Return in a sentence or two which contender has the lowest cost, by how much, and which ones failed."""
     protocol = results.protocol
     label = labels(list(results.values))
-    costs = {label[name]: values["cost"] for name, values in results.values.items()}
+    cost = METRICS[COST_OF[results.track]]
+    costs = {label[name]: values[cost.key] for name, values in results.values.items()}
     kind = "own scenarios" if protocol.scenarios else f"{protocol.split} scenarios of {protocol.suite}"
     scenarios = f"{protocol.episodes} {kind} on the {protocol.profile.name}"
     scenarios = scenarios.replace("scenarios", "scenario", 1) if protocol.episodes == 1 else scenarios
@@ -93,10 +97,10 @@ def verdict(results: Results) -> str:
     ranking = sorted(costs, key=lambda name: float(costs[name].mean()))
     best = ranking[0]
     if len(ranking) == 1:
-        return f"{YARDSTICK} ran alone, at a cost of {costs[best].mean():.3g}, in {scenarios}.{ending}"
+        return f"{YARDSTICK} ran alone, at a {cost.name} of {costs[best].mean():.3g}, in {scenarios}.{ending}"
     weights = draw_weights(protocol.episodes)
     against = ratio_of_sums(costs[best], costs[YARDSTICK], weights)
-    text = f"{best} has the lowest cost in {scenarios}"
+    text = f"{best} has the lowest {cost.name} in {scenarios}"
     if best != YARDSTICK:
         text += f": {span(against.plain())} relative to {YARDSTICK}{_doubt(against)}"
     if best == YARDSTICK or ranking[1] != YARDSTICK:
@@ -119,13 +123,14 @@ def in_words(summary: Summary) -> str:
 
 def table(summary: Summary) -> Table:
     """Return the comparison as a table: cost, its ratio to eq. 6 with interval, and the main metrics."""
-    shown = ("cost", "position_ise", "effort", "tension_ise", "resting_stiffness", "push_deflection")
+    track = summary["track"]
+    shown = (COST_OF[track], "position_ise", EFFORT_OF[track], "tension_ise", "resting_stiffness", "push_deflection")
     cost, *metrics = (METRICS[key] for key in shown)
     rows = [
         [
             summary["labels"][name],
-            cost.text(found["cost"]["mean"]),
-            span(found["cost"]["ratio_to_eq6"]),
+            cost.text(found[cost.key]["mean"]),
+            span(found[cost.key]["ratio_to_eq6"]),
             *(metric.text(found[metric.key]["mean"]) for metric in metrics),
             f"{METRICS['rise_time'].text(found['rise_time']['mean'])} ({risen(found)})",
             f"{found['failed']['mean']:.0%}",
@@ -133,7 +138,7 @@ def table(summary: Summary) -> Table:
         for name, found in summary["policies"].items()
     ]
     headings = (metric.heading for metric in metrics)
-    return Table("", ("policy", "cost", "ratio to eq6 [95 %]", *headings, "rise time [s] (risen)", "failed"), rows)
+    return Table("", ("policy", cost.name, "ratio to eq6 [95 %]", *headings, "rise time [s] (risen)", "failed"), rows)
 
 
 def risen(metrics: Mapping[str, Any]) -> str:

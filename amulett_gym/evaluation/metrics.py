@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, prices
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, SCHEDULE, prices
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.words import number
 
@@ -83,6 +83,10 @@ _ALL = (
     Metric("cost_contact", "cost of contact", "1", f"contact ISE: {_COST}", True),
     Metric("cost_failure", "cost of failure", "1", f"{COST_CAP:g} for each agent step left after a failure", True),
     Metric("control_cost", "full-control cost", "1", f"{_CONTROL}; that of eq. 6 in training is about 1", True),
+    *(
+        Metric(f"control_cost_{term}", f"full-control cost of {term}", "1", f"{name}: share of the cost", True)
+        for term, name in (("position", "position ISE"), ("effort", "drive effort"), ("contact", "contact ISE"))
+    ),
     Metric("return", "return", "1", "sum of the rewards: minus the capped cost", False),
     Metric("failed", "failed", "1", "1 if the device left its limits", True),
     Metric("effort", "effort", "deg2/s", "ISAV (eq. 8) of both drives without the setpoint's jump", True),
@@ -117,8 +121,14 @@ UNITS = {key: metric.unit for key, metric in METRICS.items()}
 COSTS = (*COST_TERMS, "failure")
 """Terms of the cost; ``"cost_" + term`` is reported for each."""
 
-CONTROL_TERMS = {"position": "position_ise", "drive_effort": "drive_effort", "contact": "contact_ise"}
-"""Terms of the full-control cost, with their metrics."""
+CONTROL_TERMS = {"position": "position_ise", "effort": "drive_effort", "contact": "contact_ise"}
+"""Terms of the full-control cost, with their metrics; ``"control_cost_" + term`` is reported for each."""
+
+COST_OF = {SCHEDULE: "cost", FULL_CONTROL: "control_cost"}
+"""The metric that ranks contenders on a track."""
+
+EFFORT_OF = {SCHEDULE: "effort", FULL_CONTROL: "drive_effort"}
+"""The effort in that cost."""
 
 Values = NDArray[np.float64]
 
@@ -133,7 +143,7 @@ def control_prices(profile: Profile, suite: str) -> Values:
         s, deg2/s and N2 m2 s.
     """
     table = prices(profile, suite, track=FULL_CONTROL)
-    return table[:, [COST_TERMS.index(term) for term in ("position", "effort", "contact")]]
+    return table[:, [COST_TERMS.index(term) for term in CONTROL_TERMS]]
 
 
 def control_cost(raw: Mapping[str, Values], charge: Values, prices: Values) -> Values:
@@ -175,6 +185,8 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_pr
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
     cost, control = np.sum(list(costs.values()), axis=0), control_cost(raw, charge, control_prices)
+    for k, (term, metric) in enumerate(CONTROL_TERMS.items()):
+        costs[f"control_cost_{term}"] = control_prices[:, k] * raw[metric]
     return {"cost": cost, **costs, "control_cost": control, "failed": failed, "effort": effort, **raw}
 
 

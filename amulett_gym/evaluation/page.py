@@ -13,7 +13,7 @@ from markupsafe import Markup
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.comparison import COMPARISON_MARKS, Summary, risen, summarise, write_scenarios
 from amulett_gym.evaluation.episode import record_episode
-from amulett_gym.evaluation.metrics import METRICS, Metric
+from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS, Metric
 from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table
@@ -34,7 +34,6 @@ RESPONSES = 12
 
 _NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES))
 
-_MAIN = ("cost", "position_ise", "effort", "tension_ise")
 _DETAILS = (
     *("rise_time", "settling_time", "overshoot", "resting_stiffness", "push_deflection", "agonist_switches"),
     "failed",
@@ -108,7 +107,7 @@ def render(results: Results, summary: Summary, figures: dict[str, Figure]) -> st
         summary=summary,
         labels=label,
         long_names={name: short for name, short in label.items() if name != short},
-        main=_table(summary, _MAIN),
+        main=_table(summary, (COST_OF[summary["track"]], "position_ise", EFFORT_OF[summary["track"]], "tension_ise")),
         details=_table(summary, _DETAILS, ratios=False),
         everything=_table(summary, METRICS, titles=False),
         metrics=METRICS.values(),

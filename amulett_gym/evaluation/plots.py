@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.evaluation.metrics import COSTS, METRICS
+from amulett_gym.envs.reward import SCHEDULE
+from amulett_gym.evaluation.metrics import CONTROL_TERMS, COST_OF, COSTS, EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
 from amulett_gym.laws.contenders import PRETRAINED
@@ -214,23 +215,25 @@ def schedule_figure(schedules: Mapping[str, Schedule], law: VariableStiffness) -
 @style.styled
 def cost_figure(summary: Mapping[str, Any]) -> Figure:
     """Draw each contender's mean cost as a bar of its terms, with its interval; see `comparison.summarise`."""
-    policies = summary["policies"]
+    policies, key = summary["policies"], COST_OF[summary["track"]]
+    terms = COSTS if summary["track"] == SCHEDULE else CONTROL_TERMS
     names = list(policies)
     label = labels(names)
     figure, panel = style.one_panel(1.5 + 0.36 * len(names))
     # A failure costs as much as hundreds of episodes: the axis must not extend to it.
-    sound = [policies[name]["cost"] for name in names if not policies[name]["failed"]["mean"]]
-    shown = sound or [policies[name]["cost"] for name in names]
+    sound = [policies[name][key] for name in names if not policies[name]["failed"]["mean"]]
+    shown = sound or [policies[name][key] for name in names]
     end = 1.08 * max(max(cost["high"] or 0.0, cost["mean"]) for cost in shown)
     rows = np.arange(len(names))[::-1]
     left = np.zeros(len(names))
-    for term in COSTS:
-        widths = np.array([policies[name][f"cost_{term}"]["mean"] for name in names])
+    shares = {term: f"{key}_{term}" for term in terms} | {"failure": "cost_failure"}
+    for term, share in shares.items():
+        widths = np.array([policies[name][share]["mean"] for name in names])
         if widths.any():
             panel.barh(rows, widths, left=left, height=0.62, color=_TERM_COLOURS[term], label=term)
             left += widths
     for row, name in zip(rows, names, strict=True):
-        cost = policies[name]["cost"]
+        cost = policies[name][key]
         inside = cost["mean"] <= end
         if inside:
             panel.errorbar(cost["mean"], row, xerr=style.reach(cost), color=style.BLACK, capsize=3, linewidth=1.1)
@@ -239,8 +242,8 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
             panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
     for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
         panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=style.GREY)
-    panel.axvline(policies[YARDSTICK]["cost"]["mean"], color=style.BLACK, linestyle=":", linewidth=1.0)
-    panel.set(xlim=(0.0, end), xlabel="mean cost of an episode [1]; dotted: eq. 6")
+    panel.axvline(policies[YARDSTICK][key]["mean"], color=style.BLACK, linestyle=":", linewidth=1.0)
+    panel.set(xlim=(0.0, end), xlabel=f"mean {METRICS[key].name} of an episode [1]; dotted: eq. 6")
     style.name_rows(panel, [label[name] for name in names])
     figure.legend(loc="outside upper center", ncols=len(COSTS))
     return figure
@@ -252,14 +255,14 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
 
     `summary` is from `comparison.summarise`; a contender without ratios is omitted.
     """
-    policies = summary["policies"]
+    policies, effort_key = summary["policies"], EFFORT_OF[summary["track"]]
     label, colour = labels(list(policies)), colours(list(policies))
     figure, panel = style.one_panel(4.6)
     panel.axhline(1.0, color=style.GREY, linewidth=0.8)
     panel.axvline(1.0, color=style.GREY, linewidth=0.8)
     efforts = []
     for k, (name, metrics) in enumerate(policies.items()):
-        position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", "effort"))
+        position, effort = (metrics[metric]["ratio_to_eq6"] for metric in ("position_ise", effort_key))
         if position["mean"] is None or effort["mean"] is None:
             continue
         efforts.append(effort["mean"])
@@ -268,7 +271,7 @@ def trade_off_figure(summary: Mapping[str, Any]) -> Figure:
         panel.set_yscale("log")
         for which in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
             which(style.PLAIN)
-    for put, key in ((panel.set_xlabel, "position_ise"), (panel.set_ylabel, "effort")):
+    for put, key in ((panel.set_xlabel, "position_ise"), (panel.set_ylabel, effort_key)):
         metric = METRICS[key]
         one = pretty(f"{metric.text(policies[YARDSTICK][key]['mean'])} {metric.unit}")
         put(f"{metric.name}, in units of {YARDSTICK}'s {one}")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.reward import COST_TERMS, prices
+from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE, Track, prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
@@ -35,7 +35,7 @@ from amulett_gym.laws.parametric import is_tuned, is_tuned_file
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
-from amulett_gym.simulation.layout import CONTROLS, FAMILIES
+from amulett_gym.simulation.layout import CONTROLS, FAMILIES, LOOPS
 from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
@@ -217,6 +217,12 @@ class Results:
     remarks: list[str] = field(default_factory=list)
     command: str | None = None
     contenders: dict[str, Contender] = field(default_factory=dict)
+
+    @property
+    def track(self) -> Track:
+        """*Full control* if a contender acts in another loop than the paper's, else *schedule*."""
+        loops = (contender.env_keywords.get("control") for contender in self.contenders.values())
+        return FULL_CONTROL if any(loop in LOOPS for loop in loops) else SCHEDULE
 
     def contender(self, name: str) -> Contender:
         """Return a contender by its name."""

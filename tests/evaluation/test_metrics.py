@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from amulett_gym.envs.reward import divisors, drive_effort_divisor
+from amulett_gym.envs.reward import divisors
 from amulett_gym.envs.transition import METRICS as RAW
 from amulett_gym.evaluation.metrics import (
     CONTROL_TERMS,
+    COST_OF,
     COSTS,
+    EFFORT_OF,
     METRICS,
     UNITS,
     capped_cost,
@@ -15,7 +17,7 @@ from amulett_gym.evaluation.metrics import (
     control_prices,
     derive,
 )
-from amulett_gym.evaluation.page import _DETAILS, _MAIN
+from amulett_gym.evaluation.page import _DETAILS
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import FAMILIES
@@ -35,7 +37,9 @@ def test_names_are_unique_and_everything_is_defined():
     assert all(metric.meaning and metric.unit for metric in METRICS.values())
 
 
-@pytest.mark.parametrize("keys", [_MAIN, _DETAILS, REPORTED, PAPER_METRICS])
+@pytest.mark.parametrize(
+    "keys", [_DETAILS, REPORTED, PAPER_METRICS, COST_OF.values(), EFFORT_OF.values(), CONTROL_TERMS.values()]
+)
 def test_lists_of_metrics_hold_keys_of_the_registry(keys):
     assert set(keys) <= set(METRICS)
 
@@ -68,7 +72,7 @@ def test_the_full_control_cost_is_of_position_drive_effort_contact_and_failure()
     profile = load_profile("testbed")
     table = control_prices(profile, "mixed")
     row = dict(zip(CONTROL_TERMS, table[FAMILIES.index("contact")], strict=True))
-    assert row["drive_effort"] * drive_effort_divisor(profile, "mixed", "contact") == pytest.approx(0.3 / 0.95)
+    assert row["effort"] * divisors(profile, "mixed", "contact", "full-control")["effort"] == pytest.approx(0.3 / 0.95)
     assert row["contact"] * divisors(profile, "mixed", "contact")["contact"] == pytest.approx(0.3 / 0.95)
     raw = {"position_ise": np.array([2.0]), "drive_effort": np.array([3.0]), "contact_ise": np.array([5.0])}
     assert control_cost(raw, np.array([7.0]), np.array([[1.0, 10.0, 100.0]])) == 2.0 + 30.0 + 500.0 + 7.0

@@ -472,3 +472,25 @@ def test_a_summary_of_own_scenarios_says_so_and_names_what_they_are_charged_by()
     assert [scenario["initial_angle_deg"] for scenario in summary["scenarios"]] == [20.0, 0.0]
     assert list(summary["cost"]["divisors"]) == ["reach", "contact"]
     assert "in 2 own scenarios on the testbed" in summary["verdict"]
+
+
+def test_contenders_in_several_loops_are_ranked_by_the_full_control_cost():
+    results = evaluate(["co-rotation/constant:10", "constant:8"], "paper-step", episodes=2, duration=2.0)
+    assert results.track == "full-control"
+    summary = summarise(results)
+    assert summary["track"] == "full-control"
+    assert "full-control cost" in verdict(results)
+    shown = table(summary)
+    assert shown.head[1] == "full-control cost"
+    assert "drive effort [deg2/s]" in shown.head
+    for values in results.values.values():
+        terms = sum(values[f"control_cost_{term}"] for term in ("position", "effort", "contact"))
+        np.testing.assert_allclose(terms + values["cost_failure"], values["control_cost"])
+    weights = summary["cost"]["weights"]["paper-step"]
+    assert weights["tension"] == 0.0
+
+
+def test_contenders_in_the_papers_loop_are_ranked_by_the_schedules_cost():
+    results = evaluate(["constant:8"], "paper-step", episodes=2, duration=1.0)
+    assert results.track == "schedule"
+    assert table(summarise(results)).head[1] == "cost"
