@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Tune, print the result, and write it; return 130 if Ctrl-C ended it."""
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.search.gains import GAINS, TENSION
-    from amulett_gym.evaluation.search.laws import Recipe, check_shippable, profile_path, result_path, ship
+    from amulett_gym.evaluation.search.laws import Recipe, at_ends, check_shippable, profile_path, result_path, ship
 
     law, suite, profile = arguments.law, arguments.suite, arguments.profile
     sizes = {"validation": arguments.validation, "control": arguments.control}
@@ -84,6 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(content)
     show(_in_words(content))
+    if ends := at_ends(recipe, content):
+        show(f"At an end of the range that was searched: {', '.join(ends)}.")
     show(f"Written: {', '.join(written)}")
     policies = [contender] if loop else ["eq6", contender]
     again = shlex.join(["amulett", "evaluate", "--policies", *policies])

@@ -1,6 +1,6 @@
 """The gains of a control loop as tunable parameters, with the constant co-contraction that they are judged with.
 
-Range and scale of the search come from the loop's group in `amulett_gym.gains`: from a tenth to ten times the default,
+Range and scale of the search come from the loop's group in `amulett_gym.gains`: from a 30th to 30 times the default,
 on a logarithmic scale, within the gain's own range; or what the field names as ``json_schema_extra={"search": (low,
 high)}``, logarithmic if `low` is above 0. A gain whose default is 0 is off, and is not searched unless its field names
 a range. The search starts at the group's defaults; for the paper's loop these are the gains of the profile.
@@ -35,7 +35,7 @@ TENSION = "co_contraction"
 
 G = TypeVar("G", bound=Group)
 
-FACTOR = 10.0
+FACTOR = 30.0
 """A gain is searched from its default over this to its default times this."""
 
 

@@ -239,6 +239,14 @@ def _changes(recipe: Recipe, content: Mapping[str, Any]) -> dict[str, Any]:
     return space.changes(profile, vector, source)
 
 
+def at_ends(recipe: Recipe, content: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of a result that are within 2 % of an end of their range in the search."""
+    space = recipe.space()
+    vector = np.array([content["parameters"][parameter.name]["value"] for parameter in space.parameters])
+    near = np.abs(space.to_unit(vector) - 0.5) > 0.48
+    return [parameter.name for parameter, end in zip(space.parameters, near, strict=True) if end]
+
+
 def check_shippable(recipe: Recipe) -> None:
     """Refuse a recipe whose result cannot be one of the package's tuned laws."""
     if not isinstance(recipe.profile, str):

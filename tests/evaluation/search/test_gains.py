@@ -53,7 +53,11 @@ def test_ranges_come_from_the_field():
         for name, field in Group.model_fields.items()
         if name != "sources"
     }
-    assert (found["plain"].low, found["plain"].high, found["plain"].logarithmic) == (0.2, 20.0, True)
+    assert (found["plain"].low, found["plain"].high, found["plain"].logarithmic) == (
+        pytest.approx(2.0 / 30.0),
+        60.0,
+        True,
+    )
     assert (found["plain"].meaning, found["plain"].unit) == ("a gain", "N/rad")
     assert (found["limited"].low, found["limited"].high) == (1.0, 3.0)
     assert found["off"] is None

@@ -11,7 +11,7 @@ import pytest
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
 from amulett_gym.evaluation.search import laws as tuning
-from amulett_gym.evaluation.search.laws import Recipe, following, mean_costs, tune
+from amulett_gym.evaluation.search.laws import Recipe, at_ends, following, mean_costs, tune
 from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.laws.parametric import (
     BEST_CONSTANT,
@@ -137,6 +137,14 @@ def test_an_interrupted_start_goes_on_with_its_generation(tmp_path, monkeypatch)
     for name in (1, 2):
         stage = Path("stages") / f"eq6-tuned-steps-{name}.json"
         assert (tmp_path / "whole" / stage).read_text() == (tmp_path / "parts" / stage).read_text()
+
+
+def test_parameters_at_an_end_of_their_range_are_named():
+    def described(**values):
+        return {"parameters": {name: {"value": value} for name, value in values.items()}}
+
+    found = described(nominal_tension=14.9, minimum_tension=9.0, error_offset=2.05, exponent=4.0)
+    assert at_ends(SMALL, found) == ["nominal_tension", "error_offset"]
 
 
 def test_a_budget_is_kept_and_the_shipped_one_gives_the_shipped_generations():
