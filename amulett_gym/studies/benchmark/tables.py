@@ -207,20 +207,22 @@ def references(found: Content) -> Table:
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
     head = (
         *("", "cost", "ratio to eq6", "share of the gap" + ("" if best is None else f", {best}"), "cost, other noise"),
-        *("gain in the last quarter", "each start alone", "gain of a second search", "contender below"),
+        *("fall in the last quarter", "each start alone", "change by a second search", "contender below"),
     )
     note = (
-        f"Share of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Clairvoyant: the "
-        "best schedule of each scenario, found with everything known, including the sensor noise; foresight: with "
-        "everything known except the noise, evaluated during the search with other draws of it. Other noise: cost of "
-        "the schedules with new draws of the noise. Gain in the last quarter: by how much the mean cost fell in the "
-        "last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
-        "starting points, evaluated with the noise used during the search. Gain of a second search: change of the "
-        "mean cost if each scenario has the cheaper schedule of the two searches; the second search has another seed "
-        "and twice as many rounds (number of scenarios in parentheses). Contender below: number of scenarios in which "
-        "at least one contender costs less than the reference. The reference is no bound for a contender inside the "
-        "loop (eq6). For others, either the search did not converge, or feedback on the actual noise helps more than "
-        "foresight."
+        "Clairvoyant: the best schedule of each scenario, found with everything known, including the sensor noise. "
+        "Foresight: found with everything known except the noise; the search evaluates with other draws of it. Share "
+        f"of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Cost, other noise: of "
+        "the same schedules with new draws of the noise. Fall in the last quarter: by how much the mean cost fell in "
+        "the last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
+        "starting points, with the noise used during the search. Change by a second search: of the mean cost, if "
+        "each scenario gets the cheaper schedule of both searches (in parentheses the number of scenarios); below "
+        "zero the cost falls. The second search has another seed and twice as many rounds. Contender below: number "
+        "of scenarios in which at least one policy or law costs less than the reference; every training seed counts, "
+        "those of the causal reference and of trainings without a reward term too. There are three reasons for a "
+        "lower cost. The contender acts inside the loop (eq6, eq6-printed, position-only), which no schedule can do. "
+        "Or the search did not converge. Or, for foresight, the contender reacts to the actual noise, which a "
+        "schedule cannot."
     )
     return Table("References", head, rows, note)
 
@@ -236,7 +238,11 @@ def budgets(found: Content) -> Table:
         else:
             rows.append([name, f"{entry['tuned_episodes']:,}", f"1 ({len(entry['recipe']['seeds'])} starts)", "-"])
     head = ("", "simulated episodes", "runs", "training time [s]")
-    note = "Simulated episodes: of one run; of a tuned law, the sum over all starts."
+    note = (
+        "Simulated episodes: of one run; of a tuned law, the sum over all starts. Of a run: its agent steps divided by "
+        "those of an episode (`env.max_episode_steps` of its recipe), plus one for each device, which is simulated "
+        "before the training to stagger the devices' episodes (`staggered`)."
+    )
     return Table("Cost of learning and tuning", head, rows, note)
 
 
@@ -254,7 +260,8 @@ def worst(found: Content) -> Table:
     head = ("", found["best_learned"], found["best_by_hand"], YARDSTICK, "higher cost", "scenario")
     note = (
         "Costs; for the learned policy the mean over its training seeds. Higher cost: yes if it is "
-        f"above that of {found['best_by_hand']}. Replay: `amulett simulate --scenario FILE --law ...`."
+        f"above that of {found['best_by_hand']}. Replay: `amulett simulate --scenario FILE --suite "
+        f"{found['description']['headline']} --law ...`."
     )
     return Table("Worst scenarios of the learned policy", head, rows, note)
 
