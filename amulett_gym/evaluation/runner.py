@@ -273,8 +273,8 @@ def evaluate(
     own = tuple(load_scenario(scenario) for scenario in scenarios)
     episodes = (len(own) or 100) if episodes is None else episodes
     protocol = Protocol(load_profile(profile), suite, split, env_id, episodes, seed, duration, agent_period, own)
-    listed = YARDSTICK in policies
     named = [entry if isinstance(entry, Contender) else parse_contender(entry) for entry in policies]
+    listed = YARDSTICK in [contender.name for contender in named]
     contenders, remarks = _unique(named if listed else [parse_contender(YARDSTICK), *named])
     label = labels([contender.name for contender in contenders])
     differences = ((label[contender.name], training_differs(contender, protocol)) for contender in contenders)

@@ -22,6 +22,7 @@ from amulett_gym.evaluation.metrics import UNITS, failure_cost
 from amulett_gym.evaluation.page import write_report
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
+from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.storage.provenance import COMMAND
@@ -83,6 +84,11 @@ def test_eq6_always_runs_and_is_exactly_its_own_yardstick(results):
         ratio = entry["ratio_to_eq6"]
         assert ratio in ({"mean": 1.0, "low": 1.0, "high": 1.0}, {"mean": None, "low": None, "high": None}), metric
     assert summary["policies"]["eq6"]["cost"]["ratio_to_eq6"]["mean"] == 1.0
+
+
+def test_eq6_counts_as_listed_if_a_contender_is_given_for_it():
+    found = evaluate(["constant:10", parse_contender("eq6")], episodes=1)
+    assert found.listed and [*found.values] == ["constant:10", "eq6"]
 
 
 def test_a_policy_that_is_listed_twice_runs_once(bundle):
