@@ -14,6 +14,10 @@ from amulett_gym.settings import Group, Sourced
 Lead = Annotated[float, Field(ge=0, le=1)]
 Factor = Annotated[float, Field(ge=1, le=1000)]
 Filter = Annotated[float, Field(ge=0, le=1)]
+Bandwidth = Annotated[float, Field(gt=0, le=1000)]
+SliderTime = Annotated[float, Field(gt=0, le=100)]
+Rate = Annotated[float, Field(gt=0, le=1000)]
+SlopeFloor = Annotated[float, Field(gt=0, le=1)]
 
 
 class Following(Sourced):
@@ -72,6 +76,39 @@ class FeedforwardFeedback(CoRotation):
     stiffness_filter: Filter = Field(default=0.1, description="time constant of the estimated stiffness [s]; 0: none")
 
 
+class FeedbackLinearisation(Following):
+    """Gains of `control.feedback_linearisation`."""
+
+    lead: Lead = Field(default=0.135, description="lead of the feed-forward where a string comes near slack [s]")
+    bandwidth: Bandwidth = Field(default=25.0, description="triple pole of the position error [rad/s]")
+    tension_bandwidth: float = Field(default=8.0, ge=0, le=1000, description="pole of the tension error [rad/s]")
+    observer_bandwidth: Bandwidth = Field(default=80.0, description="of the joint's rate and its disturbance [rad/s]")
+    slider_time: SliderTime = Field(default=0.15, description="time in which a slider corrects its string's force [s]")
+    taut_force: float = Field(
+        default=4.0, gt=0, le=1000, description="string force below which feed-forward takes over [N]"
+    )
+    slope_floor: SlopeFloor = Field(
+        default=0.6, description="least slope of a spring, as a share of its largest force by largest deflection [1]"
+    )
+    most_rate: Rate = Field(default=18.0, description="largest rate that the loop asks of a drive [rad/s]")
+
+
+class Torque(Following):
+    """Gains of `control.torque`."""
+
+    virtual_stiffness: float = Field(
+        default=5.0, ge=0, le=1000, description="of the virtual spring [N m/rad]; 0, with no damping: transparency"
+    )
+    virtual_damping: float = Field(default=0.5, ge=0, le=100, description="of the virtual damper [N m s/rad]")
+    torque_time: float = Field(default=0.03, gt=0, le=10, description="time constant of the torque [s]")
+    observer_bandwidth: Bandwidth = Field(default=100.0, description="of the joint's rate and its disturbance [rad/s]")
+    slider_time: SliderTime = Field(default=1.0, description="time in which a slider corrects its string's force [s]")
+    slope_floor: SlopeFloor = Field(
+        default=0.3, description="least slope of a spring, as a share of its largest force by largest deflection [1]"
+    )
+    most_rate: Rate = Field(default=20.0, description="largest rate that the loop asks of the drives [rad/s]")
+
+
 class Loops(Group):
     """Gains of all loops but the paper's, which are in `loop`."""
 
@@ -83,3 +120,7 @@ class Loops(Group):
     feedforward_feedback: FeedforwardFeedback = Field(
         default=FeedforwardFeedback(), description="inverse model, with PIDs of position and stiffness"
     )
+    feedback_linearisation: FeedbackLinearisation = Field(
+        default=FeedbackLinearisation(), description="jerk and mean tension decoupled"
+    )
+    torque: Torque = Field(default=Torque(), description="joint torque of a virtual spring and damper")

@@ -35,6 +35,15 @@ def string_forces(torque: float, tension: float, joint_radius: float, max_force:
 
 
 @compiled
+def affordable_tension(torque: float, tension: float, joint_radius: float, max_force: float) -> float:
+    """Return the tension [N], lowered as far as the torque needs it: F_a <= f_max - |tau|/R_2, and at least 0.
+
+    The parameters are those of `string_forces`.
+    """
+    return max(min(tension, max_force - abs(torque) / joint_radius), 0.0)
+
+
+@compiled
 def drive_angles(
     angle: float, biceps: float, triceps: float, drive_radius: float, joint_radius: float
 ) -> tuple[float, float]:

@@ -61,3 +61,22 @@ def remaining_offset(
     slope = b + t * (c + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
     curvature = c + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
     return value, slope / duration, curvature / (duration * duration)
+
+
+@compiled
+def remaining_jerk(shape: int, offset: float, rate: float, acceleration: float, time: float, duration: float) -> float:
+    """Return the jerk [rad/s3] of an offset on its way to zero; the parameters are those of `remaining_offset`."""
+    if shape != MINIMUM_JERK:
+        _, rate, acceleration = remaining_offset(shape, offset, rate, acceleration, time, duration)
+        if shape == FIRST_ORDER:
+            return -_TIME_CONSTANTS / duration * acceleration
+        pace = _DOUBLE_TIME_CONSTANTS / duration
+        return -pace * (2.0 * acceleration + pace * rate)
+    if time >= duration:
+        return 0.0
+    t = time / duration
+    a, b, c = offset, rate * duration, acceleration * duration * duration
+    c3 = -10.0 * a - 6.0 * b - 1.5 * c
+    c4 = 15.0 * a + 8.0 * b + 1.5 * c
+    c5 = -6.0 * a - 3.0 * b - 0.5 * c
+    return (6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5)) / (duration * duration * duration)

@@ -28,7 +28,14 @@ from amulett_gym.model.spring import CELLS, SpringTables, build_tables
 from amulett_gym.profile import Pid, Profile
 
 Control = Literal[
-    "decentralized", "position-only", "equilibrium-point", "co-rotation", "torque-stiffness", "feedforward-feedback"
+    "decentralized",
+    "position-only",
+    "equilibrium-point",
+    "co-rotation",
+    "torque-stiffness",
+    "feedforward-feedback",
+    "feedback-linearisation",
+    "torque",
 ]
 CONTROLS: tuple[Control, ...] = get_args(Control)
 
@@ -209,11 +216,13 @@ SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
 PLACE_BLOCK = _block([("first", "i8"), ("count", "i8")])
 LOOP_BLOCK = _block(
     # the reference motion, and the offset of the setpoint that is left of the last jump, as it was at `jump_time`
-    _fields("reference reference_rate reference_acceleration")
+    _fields("reference reference_rate reference_acceleration setpoint_acceleration")
     + _fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
     # what the loop knows of joint and drives
     + _fields("velocity last_angle model_biceps model_triceps")
     + _fields("integral stiffness_integral stiffness_reference stiffness_error")
+    + _fields("elapsed load force_biceps force_triceps bias_biceps bias_triceps saturated_biceps saturated_triceps")
+    + _fields("observed_angle observed_velocity observed_acceleration disturbance")
     # what the loop wants, and what is added to it, so that it starts at rest
     + _fields("biceps triceps trim_biceps trim_triceps")
 )

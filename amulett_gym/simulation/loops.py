@@ -13,19 +13,25 @@ from amulett_gym.control.agonist import select_agonist
 from amulett_gym.control.co_rotation import correction
 from amulett_gym.control.drive_model import drive_command, next_angle
 from amulett_gym.control.equilibrium_point import equilibrium
+from amulett_gym.control.feedback_linearisation import desired_jerk, drive_rates, tautness
 from amulett_gym.control.feedforward_feedback import opening
+from amulett_gym.control.force_estimate import next_bias
 from amulett_gym.control.inverse_dynamics import joint_torque
-from amulett_gym.control.inverse_statics import drive_angles, stiff_pair, string_forces
+from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
+from amulett_gym.control.joint_observer import observe
 from amulett_gym.control.pid import filtered_derivative, integrate
-from amulett_gym.control.reference_motion import remaining_offset
+from amulett_gym.control.reference_motion import remaining_jerk, remaining_offset
+from amulett_gym.control.torque import common_rate, desired_torque
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
-from amulett_gym.model.damping import decay_rate
-from amulett_gym.model.spring import estimate_force, find_position, look_up_curve
+from amulett_gym.model.damping import decay_rate, preload_force
+from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration
+from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve, look_up_slope
 from amulett_gym.simulation.commands import choose, choose_tension, command_drives, low_pass
 from amulett_gym.simulation.layout import LOOPS
 
 EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
 TORQUE_STIFFNESS, FEEDFORWARD_FEEDBACK = (LOOPS.index(name) for name in ("torque-stiffness", "feedforward-feedback"))
+FEEDBACK_LINEARISATION, TORQUE = (LOOPS.index(name) for name in ("feedback-linearisation", "torque"))
 FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 
 
@@ -33,6 +39,8 @@ FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 def run_loop(p, g, s, q, m, first, end):
     """Command the drives of the lanes from `first` to before `end`."""
     prepare(p, g, s, q, m, first, end)
+    if g.loop == FEEDBACK_LINEARISATION or g.loop == TORQUE:
+        observe_device(p, g, s, q, first, end)
     want(p, g, s, q, first, end)
     command(p, s, q, m, first, end)
 
@@ -48,6 +56,10 @@ def want(p, g, s, q, first, end):
         run_torque_stiffness(p, g, s, q, first, end)
     elif g.loop == FEEDFORWARD_FEEDBACK:
         run_feedforward_feedback(p, g, s, q, first, end)
+    elif g.loop == FEEDBACK_LINEARISATION:
+        run_feedback_linearisation(p, g, s, q, first, end)
+    elif g.loop == TORQUE:
+        run_torque(p, g, s, q, first, end)
 
 
 @compiled_lanes
@@ -85,10 +97,12 @@ def move_reference(p, g, s, q, i):
     setpoint_rate = moved / elapsed
     q.reference[i] = s.setpoint[i] + offset
     q.reference_rate[i] = setpoint_rate + rate
-    q.reference_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed + acceleration
+    q.setpoint_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed
+    q.reference_acceleration[i] = q.setpoint_acceleration[i] + acceleration
     q.velocity[i] = filtered_derivative(
         q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
     )
+    q.elapsed[i] = elapsed
     q.last_setpoint[i], q.last_rate[i], q.last_time[i] = s.setpoint[i], setpoint_rate, time
     q.last_angle[i] = s.measured_angle[i]
     s.setpoint_jump[i] = 0.0
@@ -128,16 +142,29 @@ def begin_loop(p, g, c, s, q, i):
     q.model_biceps[i], q.model_triceps[i] = s.command_biceps[i], s.command_triceps[i]
     q.integral[i] = q.stiffness_integral[i] = q.stiffness_error[i] = 0.0
     q.stiffness_reference[i] = -1.0
-    want(p, g, s, q, i, i + np.uint64(1))
+    begin_estimates(p, g, c, s, q, i)
+    if g.loop == FEEDBACK_LINEARISATION:
+        q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)  # its trim is that of the feed-forward
+    else:
+        want(p, g, s, q, i, i + np.uint64(1))
     q.trim_biceps[i] = s.command_biceps[i] - q.biceps[i]
     q.trim_triceps[i] = s.command_triceps[i] - q.triceps[i]
+    if g.loop == TORQUE:  # what the drives turn together is the feedback's
+        q.trim_biceps[i] = 0.5 * (q.trim_biceps[i] - q.trim_triceps[i])
+        q.trim_triceps[i] = -q.trim_biceps[i]
     q.integral[i] = q.stiffness_integral[i] = q.stiffness_error[i] = 0.0
 
 
 @compiled
 def hold(p, g, s, q, i, angle, torque):
     """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at the tension setpoint."""
-    biceps, triceps = string_forces(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+    return hold_at(p, g, angle, torque, s.tension_setpoint[i])
+
+
+@compiled
+def hold_at(p, g, angle, torque, tension):
+    """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at a tension [N]."""
+    biceps, triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
     return drive_angles(
         angle,
         find_position(p.force_table, g.position_table, biceps) / p.inverse_max_deflection,
@@ -147,20 +174,118 @@ def hold(p, g, s, q, i, angle, torque):
     )
 
 
+@compiled
+def weight_at(g, angle):
+    """Return the torque [N m] that holds the bare arm's weight at a joint angle [rad]."""
+    return g.weight * np.sin(angle) if g.weight != 0.0 else 0.0  # a sine takes long
+
+
+@compiled
+def weight_slope_at(g, angle):
+    """Return the derivative of `weight_at` [N m/rad]."""
+    return g.weight * np.cos(angle) if g.weight != 0.0 else 0.0
+
+
+@compiled
+def hold_reference(p, g, s, q, i):
+    """Return the drive angles [rad] of equilibrium-point control."""
+    angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
+    return hold(p, g, s, q, i, angle, weight_at(g, q.reference[i]))
+
+
+@compiled
+def predict_forces(p, q, i):
+    """Return both strings' positions in the force table by drive model and joint angle, and their forces [N]."""
+    angle, scale = q.observed_angle[i], p.inverse_max_deflection
+    biceps = deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * scale
+    triceps = deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * scale
+    return biceps, triceps, look_up(p.force_table, biceps), look_up(p.force_table, triceps)
+
+
+@compiled
+def model_acceleration(p, g, q, i):
+    """Return the joint's acceleration [rad/s2] by eq. 1 and the estimates, and the decay rate [1/s]."""
+    biceps, triceps = q.force_biceps[i], q.force_triceps[i]
+    preload = preload_force(biceps, triceps, p.damping_by_mean)
+    decay = decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+    angle, velocity = q.observed_angle[i], q.observed_velocity[i]
+    return joint_acceleration(angle, velocity, biceps, triceps, decay, 0.0, g.inertia, g.weight, p.joint_radius), decay
+
+
+@compiled_in_place
+def begin_estimates(p, g, c, s, q, i):
+    """Set the memory of `observe_device` for a start at rest: the device has averaged its sensors' readings."""
+    angle = s.angle[i] + c.encoder_bias[i]
+    q.observed_angle[i], q.observed_velocity[i], q.observed_acceleration[i] = angle, 0.0, 0.0
+    radius_biceps = p.drive_radius * c.pulley_biceps_factor[i]
+    radius_triceps = p.drive_radius * c.pulley_triceps_factor[i]
+    biceps = deflection_biceps(s.drive_biceps[i], s.angle[i], radius_biceps, p.joint_radius)
+    triceps = deflection_triceps(s.drive_triceps[i], s.angle[i], radius_triceps, p.joint_radius)
+    slider_biceps = look_up(p.spring_table, biceps * p.inverse_max_deflection) + c.slider_bias_biceps[i]
+    slider_triceps = look_up(p.spring_table, triceps * p.inverse_max_deflection) + c.slider_bias_triceps[i]
+    q.force_biceps[i] = estimate_force(p.estimate_table, slider_biceps, p.max_spring_deflection)
+    q.force_triceps[i] = estimate_force(p.estimate_table, slider_triceps, p.max_spring_deflection)
+    _, _, predicted_biceps, predicted_triceps = predict_forces(p, q, i)
+    q.bias_biceps[i] = q.force_biceps[i] - predicted_biceps
+    q.bias_triceps[i] = q.force_triceps[i] - predicted_triceps
+    acceleration, _ = model_acceleration(p, g, q, i)
+    q.disturbance[i] = -acceleration
+    q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_at(g, angle)
+    q.saturated_biceps[i] = q.saturated_triceps[i] = 0.0
+
+
+@compiled_lanes
+def observe_device(p, g, s, q, first, end):
+    """Estimate the joint's motion and both string forces, and find the strings at their springs' end."""
+    for i in range(first, end):
+        period = q.elapsed[i]
+        angle, velocity, change = observe(
+            q.observed_angle[i],
+            q.observed_velocity[i],
+            q.observed_acceleration[i],
+            s.measured_angle[i],
+            g.observer_bandwidth,
+            period,
+        )
+        q.observed_angle[i], q.observed_velocity[i] = angle, velocity
+        q.disturbance[i] += change
+        at_biceps, at_triceps, biceps, triceps = predict_forces(p, q, i)
+        slider_biceps = estimate_force(p.estimate_table, s.measured_biceps[i], p.max_spring_deflection)
+        slider_triceps = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
+        q.bias_biceps[i] = next_bias(q.bias_biceps[i], slider_biceps, biceps, g.slider_time, period)
+        q.bias_triceps[i] = next_bias(q.bias_triceps[i], slider_triceps, triceps, g.slider_time, period)
+        q.force_biceps[i] = max(biceps + q.bias_biceps[i], 0.0)
+        q.force_triceps[i] = max(triceps + q.bias_triceps[i], 0.0)
+        q.saturated_biceps[i] = at_biceps >= 1.0 or s.measured_biceps[i] >= p.slider_end
+        q.saturated_triceps[i] = at_triceps >= 1.0 or s.measured_triceps[i] >= p.slider_end
+
+
+@compiled
+def slope_at(p, g, force):
+    """Return the slope of a spring [N/m] at a force [N], limited from below."""
+    slope = look_up_slope(p.force_table, find_position(p.force_table, g.position_table, force))
+    return max(slope, g.slope_floor * g.max_force) * p.inverse_max_deflection
+
+
+@compiled
+def turn(p, g, rate):
+    """Return how far a command has to be ahead of a drive [rad] for it to turn at a rate [rad/s], within its limits."""
+    step = min(max(rate, -g.most_rate), g.most_rate) * p.control_period
+    return min(max(step, -g.drive_step), g.drive_step) / g.drive_share
+
+
 @compiled_lanes
 def run_equilibrium_point(p, g, s, q, first, end):
     """Run `control.equilibrium_point`."""
     for i in range(first, end):
-        angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
-        q.biceps[i], q.triceps[i] = hold(p, g, s, q, i, angle, g.weight * np.sin(q.reference[i]))
+        q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)
 
 
 @compiled_lanes
 def run_co_rotation(p, g, s, q, first, end):
     """Run `control.co_rotation`."""
     for i in range(first, end):
-        angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
-        biceps, triceps = hold(p, g, s, q, i, angle, g.weight * np.sin(q.reference[i]))
+        biceps, triceps = hold_reference(p, g, s, q, i)
         error = q.reference[i] - s.measured_angle[i]
         highest, lowest = max(s.command_biceps[i], s.command_triceps[i]), min(s.command_biceps[i], s.command_triceps[i])
         q.integral[i] = integrate(
@@ -273,3 +398,75 @@ def estimate_stiffness(p, g, s, i):
     biceps = estimate_force(g.slope_table, s.measured_biceps[i], p.max_spring_deflection)
     triceps = estimate_force(g.slope_table, s.measured_triceps[i], p.max_spring_deflection)
     return (biceps + triceps) * p.joint_radius * p.joint_radius
+
+
+@compiled_lanes
+def run_feedback_linearisation(p, g, s, q, first, end):
+    """Run `control.feedback_linearisation`."""
+    for i in range(first, end):
+        angle, velocity = q.observed_angle[i], q.observed_velocity[i]
+        biceps, triceps = q.force_biceps[i], q.force_triceps[i]
+        by_model, decay = model_acceleration(p, g, q, i)
+        acceleration = by_model + q.disturbance[i]
+        q.observed_acceleration[i] = acceleration
+        # The arm cannot follow a setpoint whose rate jumps.
+        fastest = p.joint_radius * g.max_force / g.inertia
+        rate_jumps = abs(q.setpoint_acceleration[i]) > fastest
+        reference_acceleration = q.reference_acceleration[i] - choose(rate_jumps, q.setpoint_acceleration[i], 0.0)
+        elapsed = q.last_time[i] - q.jump_time[i]
+        begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
+        jump_jerk = remaining_jerk(g.reference_shape, *begun, elapsed, g.reference_time)
+        jerk = desired_jerk(
+            q.reference[i] - angle,
+            q.reference_rate[i] - velocity,
+            reference_acceleration - acceleration,
+            jump_jerk,
+            g.bandwidth,
+        )
+        torque = g.inertia * (reference_acceleration + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
+        torque += weight_at(g, q.reference[i])
+        tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+        wanted_biceps, wanted_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
+        tension_rate = g.tension_bandwidth * 0.5 * (wanted_biceps + wanted_triceps - biceps - triceps)
+        needed = jerk + 2.0 * decay * acceleration + weight_slope_at(g, angle) / g.inertia * velocity
+        slopes = slope_at(p, g, biceps), slope_at(p, g, triceps)
+        rate_biceps, rate_triceps = drive_rates(
+            needed, tension_rate, velocity, slopes, g.inertia, p.drive_radius, p.joint_radius
+        )
+        still = velocity * p.joint_radius / p.drive_radius  # the drives' rate at which forces stay
+        rate_biceps = min(rate_biceps, still) if q.saturated_biceps[i] else rate_biceps
+        rate_triceps = max(rate_triceps, still) if q.saturated_triceps[i] else rate_triceps
+        taut = tautness(biceps, triceps, g.taut_force)
+        slack_biceps, slack_triceps = hold_reference(p, g, s, q, i)
+        biceps = q.model_biceps[i] + turn(p, g, rate_biceps) - q.trim_biceps[i]
+        triceps = q.model_triceps[i] + turn(p, g, rate_triceps) - q.trim_triceps[i]
+        q.biceps[i] = slack_biceps + taut * (biceps - slack_biceps)
+        q.triceps[i] = slack_triceps + taut * (triceps - slack_triceps)
+
+
+@compiled_lanes
+def run_torque(p, g, s, q, first, end):
+    """Run `control.torque`."""
+    for i in range(first, end):
+        angle, velocity = q.observed_angle[i], q.observed_velocity[i]
+        biceps, triceps = q.force_biceps[i], q.force_triceps[i]
+        by_model, _ = model_acceleration(p, g, q, i)
+        q.observed_acceleration[i] = by_model + q.disturbance[i]
+        torque = desired_torque(
+            q.reference[i] - angle,
+            q.reference_rate[i] - velocity,
+            g.virtual_stiffness,
+            g.virtual_damping,
+            weight_at(g, angle) + q.load[i],
+            g.max_force * p.joint_radius,
+        )
+        missing = torque - p.joint_radius * (biceps - triceps)
+        missing = min(missing, 0.0) if q.saturated_biceps[i] else missing
+        missing = max(missing, 0.0) if q.saturated_triceps[i] else missing
+        stiffness = p.joint_radius * p.joint_radius * (slope_at(p, g, biceps) + slope_at(p, g, triceps))
+        rate = common_rate(missing, velocity, stiffness, g.torque_time, p.drive_radius, p.joint_radius)
+        middle = 0.5 * (q.model_biceps[i] + q.model_triceps[i]) + turn(p, g, rate)
+        tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+        pull_biceps, pull_triceps = hold_at(p, g, 0.0, torque, tension)
+        apart = 0.5 * (pull_biceps - pull_triceps)
+        q.biceps[i], q.triceps[i] = middle + apart, middle - apart

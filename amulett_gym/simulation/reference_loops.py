@@ -26,6 +26,7 @@ from amulett_gym.simulation.reference import arm, decay_rate, string_force
 from amulett_gym.simulation.trajectory import Trajectory
 
 Pair = tuple[float, float]
+Motion = tuple[float, float, float, float, float]
 
 
 def replay_loop(
@@ -58,14 +59,12 @@ def replay_loop(
     joint_rate = Rate(getattr(gains, "velocity_filter", 0.0), float(trajectory["measured_angle"][0]))
     loop = _LOOPS[control](device, gains)
 
-    def reading(row: int, tension: float, motion_now: tuple[float, float, float], velocity: float) -> Reading:
+    def reading(row: int, tension: float, motion_now: Motion, velocity: float) -> Reading:
         signals = {name: float(trajectory[name][row]) for name in _SIGNALS}
-        return Reading(*motion_now, velocity, tension, command, drives, period, limit, **signals)
+        return Reading(*motion_now, elapsed, velocity, tension, command, drives, period, limit, **signals)
 
-    drives = command
-    wanted = loop.wants(reading(0, float(trajectory["tension_setpoint"][0]), (start, 0.0, 0.0), 0.0))
-    trim = command[0] - wanted[0], command[1] - wanted[1]
-    loop = _LOOPS[control](device, gains)
+    drives, elapsed = command, period
+    trim = loop.begin(reading(0, float(trajectory["tension_setpoint"][0]), (start, 0.0, 0.0, 0.0, 0.0), 0.0))
     rows, last = [command], -1
     for row in range(len(trajectory) - 1):
         if late is None or not late[row]:
@@ -91,6 +90,9 @@ class Reading:
     reference: float
     reference_rate: float
     reference_acceleration: float
+    setpoint_acceleration: float  # its share without jumps
+    jump_jerk: float  # of what is left of the last jump
+    elapsed: float  # since the last tick that was not late
     velocity: float  # estimated
     tension: float
     command: Pair  # the last one
@@ -120,9 +122,15 @@ class Device:
     def __init__(self, profile: Profile) -> None:
         tables = build_tables(profile.spring)
         self.profile, self.force = profile, string_force(profile)
+        self.slider_range = tables.max_spring_deflection
         self.end, self.max_force = tables.max_deflection, tables.max_force
         knots = np.append(tables.force[:, 0], tables.max_force)
-        self.slope = PchipInterpolator(np.linspace(0.0, self.end, knots.size), knots).derivative()
+        places = np.linspace(0.0, 1.0, knots.size)
+        self.slope = PchipInterpolator(places * self.end, knots).derivative()
+        self.slider_at = PchipInterpolator(
+            places * self.end, np.append(tables.spring_deflection[:, 0], self.slider_range)
+        )
+        self.estimate = PchipInterpolator(places, np.append(tables.estimated_force[:, 0], self.max_force))
         self.slider_end = slider_end(profile, tables.max_spring_deflection)
         self.drive_radius, self.joint_radius = profile.plant.drive_pulley_radius, profile.plant.joint_pulley_radius
         self.inertia, self.weight = arm(profile)
@@ -138,6 +146,10 @@ class Device:
         if force >= self.max_force:
             return self.end
         return float(brentq(lambda stretch: self.force(stretch) - force, 0.0, self.end, xtol=1e-16, rtol=1e-14))
+
+    def slider_force(self, stretch: float) -> float:
+        """Return the string force [N] that the microcontroller's table gives for a slider's reading [m]."""
+        return float(self.estimate(math.sqrt(min(max(stretch, 0.0) / self.slider_range, 1.0))))
 
     def hold(self, angle: float, torque: float, tension: float) -> Pair:
         """Return the drive angles [rad] that hold an angle with a torque, the antagonist with a tension."""
@@ -180,6 +192,10 @@ class Device:
         friction = 2.0 * decay_rate(self.profile, now.tension) * now.reference_rate
         return self.inertia * (now.reference_acceleration + friction) + self.weight * math.sin(angle)
 
+    def affordable(self, torque: float, tension: float) -> float:
+        """Return the tension [N], lowered as far as the torque needs it."""
+        return float(np.clip(self.max_force - abs(torque) / self.joint_radius, 0.0, tension))
+
     def turn(self, angle: float, command: float) -> float:
         """Return a drive's angle [rad] after a control period by the model of lag and largest rate."""
         return angle + float(np.clip((command - angle) * self.share, -self.most, self.most))
@@ -193,42 +209,42 @@ class ReferenceMotion:
         self.begin, self.begun = 0.0, (0.0, 0.0, 0.0)
         self.polynomial = np.polynomial.Polynomial([0.0])
 
-    def update(self, time: float, elapsed: float, setpoint: float, jump: float) -> tuple[float, float, float]:
-        """Return reference, rate and acceleration [rad, rad/s, rad/s2]."""
+    def update(self, time: float, elapsed: float, setpoint: float, jump: float) -> Motion:
+        """Return reference, rate, acceleration, the setpoint's share of it and the last jump's jerk [rad, s]."""
         moved = setpoint - self.last - jump
         if abs(moved) > 100.0 * elapsed:
             jump, moved = jump + moved, 0.0
         if jump != 0.0:
-            offset, rate, acceleration = self._offset(time)
+            offset, rate, acceleration, _ = self._offset(time)
             self.begin, self.begun = time, (offset - jump, rate, acceleration)
             self.polynomial = self._way_to_zero(*self.begun)
         setpoint_rate = moved / elapsed
-        offset, rate, acceleration = self._offset(time)
+        offset, rate, acceleration, jerk = self._offset(time)
         change = (setpoint_rate - self.last_rate) / elapsed
         self.last, self.last_rate = setpoint, setpoint_rate
-        return setpoint + offset, setpoint_rate + rate, change + acceleration
+        return setpoint + offset, setpoint_rate + rate, change + acceleration, change, jerk
 
-    def _offset(self, time: float) -> tuple[float, float, float]:
+    def _offset(self, time: float) -> tuple[float, float, float, float]:
         elapsed = time - self.begin
         if self.shape != "minimum-jerk":
             return self._filtered(elapsed)
         if elapsed >= self.duration:
-            return 0.0, 0.0, 0.0
-        first, second = self.polynomial.deriv(1), self.polynomial.deriv(2)
-        return float(self.polynomial(elapsed)), float(first(elapsed)), float(second(elapsed))
+            return 0.0, 0.0, 0.0, 0.0
+        offset, rate, acceleration, jerk = (float(self.polynomial.deriv(order)(elapsed)) for order in range(4))
+        return offset, rate, acceleration, jerk
 
-    def _filtered(self, elapsed: float) -> tuple[float, float, float]:
+    def _filtered(self, elapsed: float) -> tuple[float, float, float, float]:
         """Return a filter's free answer, by the exponential of its matrix, which has 2 % left at the duration."""
         if self.shape == "first-order":
             pace = brentq(lambda pace: math.exp(-pace * self.duration) - 0.02, 0.0, 100.0 / self.duration)
             left = self.begun[0] * math.exp(-pace * elapsed)
-            return left, -pace * left, pace**2 * left
+            return left, -pace * left, pace**2 * left, -(pace**3) * left
         pace = brentq(
             lambda p: (1.0 + p * self.duration) * math.exp(-p * self.duration) - 0.02, 0.0, 100 / self.duration
         )
         matrix = np.array([[0.0, 1.0], [-(pace**2), -2.0 * pace]])
         state = expm(matrix * elapsed) @ self.begun[:2]
-        return float(state[0]), float(state[1]), float((matrix @ state)[1])
+        return float(state[0]), float(state[1]), float((matrix @ state)[1]), float((matrix @ matrix @ state)[1])
 
     def _way_to_zero(self, offset: float, rate: float, acceleration: float) -> np.polynomial.Polynomial:
         t, powers = self.duration, np.arange(6)
@@ -262,6 +278,11 @@ class Loop:
     def __init__(self, device: Device, gains: Any) -> None:
         self.device, self.gains = device, gains
         self.integral = 0.0
+
+    def begin(self, now: Reading) -> Pair:
+        """Return what is added to the drive angles that the loop wants [rad], so that it starts at rest."""
+        wanted = type(self)(self.device, self.gains).wants(now)  # a twin, which has no memory yet
+        return now.command[0] - wanted[0], now.command[1] - wanted[1]
 
     def wants(self, now: Reading) -> Pair:
         """Return the drive angles [rad] that the loop wants."""
@@ -345,9 +366,149 @@ class _FeedforwardFeedback(Loop):
         return float(gains.stiffness_kp * self.error + self.stiffness_integral + gains.stiffness_kd * rate)
 
 
+class _Observing(Loop):
+    """A loop that observes the joint's motion, the disturbance and both string forces."""
+
+    def observe_start(self, now: Reading) -> None:
+        """Set what is known at rest."""
+        self.motion = np.array([now.reference, 0.0])
+        sliders = [float(self.device.slider_at(max(stretch, 0.0))) for stretch in self.stretches(now)]
+        self.forces = np.array([self.device.slider_force(slider) for slider in sliders])
+        self.bias = self.forces - self.predicted(now)
+        self.disturbance, self.acceleration = -self.model_acceleration(), 0.0
+
+    def stretches(self, now: Reading) -> NDArray[np.float64]:
+        """Return both string deflections [m] by the model."""
+        wound = self.device.joint_radius * self.motion[0]
+        turned = self.device.drive_radius * np.array(now.drives)
+        return np.array([turned[0] - wound, wound - turned[1]])
+
+    def predicted(self, now: Reading) -> NDArray[np.float64]:
+        """Return both string forces [N] by the model."""
+        return np.array([self.device.force(stretch) for stretch in self.stretches(now)])
+
+    def decay(self) -> float:
+        """Return delta [1/s]."""
+        profile = self.device.profile
+        return decay_rate(profile, self.forces.mean() if profile.damping.preload == "mean" else self.forces.min())
+
+    def model_acceleration(self) -> float:
+        """Return the acceleration [rad/s2] by eq. 1."""
+        device, (angle, velocity) = self.device, self.motion
+        torque = device.joint_radius * (self.forces[0] - self.forces[1]) - device.weight * math.sin(angle)
+        return float(torque / device.inertia - 2.0 * self.decay() * velocity)
+
+    def observe(self, now: Reading) -> None:
+        """Update all estimates."""
+        h, kept = now.elapsed, 1.0 / (1.0 + self.gains.observer_bandwidth * now.elapsed)
+        transition = np.array([[1.0, h, h * h / 2.0], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
+        state = transition @ [*self.motion, self.acceleration]
+        missed = now.measured_angle - state[0]
+        gain = np.array([1.0 - kept**3, 1.5 * (1.0 - kept) ** 2 * (1.0 + kept) / h, (1.0 - kept) ** 3 / h**2])
+        self.motion = state[:2] + gain[:2] * missed
+        self.disturbance += gain[2] * missed
+        sliders = [self.device.slider_force(slider) for slider in (now.measured_biceps, now.measured_triceps)]
+        self.bias += (sliders - self.predicted(now) - self.bias) * h / (self.gains.slider_time + h)
+        self.forces = np.maximum(self.predicted(now) + self.bias, 0.0)
+        self.acceleration = self.model_acceleration() + self.disturbance
+
+    def slopes(self) -> NDArray[np.float64]:
+        """Return both springs' slopes [N/m], limited from below."""
+        least = self.gains.slope_floor * self.device.max_force / self.device.end
+        return np.array([max(float(self.device.slope(self.device.deflection(f))), least) for f in self.forces])
+
+    def saturated(self, now: Reading) -> tuple[bool, bool]:
+        """Return whether each string is at its spring's end."""
+        end = self.device.slider_end
+        biceps, triceps = self.stretches(now) >= self.device.end
+        return bool(biceps or now.measured_biceps >= end), bool(triceps or now.measured_triceps >= end)
+
+    def turn(self, rate: float) -> float:
+        """Return how far a command is ahead of a drive [rad]."""
+        step = (
+            float(np.clip(rate, -self.gains.most_rate, self.gains.most_rate)) * self.device.profile.loop.control_period
+        )
+        return float(np.clip(step, -self.device.most, self.device.most)) / self.device.share
+
+
+class _FeedbackLinearisation(_Observing):
+    def begin(self, now: Reading) -> Pair:
+        self.observe_start(now)
+        wanted = self.equilibrium(now)
+        self.trim = now.command[0] - wanted[0], now.command[1] - wanted[1]
+        return self.trim
+
+    def wants(self, now: Reading) -> Pair:
+        self.observe(now)
+        device, gains, (angle, velocity), decay = self.device, self.gains, self.motion, self.decay()
+        w, acceleration = gains.bandwidth, now.reference_acceleration
+        if abs(now.setpoint_acceleration) > device.joint_radius * device.max_force / device.inertia:
+            acceleration -= now.setpoint_acceleration
+        jerk = now.jump_jerk + 3.0 * w * (acceleration - self.acceleration)
+        jerk += 3.0 * w**2 * (now.reference_rate - velocity) + w**3 * (now.reference - angle)
+        torque = device.inertia * (acceleration + 2.0 * decay * now.reference_rate - self.disturbance)
+        torque += device.weight * math.sin(now.reference)
+        antagonist = device.affordable(torque, now.tension)
+        agonist = min(antagonist + abs(torque) / device.joint_radius, device.max_force)
+        tension_rate = gains.tension_bandwidth * ((agonist + antagonist) / 2.0 - self.forces.mean())
+        # the linear equations of x''' and s' by both drives' rates
+        r1, r2, (first, second) = device.drive_radius, device.joint_radius, self.slopes()
+        matrix = r1 * np.array([[r2 / device.inertia * first, r2 / device.inertia * second], [first / 2, -second / 2]])
+        weight = device.weight / device.inertia * math.cos(angle)
+        drift = -(r2**2 / device.inertia * (first + second) + weight) * velocity - 2.0 * decay * self.acceleration
+        known = np.array([jerk - drift, tension_rate + r2 * (first - second) / 2.0 * velocity])
+        biceps, triceps = np.linalg.solve(matrix, known)
+        still = velocity * r2 / r1
+        end_biceps, end_triceps = self.saturated(now)
+        biceps, triceps = min(biceps, still) if end_biceps else biceps, max(triceps, still) if end_triceps else triceps
+        share = min(self.forces.min() / gains.taut_force, 1.0)
+        taut = np.add(now.drives, (self.turn(biceps), self.turn(triceps))) - self.trim
+        mixed = share * taut + (1.0 - share) * np.array(self.equilibrium(now))
+        return float(mixed[0]), float(mixed[1])
+
+
+class _Torque(_Observing):
+    def begin(self, now: Reading) -> Pair:
+        self.observe_start(now)
+        torque = self.device.joint_radius * (self.forces[0] - self.forces[1])
+        self.load = torque - self.device.weight * math.sin(now.reference)
+        apart = (now.command[0] - now.command[1]) / 2.0 - self.apart(now, self.setpoint(now))
+        return apart, -apart
+
+    def setpoint(self, now: Reading) -> float:
+        """Return the torque setpoint [N m]."""
+        device, gains, (angle, velocity) = self.device, self.gains, self.motion
+        most = device.max_force * device.joint_radius
+        torque = gains.virtual_stiffness * (now.reference - angle)
+        torque += gains.virtual_damping * (now.reference_rate - velocity)
+        return float(np.clip(torque + device.weight * math.sin(angle) + self.load, -most, most))
+
+    def apart(self, now: Reading, torque: float) -> float:
+        """Return half the angle between both drives [rad] that gives the co-contraction."""
+        biceps, triceps = self.device.hold(0.0, torque, self.device.affordable(torque, now.tension))
+        return (biceps - triceps) / 2.0
+
+    def wants(self, now: Reading) -> Pair:
+        self.observe(now)
+        device, gains, velocity = self.device, self.gains, self.motion[1]
+        torque = self.setpoint(now)
+        missing = torque - device.joint_radius * (self.forces[0] - self.forces[1])
+        end_biceps, end_triceps = self.saturated(now)
+        missing = min(missing, 0.0) if end_biceps else missing
+        missing = max(missing, 0.0) if end_triceps else missing
+        ratio = device.drive_radius / device.joint_radius
+        stiffness = device.joint_radius**2 * float(self.slopes().sum())
+        middle = sum(now.drives) / 2.0
+        middle += self.turn(missing / (gains.torque_time * ratio * stiffness) + velocity / ratio)
+        apart = self.apart(now, torque)
+        return middle + apart, middle - apart
+
+
 _LOOPS: dict[Control, Callable[[Device, Any], Loop]] = {
     "equilibrium-point": _EquilibriumPoint,
     "co-rotation": _CoRotation,
     "torque-stiffness": _TorqueStiffness,
     "feedforward-feedback": _FeedforwardFeedback,
+    "feedback-linearisation": _FeedbackLinearisation,
+    "torque": _Torque,
 }
