@@ -53,12 +53,12 @@ class TorqueStiffness(Following):
     """Gains of `control.torque_stiffness`."""
 
     integral_weight: float = Field(
-        default=100.0, ge=0, le=1e9, description="q_0, weight of the position error's integral [1/(rad s)2]"
+        default=20.0, ge=0, le=1e9, description="q_0, weight of the position error's integral [1/(rad s)2]"
     )
-    angle_weight: float = Field(default=50.0, gt=0, le=1e9, description="q_1, weight of the position error [1/rad2]")
+    angle_weight: float = Field(default=15.0, gt=0, le=1e9, description="q_1, weight of the position error [1/rad2]")
     rate_weight: float = Field(default=0.0, ge=0, le=1e9, description="q_2, weight of the error's rate [s2/rad2]")
     torque_weight: float = Field(default=1.0, gt=0, le=1e9, description="r, weight of the torque [1/(N m)2]")
-    factor: Factor = Field(default=3.0, description="lambda, by which a drive is faster than its lag [1]")
+    factor: Factor = Field(default=2.0, description="lambda, by which a drive is faster than its lag [1]")
     lead: Lead = Field(default=0.141, description="lag of the drives, by which they lead the reference [s]")
     velocity_filter: Filter = Field(default=0.01, description="time constant of the measured joint rate [s]; 0: none")
 
@@ -67,7 +67,10 @@ class FeedforwardFeedback(CoRotation):
     """Gains of `control.feedforward_feedback`."""
 
     lead: Lead = Field(default=0.141, description="lag of the drives, by which they lead the reference [s]")
-    factor: Factor = Field(default=4.0, description="lambda, by which a drive is faster than its lag [1]")
+    kp: float = Field(default=0.1, ge=0, le=100, description="drive angle by position error [1]")
+    kd: float = Field(default=0.02, ge=0, le=10, description="drive angle by rate of the position error [s]")
+    velocity_filter: Filter = Field(default=0.004, description="time constant of the measured joint rate [s]; 0: none")
+    factor: Factor = Field(default=3.0, description="lambda, by which a drive is faster than its lag [1]")
     stiffness_kp: float = Field(default=0.004, ge=0, le=100, description="drive angle by stiffness error [rad2/(N m)]")
     stiffness_ki: float = Field(default=0.02, ge=0, le=1000, description="rate of it by stiffness error [rad2/(N m s)]")
     stiffness_kd: float = Field(

@@ -10,7 +10,7 @@ Low level: the PID of the position (`control.co_rotation`) turns both drives tog
 
 with deflections by the sliders. K_ref is the stiffness of the high level's deflections, as late as the drives are.
 Where the high level wants a string below the force floor, under which the sliders are not trusted (Figure 5b), e_K is 0
-and the integral stays.
+and the integral stays. A spring that is weaker than the model's is not noticed: the sliders measure its deflection.
 """
 
 from __future__ import annotations

@@ -42,8 +42,10 @@ CSV_COLUMNS = {
     "push_torque_Nm": ("push_torque", 1.0),
     "contact_torque_Nm": ("contact_torque", 1.0),
     "joint_stiffness_Nm_per_rad": ("joint_stiffness", 1.0),
+    "stiffness_setpoint_Nm_per_rad": ("stiffness_setpoint", 1.0),
 }
-"""Column of the CSV file -> signal and the factor that turns its SI unit into the column's."""
+"""Column of the CSV file -> signal and the factor that turns its SI unit into the column's. Where a control loop takes
+no stiffness, its setpoint is nan."""
 
 
 @dataclass(frozen=True)

@@ -422,7 +422,7 @@ def test_next_episodes_are_those_of_a_reset_by_a_mask():
     readings = [name for name, value in info.items() if isinstance(value, np.ndarray)]
     assert readings
     for name in readings:
-        assert np.array_equal(info[name], expected_info[name][devices]), name
+        np.testing.assert_array_equal(info[name], expected_info[name][devices], name)
     actions = np.full((5, 1), 0.3)
     assert np.array_equal(one.step(actions)[0], other.step(actions)[0])
 

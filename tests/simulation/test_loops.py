@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
@@ -230,3 +231,31 @@ def test_an_ideal_drive_is_not_commanded_beyond_its_angle(control):
 def test_other_loops_ask_for_no_stiffness():
     for control in ("decentralized", "co-rotation"):
         assert np.isnan(record(start(control), 10)["stiffness_setpoint"]).all()
+
+
+@pytest.mark.parametrize("control", BY_STIFFNESS)
+@pytest.mark.parametrize("tension", [5.0, 8.0, 12.0])
+def test_noise_does_not_make_drives_and_joint_chatter(control, tension):
+    simulation = start(control, tension=tension, moves=[{"time": 0.1, "angle_deg": 40.0}], wave=None, pushes=[])
+    simulation.advance(800)
+    trajectory = record(simulation, 800)
+    assert np.abs(np.degrees(trajectory["angle"]) - 40.0).max() < 0.5
+    assert np.degrees(trajectory["drive_biceps"]).std() < 1.0
+    assert np.degrees(np.diff(trajectory["command_biceps"])).std() < 0.6
+
+
+@pytest.mark.parametrize("share", [0.8, 1.25])
+def test_the_regulator_is_stable_up_to_what_the_drives_leave(share):
+    # Routh: k_1 < K + k_2 lambda/T without friction, with k_2^2 = 2 J k_1.
+    plain = {"fit": "printed", "a": 0.0, "b": -1.0, "c": 0.0, "d": 0.0}
+    gains = {"integral_weight": 0.0, "rate_weight": 0.0, "velocity_filter": 0.0, "factor": 2.0, "lead": 0.14069}
+    inertia, stiffness, ratio = 0.26063 * 0.13**2 * 13.0 / 12.0, 16.3555, 2.0 / 0.14069
+    root = brentq(lambda k: stiffness + ratio * np.sqrt(2.0 * inertia * k) - k, 1.0, 100.0)
+    changes = {"damping": plain, "loops": {"torque_stiffness": {**gains, "angle_weight": (share * root) ** 2}}}
+    changes |= {"name": "frictionless", "loop": {"control_period": 0.0005}}
+    profile = load_profile(merge(QUIET.model_dump(), changes))
+    push = [{"time": 0.1, "duration": 0.02, "torque": 0.02}]
+    simulation = start("torque-stiffness", profile, 8.0, moves=[], wave=None, pushes=push, initial_tension=8.0)
+    angle = np.abs(record(simulation, 8000)["angle"])
+    early, late = angle[1000:2000].max(), angle[7000:].max()
+    assert (late < 0.5 * early) if share < 1.0 else (late > 2.0 * early)
