@@ -33,8 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     laws = "constant (a tension), eq6-tuned (4 parameters), parametric (18), or gains: those of the loop in --control"
     parser.add_argument("law", metavar="LAW", help=laws)
-    control = "loop that plays (default: decentralized, the paper's); in others the full-control cost is minimised"
+    control = "loop that plays (default: decentralized, the paper's)"
     parser.add_argument("--control", default="decentralized", metavar="LOOP", help=control)
+    track = (
+        "cost that is minimised: schedule or full-control (default: schedule for a law in the paper's loop, else "
+        "full-control)"
+    )
+    parser.add_argument("--track", metavar="TRACK", help=track)
     suite = "suite of scenarios, searched on its split train, chosen on validation (default: mixed)"
     add_options(parser, "--suite", default="mixed", help=suite)
     add_options(parser, "--profile")
@@ -57,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.search.laws import Recipe, at_ends, check_shippable, profile_path, result_path, ship
 
     law, suite, profile = arguments.law, arguments.suite, arguments.profile
-    sizes = {"validation": arguments.validation, "control": arguments.control}
+    sizes = {"validation": arguments.validation, "control": arguments.control, "track": arguments.track}
     recipe = Recipe(law, suite, profile, tuple(arguments.seeds), **sizes)
     if arguments.budget is not None:
         recipe = recipe.within(arguments.budget)
@@ -104,6 +109,7 @@ def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., 
     """
     from dataclasses import asdict
 
+    from amulett_gym.evaluation.metrics import COST_OF, METRICS
     from amulett_gym.evaluation.search.laws import tune
     from amulett_gym.settings import to_plain
     from amulett_gym.storage.provenance import write_provenance
@@ -114,7 +120,8 @@ def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., 
     def begin(done: int) -> None:
         starts = ", ".join(map(str, recipe.seeds))
         show(
-            f"{recipe.law} in {recipe.control} on {recipe.suite} of the {recipe.device().name}, starts {starts}: "
+            f"{recipe.law} in {recipe.control} on {recipe.suite} of the {recipe.device().name}, by the "
+            f"{METRICS[COST_OF[recipe.cost_track]].name}, starts {starts}: "
             f"{total:,} simulated episodes, {recipe.episodes:,} on train with {recipe.population} candidates in a "
             f"generation, and {recipe.judging:,} to judge what was found" + (f"; {done:,} are done" if done else "")
         )
@@ -123,7 +130,8 @@ def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., 
         show(f"start {seed}: cost {start['train']:.4f} on train, {start['validation']:.4f} on validation")
 
     with output_folder(out, "tuned law", [[TUNING]]), locked_folder(out):
-        _refuse_other(Path(out), {key: config[key] for key in ("law", "control", "suite", "profile")})
+        subject = {key: config[key] for key in ("law", "control", "suite", "profile")}
+        _refuse_other(Path(out), subject | ({"track": recipe.track} if recipe.track else {}))
         write_provenance(out, "tune-law", config, recipe.seeds, words)
         content = tune(out, recipe, report, begin, progress=True)
     show(f"{total:,} episodes were simulated.")
@@ -159,5 +167,5 @@ def _in_words(content: Mapping[str, Any]) -> str:
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
-    options = ("control", "suite", "profile", "budget", "seeds", "validation", "out")
+    options = ("control", "track", "suite", "profile", "budget", "seeds", "validation", "out")
     return ["amulett", "tune-law", arguments.law, *command_words(arguments, *options)]

@@ -11,6 +11,7 @@ import pytest
 
 import amulett_gym
 from amulett_gym.cli import main
+from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.evaluation.search import laws as tuning
 
 DEVICE = "{name: mine, base: testbed, sensors: {encoder_bits: 12}}"
@@ -37,8 +38,9 @@ def place(tmp_path, monkeypatch):
 def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, capsys):
     assert main([*SEARCH, "--profile", "dev.yaml", "--out", "tuned"]) == 0
     out, err = capsys.readouterr()
-    assert "eq6-tuned in decentralized on steps of the mine, starts 3: 90 simulated episodes, 84 on train" in " ".join(
-        out.split()
+    assert (
+        "in decentralized on steps of the mine, by the cost, starts 3: 90 simulated episodes, 84 on train"
+        in " ".join(out.split())
     )
     assert "90 episodes were simulated." in out
     compare = "amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json \\\n      --suite steps --profile dev.yaml"
@@ -128,6 +130,24 @@ def test_the_package_is_written_only_when_asked_for_and_before_nothing_is_search
     assert not (place / "other").exists()
 
 
+def test_the_track_decides_which_cost_is_minimised(place, capsys):
+    words = ["tune-law", "constant", *SEARCH[2:]]
+    assert main([*words, "--track", "full-control", "--out", "full"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "by the full-control cost" in out
+    full = json.loads((place / "full" / "constant-steps.json").read_text())
+    assert full["cost"] == "control_cost" and full["recipe"]["track"] == "full-control"
+    assert main([*words, "--track", "schedule", "--out", "full"]) == 2
+    assert "choose another folder" in capsys.readouterr().err
+    assert main([*words, "--track", "schedule", "--out", "usual"]) == 0
+    usual = json.loads((place / "usual" / "constant-steps.json").read_text())
+    assert "track" not in usual["recipe"]
+    tension, values = f"constant:{full['parameters']['tension']['value']!r}", full["starts"]["3"]["validation"]
+    found = evaluate([tension], suite="steps", split="validation", episodes=4).values[tension]
+    assert found["control_cost"].mean() == pytest.approx(values, rel=1e-12)
+    assert main(["rerun", "full", "--out", "again"]) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -142,6 +162,8 @@ def test_the_package_is_written_only_when_asked_for_and_before_nothing_is_search
         (["gains", "--control", "co-rotaton", "--out", "x"], "did you mean 'co-rotation'"),
         (["eq6-tuned", "--control", "co-rotation", "--write", "--out", "x"], "of the paper's loop only"),
         (["constant", "--write", "--out", "x"], "no tuned constant"),
+        (["eq6-tuned", "--track", "full", "--out", "x"], "unknown track 'full'"),
+        (["eq6-tuned", "--track", "full-control", "--write", "--out", "x"], "tuned for the track 'full-control'"),
         (["constant", "--out", "dev.yaml"], "is a file"),
     ],
 )

@@ -1,9 +1,9 @@
 """The clairvoyant reference: for each scenario, the best tension schedule that a search with full knowledge finds.
 
 The search knows future setpoints, pushes and sensor noise: every trial replays the scenario with its noise key. A
-schedule has one tension setpoint for each agent step, within the range of the default actions, reached on a ramp, as
-actions are. Its cost is an estimate of the lower bound for all policies of the same environment. Contenders that act at
-control rate or with other gains (`eq6`, `position-only`) are not policies of it, and may cost less.
+schedule has one tension setpoint for each agent step, within the loop's range of the default actions, reached on a
+ramp, as actions are. Its cost is an estimate of the lower bound for all policies of the same environment. Contenders
+that act at control rate or with other gains (`eq6`, `position-only`) are not policies of it, and may cost less.
 
 With `Trials.redrawn` the search knows all but chance (the *foresight* reference): the cost of a schedule is its mean
 over several draws of the noise, which differ from the scenario's own. Its cost in the scenario itself shows how much of
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.action import TENSION_RANGE, action_to_tension, tension_to_action
+from amulett_gym.envs.action import tension_to_action
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.evaluation.search.trials import Actions, Trials, held, scheduled
@@ -46,8 +46,8 @@ from amulett_gym.storage.kept import digest, kept
 VERSION = 2
 """Version of the search, increased if the same settings would find other schedules."""
 
-CONSTANTS = tuple(float(tension) for tension in range(4, 16))
-"""Constant tensions to start from [N]."""
+CONSTANTS = tuple(float(tension) for tension in range(16))
+"""Constant tensions to start from [N], as far as the loop's range holds them."""
 
 LAWS = ("eq6-held", "eq6-held-printed")
 """Laws whose schedules are starts, in addition to those that the caller names."""
@@ -111,7 +111,7 @@ class Reference:
     costs : ndarray, shape (S,)
         Cost of the best schedule of each scenario: minus its return.
     actions : ndarray of float32, shape (S, steps)
-        That schedule, as actions of the default range.
+        That schedule, as actions of the trials' range.
     restarts : ndarray, shape (restarts, S)
         Final cost of the search from each start.
     starts : dict of str to ndarray, shape (S,)
@@ -125,11 +125,6 @@ class Reference:
     restarts: Values
     starts: dict[str, Values]
     curve: Values
-
-    @property
-    def tensions(self) -> Values:
-        """The schedules as tension setpoints [N], shape (S, steps)."""
-        return action_to_tension(self.actions, TENSION_RANGE)
 
 
 def clairvoyant(
@@ -183,8 +178,9 @@ def start_schedules(trials: Trials, laws: Sequence[str] = ()) -> dict[str, Actio
     """Return the schedules of the constants and laws in each scenario's first draw, shape (S, steps)."""
     count = len(trials.rows) // trials.draws
     schedules = {}
-    for tension in CONSTANTS:
-        action = tension_to_action(np.array(tension), TENSION_RANGE).astype(np.float32)
+    low, high = trials.tension_range
+    for tension in (tension for tension in CONSTANTS if low <= tension <= high):
+        action = tension_to_action(np.array(tension), trials.tension_range).astype(np.float32)
         schedules[f"{CONSTANT}{tension:g}"] = np.full((count, trials.steps), action)
     for name in dict.fromkeys([*LAWS, *laws]):
         if name not in schedules:
@@ -206,7 +202,8 @@ def improve(
 ) -> Reference:
     """Return the best schedules of some scenarios; each start has the shape (len(scenarios), steps)."""
     rng = np.random.default_rng(effort.seed)
-    names, donors = list(starts), np.array(list(starts.values()))
+    (low, high), names = trials.tension_range, list(starts)
+    donors = np.array(list(starts.values()))
     own = np.tile(scenarios, len(names))
     traces = _play(trials, own, donors.reshape(own.size, 1, -1))[:, 0]
     start_costs = traces.sum(axis=1).reshape(len(names), scenarios.size)
@@ -217,7 +214,7 @@ def improve(
         actions=donors.reshape(own.size, -1)[chosen].astype(np.float64),
         traces=traces[chosen],
         donors=np.tile(donors, (1, len(order), 1)).astype(np.float64),
-        heights=np.full(chosen.size, 2.0 * effort.height / (TENSION_RANGE[1] - TENSION_RANGE[0])),
+        heights=np.full(chosen.size, 2.0 * effort.height / (high - low)),
     )
     episodes = len(names)
     shape = len(order), scenarios.size
@@ -352,7 +349,9 @@ def _followed(trials: Trials, name: str) -> Actions:
     contender = parse_contender(name)
     if contender.policy_name is None:
         raise AmulettError(f"'{name}' acts inside the loop and has no schedule at agent rate; it cannot be a start")
-    keywords = {**trials.protocol.keywords(contender), "tension_range": TENSION_RANGE}  # what the trials' actions mean
+    # What the trials' actions mean, in their loop.
+    meant = {"tension_range": trials.tension_range, "control": trials.control}
+    keywords = {**trials.protocol.keywords(contender), **meant}
     env = gym.make(ENV_IDS[1], disable_env_checker=True, **keywords)
     policy = load_contender(contender, env)
     hold = keywords["agent_period"] / trials.protocol.agent_period

@@ -1,7 +1,7 @@
 """Tune laws and gains by differential evolution: searched on `train`, chosen on `validation`, never on `held-out`.
 
-In the paper's loop, laws are tuned by the cost of an episode, minus its return. Laws in other loops, and gains of any
-loop, are tuned by the full-control cost (`metrics.control_prices`). Gains are tuned with a constant co-contraction.
+On the track *schedule* the cost of an episode is minus its return, on *full control* the full-control cost
+(`metrics.control_prices`). Gains are tuned with a constant co-contraction.
 
 `tune` searches from several independent starts, each with random candidates. What is finished in the folder is not
 repeated: starts, and generations of a start. ``amulett tune-law`` is the command.
@@ -23,7 +23,9 @@ from scipy.optimize import differential_evolution
 
 from amulett_gym import __version__
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, tension_to_action
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, Track
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
+from amulett_gym.evaluation.metrics import COST_OF
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.gains import GAINS, Gains, gains_of, profile_text, shipped_text
 from amulett_gym.evaluation.search.trials import Choose, Trials, held
@@ -67,6 +69,9 @@ class Recipe:
         Validation scenarios, which choose among the starts.
     control : str
         The loop that plays.
+    track : str, optional
+        One of `envs.reward.TRACKS`, whose cost is minimised. None: *schedule* for a law in the paper's loop, else *full
+        control*; this choice is kept as None.
 
     Raises
     ------
@@ -82,12 +87,16 @@ class Recipe:
     generations: tuple[tuple[int, int], ...] = ()
     validation: int = 200
     control: Any = "decentralized"
+    track: Track | None = None
 
     def __post_init__(self) -> None:
         if self.law not in (*LAWS, GAINS):
             raise unknown("law", self.law, (*LAWS, GAINS))
         if self.control not in (known := [name for name in CONTROLS if name != "position-only"]):
             raise unknown("control loop that takes a tension", self.control, known)
+        if self.track is not None and self.track not in TRACKS:
+            raise unknown("track", self.track, TRACKS)
+        object.__setattr__(self, "track", None if self.track == self._usual_track() else self.track)
         profile = load_profile(self.profile)
         kept = profile.name if is_shipped(profile) else profile.model_dump(mode="json")
         object.__setattr__(self, "profile", kept)
@@ -106,6 +115,14 @@ class Recipe:
             raise AmulettError("generations and validation have to be at least 1 each")
         for split, episodes in (("train", self.scenarios), ("validation", self.validation)):
             self.protocol(split, episodes)  # names and numbers are checked there
+
+    @property
+    def cost_track(self) -> Track:
+        """The track whose cost is minimised."""
+        return self.track or self._usual_track()
+
+    def _usual_track(self) -> Track:
+        return FULL_CONTROL if self.law == GAINS or self.control in LOOPS else SCHEDULE
 
     @property
     def scenarios(self) -> int:
@@ -235,6 +252,7 @@ def _changes(recipe: Recipe, content: Mapping[str, Any]) -> dict[str, Any]:
     source = (
         f"identified: tuned on train of {recipe.suite}, {recipe.episodes} simulated episodes, with a constant of "
         f"{vector[-1]:.3g} N: amulett tune-law {GAINS} --control {recipe.control} --suite {recipe.suite}"
+        + (f" --track {recipe.track}" if recipe.track else "")
     )
     return space.changes(profile, vector, source)
 
@@ -257,6 +275,8 @@ def check_shippable(recipe: Recipe) -> None:
         raise AmulettError("the package has no tuned constant: name it, for example constant:6")
     if recipe.law == GAINS and recipe.control not in LOOPS:
         raise AmulettError("the gains of the paper's loop stay as they are in the package")
+    if recipe.track:
+        raise AmulettError(f"the package has nothing that is tuned for the track '{recipe.track}' in this way")
     if recipe.law != GAINS and recipe.control in LOOPS:
         raise AmulettError(f"the package has tuned laws of the paper's loop only, not of '{recipe.control}'")
 
@@ -364,7 +384,7 @@ def search(
             if len(history) < len(known):
                 costs = np.array(known[len(history)])
             else:
-                costs = mean_costs(law, law.from_unit(columns.T), train, np.arange(scenarios))
+                costs = mean_costs(law, law.from_unit(columns.T), train, np.arange(scenarios), recipe.cost_track)
                 keep(costs)
             episodes += costs.size * scenarios
             least = min(least, float(costs.min()))
@@ -378,26 +398,29 @@ def search(
     vector = law.from_unit(best)
 
     def cost(trials: Trials) -> float:
-        return float(mean_costs(law, vector[None], trials, np.arange(len(trials.rows)))[0])
+        return float(mean_costs(law, vector[None], trials, np.arange(len(trials.rows)), recipe.cost_track)[0])
 
     return {"parameters": vector.tolist(), "train": cost(train), "validation": cost(validation), "history": history}
 
 
-def mean_costs(space: Law | Gains, vectors: Values, trials: Trials, scenarios: NDArray[np.int64]) -> Values:
-    """Return the mean cost of each parameter vector, shape (candidates, parameters), over the scenarios."""
-    if isinstance(space, Gains):
-        return np.array([_cost_of_gains(space, vector, trials, scenarios) for vector in vectors])
+def mean_costs(
+    space: Law | Gains, vectors: Values, trials: Trials, scenarios: NDArray[np.int64], track: Track = SCHEDULE
+) -> Values:
+    """Return the mean cost on a track of each parameter vector, shape (candidates, parameters), over the scenarios."""
+
+    def costs(rows: NDArray[np.int64], choose: Choose, gains: Profile | None = None) -> Values:
+        if track == FULL_CONTROL:
+            return trials.control_costs(rows, choose, gains)
+        return trials.play(rows, choose, gains).sum(axis=0)
+
+    if isinstance(space, Gains):  # all devices of a batch share their gains
+        tensions = [held(np.full(scenarios.size, vector[-1]), trials.tension_range) for vector in vectors]
+        devices = [space.profile(trials.protocol.profile, vector) for vector in vectors]
+        return np.array([costs(scenarios, *each).mean() for each in zip(tensions, devices, strict=True)])
     candidates = len(vectors)
     each, rows = np.repeat(vectors, scenarios.size, axis=0), np.tile(scenarios, candidates)
-    choose = following(space, each, trials)
-    costs = trials.control_costs(rows, choose) if trials.control in LOOPS else trials.play(rows, choose).sum(axis=0)
-    return costs.reshape(candidates, scenarios.size).mean(axis=1)
-
-
-def _cost_of_gains(space: Gains, vector: Values, trials: Trials, scenarios: NDArray[np.int64]) -> float:
-    """Return the mean full-control cost of one candidate: all devices of a batch share their gains."""
-    choose = held(np.full(scenarios.size, vector[-1]), trials.tension_range)
-    return float(trials.control_costs(scenarios, choose, space.profile(trials.protocol.profile, vector)).mean())
+    found = costs(rows, following(space, each, trials))
+    return found.reshape(candidates, scenarios.size).mean(axis=1)
 
 
 def following(law: Law, vectors: Values, trials: Trials) -> Choose:
@@ -423,8 +446,8 @@ def _content(
         "format": FORMAT,
         "version": 1,
         "parameters": described,
-        "recipe": {key: value for key, value in to_plain(asdict(recipe)).items() if loop or key != "control"},
-        **({"cost": "control_cost"} if loop else {}),
+        "recipe": {key: value for key, value in _described(recipe).items() if loop or key != "control"},
+        **({"cost": COST_OF[recipe.cost_track]} if loop or recipe.track else {}),
         "chosen_seed": chosen,
         "training_episodes": recipe.episodes,
         "starts": {str(seed): {key: start[key] for key in ("train", "validation")} for seed, start in starts.items()},
@@ -433,9 +456,14 @@ def _content(
     }
 
 
+def _described(recipe: Recipe) -> dict[str, Any]:
+    """Return a recipe as plain data; the usual track is left out, as in older files."""
+    return {key: value for key, value in to_plain(asdict(recipe)).items() if key != "track" or value is not None}
+
+
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
     """Return all that a start's result depends on."""
-    this = asdict(replace(recipe, seeds=(seed,))) | {"profile": recipe.device().name}
+    this = _described(replace(recipe, seeds=(seed,))) | {"profile": recipe.device().name}
     law = [asdict(parameter) for parameter in recipe.space().parameters]
     scenarios = [train.digest(), validation.digest()]
     long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulett_gym import __version__
 from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.envs.episodes import Episodes, Observations, device_seeds
-from amulett_gym.envs.reward import COST_CAP, prices
+from amulett_gym.envs.reward import COST_CAP, SCHEDULE, Track, prices
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, METRICS, READINGS
 from amulett_gym.evaluation.metrics import control_cost, control_prices, failure_cost
@@ -48,6 +48,8 @@ class Trials:
         As in the environments.
     threads : int
         Threads that simulate; they do not change costs.
+    track : str
+        Whose reward `play` returns.
 
     Attributes
     ----------
@@ -69,12 +71,18 @@ class Trials:
     """
 
     def __init__(
-        self, protocol: Protocol, control: Control = "decentralized", tension_law: str = "agent", threads: int = 1
+        self,
+        protocol: Protocol,
+        control: Control = "decentralized",
+        tension_law: str = "agent",
+        threads: int = 1,
+        track: Track = SCHEDULE,
     ) -> None:
         self.protocol = protocol
         self._threads = threads
         self.steps: int = protocol.keywords(parse_contender(f"{CONSTANT}10"))["max_episode_steps"]
         self.control = control
+        self.track = track
         self._laws: tuple[Control, str] = (control, tension_law)
         self._batches: dict[int, Episodes] = {}
         first, every = self._batch(protocol.episodes), np.arange(protocol.episodes)
@@ -148,7 +156,7 @@ class Trials:
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:
         """Return a SHA-256 of all that the scenarios' costs depend on: device, rows, loop, rates, prices."""
         profile, suite = self.protocol.profile, self.protocol.suite
-        costs = [prices(profile, suite).tolist(), COST_CAP]
+        costs = [prices(profile, suite, track=self.track).tolist(), COST_CAP]
         loop = [self._laws, self.steps, self.protocol.agent_period, self.tension_range]
         content = hashlib.sha256(profile.model_dump_json().encode())
         for name in self.rows.dtype.names or ():  # not whole records: the padding between fields is undefined
@@ -161,7 +169,7 @@ class Trials:
         if devices not in self._batches:
             control, tension_law = self._laws
             shared = {key: getattr(self.protocol, key) for key in ("profile", "suite", "split", "agent_period")}
-            own = {"control": control, "tension_law": tension_law, "failure_horizon": self.steps}
+            own = {"control": control, "tension_law": tension_law, "track": self.track, "failure_horizon": self.steps}
             settings = Settings.read({**shared, **own})
             self._batches[devices] = Episodes(devices, settings, self._threads)
         return self._batches[devices]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search import laws as tuning
@@ -75,7 +76,7 @@ def test_all_loops_have_the_same_number_of_episodes():
 def test_candidates_are_played_with_their_own_gains(trials):
     space = gains_of("co-rotation", TESTBED)
     vectors = space.from_unit(np.random.default_rng(0).uniform(0.3, 0.7, size=(3, len(space.parameters))))
-    costs = mean_costs(space, vectors, trials, np.arange(3))
+    costs = mean_costs(space, vectors, trials, np.arange(3), FULL_CONTROL)
     assert len(set(costs.tolist())) == 3
     for vector, cost in zip(vectors, costs, strict=True):
         own = Trials(replace(trials.protocol, profile=space.profile(TESTBED, vector)), "co-rotation")
@@ -92,7 +93,7 @@ def test_tuned_gains_are_a_profile_with_their_source(tmp_path, profile):
     content = tune(tmp_path, recipe)
     space, base = gains_of("equilibrium-point", TESTBED), load_profile(profile)
     train, _ = recipe.trials()
-    start = mean_costs(space, space.start()[None], train, np.arange(3))[0]
+    start = mean_costs(space, space.start()[None], train, np.arange(3), FULL_CONTROL)[0]
     assert content["starts"]["1"]["train"] <= start
     found = load_profile(tmp_path / "profile.yaml")
     assert found.name == ("mine" if isinstance(profile, dict) else "testbed-tuned")
@@ -137,7 +138,7 @@ def test_gains_of_the_papers_loop_are_tuned_as_the_others_but_never_shipped(tmp_
     assert found.model_copy(update=kept) == loop
     space = gains_of("decentralized", TESTBED)
     train, _ = recipe.trials()
-    costs = mean_costs(space, np.array([space.start(), space.start()]), train, np.arange(3))
+    costs = mean_costs(space, np.array([space.start(), space.start()]), train, np.arange(3), FULL_CONTROL)
     own = train.control_costs(np.arange(3), held([10.0] * 3)).mean()
     assert costs.tolist() == [pytest.approx(own, rel=1e-6)] * 2
     with pytest.raises(AmulettError, match="gains of the paper's loop stay"):
