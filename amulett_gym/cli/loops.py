@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for loops.json and figures")
     add_options(parser, "--doc")
     add_json(parser, "the content of loops.json")
+    parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -41,12 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
     own = marks("amulett loops")
     if arguments.doc is not None:
         check_document(arguments.doc, [own], images=True)
-    profile = load_profile(arguments.profile)
+    profile = load_profile(arguments.profile if arguments.resolved is None else arguments.resolved["profile"])
     words = ["amulett", "loops", *command_words(arguments, "profile", "episodes", "seed")]
     with (
         nullcontext(False)
         if arguments.out is None
-        else output_folder(arguments.out, "comparison of loops", ["loops.json"])
+        else output_folder(arguments.out, "comparison of loops", [["loops.json"]])
     ):
         with Progress(parts(), "loops", "parts") as progress:
             study = measure(profile, arguments.episodes, arguments.seed, lambda part: progress.update(note=part))
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
             save_figures(draw(study), Path(arguments.out))
     found = table(study)
     if arguments.doc is not None:
-        text = f"`{' '.join(words)}` on {machine()}.\n\n{found.markdown()}"
+        text = f"`{' '.join(words)}` on {machine()}\n\n{found.markdown()}"
         update_document(arguments.doc, {own: text}, draw(study))
     if arguments.json:
         print_json(study.content())

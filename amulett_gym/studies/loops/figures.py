@@ -62,23 +62,25 @@ def trade_off_figure(study: Study) -> Figure:
     figure, panel = style.one_panel(4.6)
     for name, rows in study.fronts.items():
         for shape, line in _LINES.items():
-            shown = [row for row in rows if row.get("reference", shape) == shape]
+            shown = [row for row in rows if row.get("reference", "minimum-jerk") == shape]
+            if not shown:
+                continue
             across, up = ([row[key] for row in shown] for key in ("drive_effort", "position_ise"))
             label = "decentralized, 5 to 15 N" if name == "decentralized" else name if line == "-" else ""
             panel.plot(across, up, color=colours[name], linestyle=line, marker="o", markersize=3, label=label)
     eq6 = study.results.values["eq6"]
     effort, error = eq6["drive_effort"].mean(), eq6["position_ise"].mean()
     panel.plot(effort, error, "*", color=style.BLACK, markersize=12, label="eq6")
-    limits = np.array(panel.get_xlim())
-    least = [least_ise(study.results.protocol.profile, limit) for limit in limits]
-    panel.plot(limits, least, color=style.GREY, linewidth=0.8, label="least of a joint that follows its drives")
-    panel.set_xlim(*limits)
-    panel.plot([], [], color=style.GREY, linestyle="--", label="first-order reference")
     panel.set_xscale("log")
     panel.set_yscale("log")
-    panel.xaxis.set_major_formatter(style.PLAIN)
-    panel.yaxis.set_major_formatter(style.PLAIN)
-    panel.yaxis.set_minor_formatter(style.PLAIN)
+    limits, heights = np.array(panel.get_xlim()), panel.get_ylim()
+    least = [least_ise(study.results.protocol.profile, limit) for limit in limits]
+    panel.plot(limits, least, color=style.GREY, linewidth=0.8, label="least of a joint that follows its drives")
+    panel.set(xlim=limits, ylim=heights)
+    panel.plot([], [], color=style.GREY, linestyle="--", label="first-order reference")
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter(style.PLAIN)
+        axis.set_minor_formatter(style.PLAIN)
     panel.set_xlabel(METRICS["drive_effort"].heading)
     panel.set_ylabel(METRICS["position_ise"].heading)
     style.legend_beside(panel)

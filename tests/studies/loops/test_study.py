@@ -60,4 +60,20 @@ def test_the_command_writes_numbers_and_figures(found, tmp_path, monkeypatch, ca
     assert json.loads(capsys.readouterr().out)["profile"] == "testbed"
     written = {path.name for path in (tmp_path / "loops").iterdir()}
     assert written == {"loops.json", "command.json", "loops_step.png", "loops_trade_off.png"}
+    assert main(["loops", "--out", str(tmp_path / "loops"), "--json"]) == 0  # instead of the earlier one
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    assert main(["loops", "--out", str(tmp_path / "other")]) == 2
     assert main(["loops", "--episodes", "0"]) == 2
+
+
+def test_a_folder_holds_its_device(found, tmp_path, monkeypatch):
+    device = tmp_path / "device.yaml"
+    device.write_text("name: mine\nbase: testbed\nplant: {masses: [{mass: 0.3, arm: 0.13}]}\n")
+    played = []
+    monkeypatch.setattr(study, "measure", lambda profile, *others: played.append(profile) or found)
+    assert main(["loops", "--profile", str(device), "--out", str(tmp_path / "loops")]) == 0
+    device.unlink()
+    assert main(["rerun", str(tmp_path / "loops"), "--out", str(tmp_path / "again")]) == 0
+    assert [profile.name for profile in played] == ["mine", "mine"]
+    assert played[0] == played[1]
