@@ -9,9 +9,10 @@ reference motion needs by the model is added. Inverse statics at the measured an
 angles, and the inverse of the drives' model turns those into commands: u = e + lambda (e_d - e) + T r_x'/r. It is the
 reference's rate that is led, not the measured one, whose noise T/r amplifies.
 
-What is left of the drives' lag, T/lambda, limits the regulator: without friction and integral, the closed loop is
-stable for k_1 < K + k_2 lambda/T. So soft strings take small gains only, and where both are almost slack (below 2 N on
-the testbed) the joint oscillates about its setpoint by some degrees.
+The strings' stiffness K resists fast pushes only: the torque does not depend on the angle but by the regulator, so a
+lasting push meets k_1, then the integral. What is left of the drives' lag, T/lambda, limits the regulator: without
+friction and integral, the closed loop is stable for k_1 < K + k_2 lambda/T. So soft strings take small gains only, and
+where both are almost slack (below 2 N on the testbed) the joint oscillates about its setpoint by some degrees.
 """
 
 from __future__ import annotations

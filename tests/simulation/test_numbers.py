@@ -23,7 +23,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import CONTROLS, STATE_NAMES, TENSION_LAWS
+from amulett_gym.simulation.layout import BY_STIFFNESS, CONTROLS, STATE_NAMES, TENSION_LAWS
 from amulett_gym.simulation.trajectory import record
 from amulett_gym.tasks.scenario import load_scenario, pack
 
@@ -36,6 +36,7 @@ KEYWORDS = st.fixed_dictionaries(
         "privileged": st.booleans(),
     }
 )
+MAY_BE_NAN = ("inside_since", "stiffness_setpoint")
 ROUNDING = 1 + 1e-9
 SINGLE = 1 + 1e-6  # a scenario's numbers are kept as float32
 
@@ -74,6 +75,7 @@ def test_no_number_is_nan_and_no_limit_is_passed(episode, agent):
         assert math.isfinite(reward) and reward <= 0
         assert terminated == (info["failure"] != "")
         readings = {name: value for name, value in info.items() if isinstance(value, float)}
+        assert math.isnan(readings.pop("stiffness_setpoint")) == (env.settings.control not in BY_STIFFNESS)
         assert all(map(math.isfinite, [*readings.values(), *info["reward_terms"].values()])), info
         for name, value in info["metrics"].items():
             assert 0 <= value < math.inf or (name in MAY_BE_MISSING and math.isnan(value)), name
@@ -85,7 +87,7 @@ def test_no_number_is_nan_and_no_limit_is_passed(episode, agent):
         observation, reward, terminated, _, info = env.step(np.array([action]))
         speed_keeps_its_limit(env, before)
     for name in STATE_NAMES:
-        assert np.isfinite(env.episodes.simulation.read(name)[0]) or name == "inside_since", name
+        assert np.isfinite(env.episodes.simulation.read(name)[0]) or name in MAY_BE_NAN, name
 
 
 def strings_only_pull(env: TensionEnv, built: dict[str, float]) -> None:
