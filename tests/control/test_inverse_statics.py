@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from amulett_gym.control.inverse_statics import drive_angles, stiff_pair, string_forces
+from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps
 from amulett_gym.model.spring import build_tables, find_position, inverse_look_up
 from amulett_gym.profile import load_profile
@@ -126,3 +126,10 @@ def test_torque_comes_before_stiffness():
 def test_a_slack_string_has_no_nan():
     assert np.isfinite([pair(TABLES, torque, 0.0) for torque in (-0.1, 0.0, 0.1)]).all()
     assert pair(TABLES, 0.2, 0.0)[:2] == pytest.approx((5.0, 0.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(("torque", "expected"), [(0.0, 10.0), (0.4, 10.0), (-0.6, None), (0.8, None), (2.0, 0.0)])
+def test_the_tension_gives_way_to_the_torque(torque, expected):
+    tension = affordable_tension(torque, 10.0, PLANT.joint_pulley_radius, TABLES.max_force)
+    left = TABLES.max_force - abs(torque) / PLANT.joint_pulley_radius
+    assert tension == pytest.approx(left if expected is None else expected)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amulett_gym.control.reference_motion import CRITICALLY_DAMPED, FIRST_ORDER, MINIMUM_JERK, remaining_offset
+from amulett_gym.control.reference_motion import (
+    CRITICALLY_DAMPED,
+    FIRST_ORDER,
+    MINIMUM_JERK,
+    remaining_jerk,
+    remaining_offset,
+)
 
 FILTERS = (CRITICALLY_DAMPED, FIRST_ORDER)
 
@@ -13,11 +19,12 @@ FILTERS = (CRITICALLY_DAMPED, FIRST_ORDER)
 def test_it_begins_as_it_is_and_ends_at_rest():
     assert remaining_offset(MINIMUM_JERK, -0.8, 1.5, -4.0, 0.0, 0.3) == pytest.approx((-0.8, 1.5, -4.0))
     assert remaining_offset(MINIMUM_JERK, -0.8, 1.5, -4.0, 0.3, 0.3) == (0.0, 0.0, 0.0)
+    assert remaining_jerk(MINIMUM_JERK, -0.8, 1.5, -4.0, 0.3, 0.3) == 0.0
     assert remaining_offset(MINIMUM_JERK, -0.8, 1.5, -4.0, 0.3 - 1e-9, 0.3) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
 
 
 @pytest.mark.parametrize("shape", [MINIMUM_JERK, *FILTERS])
-def test_rate_and_acceleration_are_the_derivatives(shape):
+def test_rate_acceleration_and_jerk_are_the_derivatives(shape):
     times, step = np.linspace(0.01, 0.29, 15), 1e-5
     for time in times:
         before, now, after = (
@@ -25,6 +32,8 @@ def test_rate_and_acceleration_are_the_derivatives(shape):
         )
         assert (after[0] - before[0]) / (2 * step) == pytest.approx(now[1], rel=1e-6, abs=1e-6)
         assert (after[1] - before[1]) / (2 * step) == pytest.approx(now[2], rel=1e-6, abs=1e-4)
+        jerk = remaining_jerk(shape, 0.5, -3.0, 20.0, time, 0.3)
+        assert (after[2] - before[2]) / (2 * step) == pytest.approx(jerk, rel=1e-5, abs=1e-2)
 
 
 def test_its_integrated_square_of_the_rate_is_the_closed_form():

@@ -15,7 +15,7 @@ from amulett_gym.simulation.random import random_bits
 from amulett_gym.simulation.reference import replay_motion
 from amulett_gym.simulation.reference_loops import replay_loop
 from amulett_gym.simulation.trajectory import record
-from amulett_gym.tasks.scenario import Scenario, pack
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import episode_keys, sample
 
 TESTBED = load_profile("testbed")
@@ -259,3 +259,47 @@ def test_the_regulator_is_stable_up_to_what_the_drives_leave(share):
     angle = np.abs(record(simulation, 8000)["angle"])
     early, late = angle[1000:2000].max(), angle[7000:].max()
     assert (late < 0.5 * early) if share < 1.0 else (late > 2.0 * early)
+
+
+@pytest.mark.parametrize("control", ["feedback-linearisation", "torque"])
+def test_a_push_beyond_what_the_springs_hold_winds_nothing_up(control):
+    pushes = [{"time": 0.2, "duration": 0.5, "torque": 1.0}]  # the springs hold 0.87 N m
+    trajectory = record(start(control, moves=[], wave=None, pushes=pushes, initial_angle_deg=10.0), 1000)
+    angle = np.degrees(trajectory["angle"])
+    assert angle.max() > 30.0
+    assert np.abs(angle[600:] - 10.0).max() < 3.0  # from 0.8 s after the push
+
+
+def test_slack_strings_hand_feedback_linearisation_over_to_feed_forward():
+    gains = dict(QUIET.loops.feedback_linearisation)
+    same = {"reference_time": gains["reference_time"], "lead": gains["lead"]}
+    profile = load_profile({**QUIET.model_dump(), "loops": {"equilibrium_point": same}})
+    steps = {"moves": [{"time": 1.0, "angle_deg": 40.0, "duration": 0.0}], "wave": None, "pushes": []}
+    linearised, fed = (
+        record(start(control, profile, tension=0.0, **steps), 800)
+        for control in ("feedback-linearisation", "equilibrium-point")
+    )
+    for name in ("command_biceps", "command_triceps"):
+        rest = slice(350, 400)  # slack before the step
+        np.testing.assert_allclose(linearised[name][rest], fed[name][rest], rtol=0.0, atol=0.02)
+    angles = np.degrees([linearised["angle"], fed["angle"]])
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.5
+    assert np.ptp(angles[0]) > 30.0
+
+
+def test_without_a_torque_setpoint_the_arm_follows_a_slow_push():
+    transparent, scenario = load_profile("configs/transparent.yaml"), load_scenario("configs/slow_push.json")
+    torque = scenario.pushes[0].torque
+    deflections, felt = {}, {}
+    for control in ("decentralized", "torque"):
+        simulation = Simulation(transparent, 1, control)
+        simulation.reset(pack(scenario, transparent))
+        simulation.command_tension(8.0)
+        trajectory = record(simulation, 1400)
+        assert simulation.read("failure")[0] == 0
+        deflections[control] = np.abs(np.degrees(trajectory["angle"]) - scenario.initial_angle_deg).max()
+        difference = trajectory["force_biceps"] - trajectory["force_triceps"]
+        felt[control] = np.abs(TESTBED.plant.joint_pulley_radius * difference).max()
+    assert deflections["decentralized"] < 0.5
+    assert deflections["torque"] > 100.0 * deflections["decentralized"]
+    assert felt["torque"] < 0.5 * torque < felt["decentralized"]
