@@ -7,6 +7,8 @@ import json
 import pytest
 
 from amulett_gym.cli import main
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.settings import configs_folder
 from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.studies.loops import study
 from amulett_gym.studies.loops.figures import draw
@@ -77,3 +79,11 @@ def test_a_folder_holds_its_device(found, tmp_path, monkeypatch):
     assert main(["rerun", str(tmp_path / "loops"), "--out", str(tmp_path / "again")]) == 0
     assert [profile.name for profile in played] == ["mine", "mine"]
     assert played[0] == played[1]
+
+
+def test_a_damped_reference_has_less_than_half_of_the_rewards_cost_of_eq6():
+    contender = "equilibrium-point/constant:10"
+    profile = configs_folder() / "damped_loops.yaml"
+    values = evaluate([contender], "paper-step", profile, episodes=4, duration=5.0).values
+    assert values[contender]["cost"].mean() / values["eq6"]["cost"].mean() == pytest.approx(0.416, abs=0.02)
+    assert values[contender]["control_cost"].mean() > values["eq6"]["control_cost"].mean()
