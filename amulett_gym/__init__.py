@@ -12,10 +12,13 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["ENV_IDS", "__version__", "load_policy"]
 
-ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0")
+ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0", "Amulett/Drives-v0")
 """Ids registered with Gymnasium when this package is imported."""
 
-for _id, _name in zip(ENV_IDS, ("Scaling", "Tension"), strict=True):
+DRIVES_ID = ENV_IDS[2]
+"""The environment whose action has two entries."""
+
+for _id, _name in zip(ENV_IDS, ("Scaling", "Tension", "Drives"), strict=True):
     if _id not in _gymnasium.registry:
         _gymnasium.register(
             _id,

@@ -93,6 +93,7 @@ def keep_network(
     activation: str = "tanh",
     output: str = "clip",
     keywords: Mapping[str, Any] | None = None,
+    env_id: str = "Amulett/Scaling-v0",
     **about: Any,
 ) -> Path:
     """Write a bundle of given weights; `about` are fields of its description that differ from the environment's own."""
@@ -104,7 +105,7 @@ def keep_network(
         "tension_range": [4.0, 15.0],
         "agent_period": 0.02,
     }
-    env = TrainingEnv(id="Amulett/Scaling-v0", keywords=dict(keywords or {}), max_episode_steps=500)
+    env = TrainingEnv(id=env_id, keywords=dict(keywords or {}), max_episode_steps=500)
     return write_bundle(folder, layers, PolicyDescription(**(description | about)), env, {})
 
 

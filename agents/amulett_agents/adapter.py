@@ -77,7 +77,7 @@ class SB3VecEnv(VecEnv):
         if venv is not venv.unwrapped:
             raise AmulettError(f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap the SB3VecEnv")
         self.venv = venv
-        self._actions: NDArray[np.float32] = np.zeros((venv.num_envs, 1), dtype=np.float32)
+        self._actions: NDArray[np.float32] = np.zeros(venv.action_space.shape or (), dtype=np.float32)
         self._terms: dict[str, NDArray[np.float64]] = {}
         self._returns, self._lengths = np.zeros(venv.num_envs), np.zeros(venv.num_envs, dtype=np.int64)
         self._empty_infos: list[dict[str, Any]] = [{} for _ in range(venv.num_envs)]
@@ -127,21 +127,23 @@ class SB3VecEnv(VecEnv):
             observations[finished] = self._begin(finished)
         return observations, rewards.astype(np.float32), dones, infos
 
-    def stagger(self, action: float, steps: int, watch: Callable[[], object] = int) -> NDArray[np.float32]:
+    def stagger(
+        self, action: float | NDArray[np.float32], steps: int, watch: Callable[[], object] = int
+    ) -> NDArray[np.float32]:
         """Start the devices' next episodes one after the other; return the observations, shape (num_envs, 13).
 
         Episodes that start together stay synchronous: a short rollout would then hold the same part of all of them.
 
         Parameters
         ----------
-        action : float
-            Held by all devices for all `steps`.
+        action : float or ndarray
+            Held by all devices for all `steps`: a number for all its entries, or one for each.
         steps : int
             Agent steps over which the starts are spread evenly: the length of an episode.
         watch : callable
             Called after each step, to show progress.
         """
-        actions = np.full((self.num_envs, 1), action, dtype=np.float32)
+        actions = np.full_like(self._actions, action)
         begins = np.arange(self.num_envs) * steps // self.num_envs
         observations = np.zeros((0, 0), dtype=np.float32)
         for step in range(steps):

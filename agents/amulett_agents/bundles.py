@@ -16,7 +16,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
-from amulett_agents.networks import ACTIVATIONS, AsymmetricNetworks, AsymmetricPolicy, StandardInputs, visible_entries
+from amulett_agents.networks import ACTIVATIONS, AsymmetricPolicy, StandardInputs, policy_inputs, visible_entries
 from amulett_agents.wrappers import ActorView
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
@@ -53,7 +53,7 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     linear = [*(module for module in hidden if isinstance(module, torch.nn.Linear)), last]
     layers = [(_array(layer.weight), _array(layer.bias)) for layer in linear]
     if isinstance(extractor, StandardInputs):  # become part of the first layer
-        means, gains = _policy_inputs(extractor, networks)
+        means, gains = policy_inputs(extractor, networks)
         raw = layers[0][0].astype(np.float64) * gains
         layers[0] = raw.astype(np.float32), (layers[0][1] - raw @ means).astype(np.float32)
     sizes = [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
@@ -136,14 +136,17 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     env = model.get_env()
     assert env is not None
     layers, network = extract_network(model.policy)
+    settings = env.get_attr("settings")[0]
     names: tuple[str, ...] = OBSERVATIONS
     scales = OBSERVATION_SCALES
-    if env.get_attr("settings")[0].privileged and not isinstance(model.policy, AsymmetricPolicy):
+    if settings.privileged and not isinstance(model.policy, AsymmetricPolicy):
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
     view = unwrap_vec_wrapper(env, ActorView)
     seen = FEATURES if view is not None and view.features else ()
+    if view is not None and view.mean_unit != 1.0:
+        layers[-1] = tuple(_scaled(values, view.mean_unit) for values in layers[-1])  # type: ignore[assignment]
     if network.layers[0] != history * (len(names) + len(seen)):
         raise AmulettError(
             f"the policy has {network.layers[0]} inputs, its environment {history} times {len(names) + len(seen)}; of "
@@ -157,6 +160,8 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
         follow=1.0 if view is None else view.share,
         history=history,
         tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
+        mean_angle_range=settings.mean_angle_deg,
+        setpoint_gain=None if view is None else view.setpoint_gain,
         agent_period=env.get_attr("episodes")[0].agent_period,
     )
 
@@ -178,6 +183,8 @@ def start_from(model: PPO, bundle: Bundle) -> None:
         ("features", bool(mine.features), bool(theirs.features)),
         ("history", mine.history, theirs.history),
         ("tension_range", mine.tension_range, theirs.tension_range),
+        ("mean_angle_range", mine.mean_angle_range, theirs.mean_angle_range),
+        ("setpoint_gain", mine.setpoint_gain, theirs.setpoint_gain),
         ("agent_period", mine.agent_period, theirs.agent_period),
         ("agent_period / follow_time", round(mine.follow, 6), round(theirs.follow, 6)),
     ):
@@ -192,9 +199,12 @@ def start_from(model: PPO, bundle: Bundle) -> None:
     first, bias = np.zeros((len(layers[0][1]), mine.history * mine.size)), layers[0][1]
     first[:, known] = layers[0][0]
     if isinstance(policy.features_extractor, StandardInputs):
-        means, gains = _policy_inputs(policy.features_extractor, policy.mlp_extractor)
+        means, gains = policy_inputs(policy.features_extractor, policy.mlp_extractor)
         first, bias = first / gains, bias + first @ means
     layers[0] = first, bias
+    view = unwrap_vec_wrapper(model.get_env(), ActorView)  # type: ignore[arg-type]
+    if view is not None and view.mean_unit != 1.0:
+        layers[-1] = tuple(_scaled(values, 1.0 / view.mean_unit) for values in layers[-1])  # type: ignore[assignment]
     with torch.no_grad():
         for module, (weight, bias) in zip([*linear, policy.action_net], layers, strict=True):
             assert isinstance(module, torch.nn.Linear)
@@ -202,14 +212,15 @@ def start_from(model: PPO, bundle: Bundle) -> None:
             module.bias.copy_(torch.as_tensor(bias))
 
 
+def _scaled(values: NDArray[Any], factor: float) -> NDArray[Any]:
+    """Return the last layer's weights or biases with those of the mean drive angle, the first action, scaled."""
+    scaled = values.copy()
+    scaled[0] *= factor
+    return scaled
+
+
 def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
     return tensor.detach().cpu().numpy().copy()
-
-
-def _policy_inputs(inputs: StandardInputs, networks: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return means and gains of the policy's inputs, which may be fewer than its critic's."""
-    visible = networks.visible.numpy() if isinstance(networks, AsymmetricNetworks) else slice(None)
-    return inputs.means.numpy()[visible], inputs.gains.numpy()[visible]
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:

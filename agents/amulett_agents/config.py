@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.settings import ControlLoop, CostTrack, Suite, TensionList, Weights
+from amulett_gym.envs.settings import ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
@@ -31,6 +31,10 @@ class EnvSettings(Group):
     control: ControlLoop = Field("decentralized", description="control loop; see `amulett list`")
     track: CostTrack = Field("schedule", description="cost in the reward: schedule, or full-control to compare loops")
     tension_range: TensionList = Field([*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
+    mean_angle_range: MeanAngle | None = Field(
+        None,
+        description="mean drive angle at action +1, in Amulett/Drives-v0 only [deg]; null: that of a joint at 90 deg",
+    )
     agent_period: float = Field(0.02, gt=0, le=10, description="time from action to action [s]")
     follow_time: float = Field(
         0.05,
@@ -54,6 +58,12 @@ class EnvSettings(Group):
             raise unknown("environment", name, ENV_IDS)
         return name
 
+    @model_validator(mode="after")
+    def _check_mean_angle(self) -> EnvSettings:
+        if self.mean_angle_range is not None and self.id != DRIVES_ID:
+            raise ValueError(f"mean_angle_range is {self.mean_angle_range}; only {DRIVES_ID} has it, not {self.id}")
+        return self
+
     @field_validator("profile")
     @classmethod
     def _keep_profile(cls, profile: str | dict[str, Any]) -> str | dict[str, Any]:
@@ -71,6 +81,8 @@ class EnvSettings(Group):
         own = {name: getattr(self, name) for name in names}
         # Not in the records of the paper's loop, which are older.
         own |= {name: getattr(self, name) for name in ("control", "track") if getattr(self, name) != _default(name)}
+        if self.mean_angle_range is not None:
+            own["mean_angle_range"] = self.mean_angle_range
         more = {"failure_horizon": self.max_episode_steps, "threads": self.threads, "privileged": self.privileged}
         return own | more
 
@@ -108,6 +120,12 @@ class PpoSettings(Group):
         gt=0,
         le=10,
         description="standard deviation of the exploration noise at total_steps [1]; null: it is learned",
+    )
+    mean_exploration: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="exploration noise of the mean drive angle, in Amulett/Drives-v0, as share of the tension's [1]",
     )
     critic_steps: int | None = Field(
         None,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
@@ -13,13 +12,13 @@ from stable_baselines3.common.vec_env import VecEnv, VecFrameStack
 from amulett_agents.adapter import make_sb3_env
 from amulett_agents.bundles import start_from
 from amulett_agents.config import TrainConfig
+from amulett_agents.first_policy import first_policy
 from amulett_agents.networks import measure_inputs
 from amulett_agents.ppo import has_privileged_critic, make_ppo
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
-from amulett_gym.envs.action import tension_to_action
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import bundle_folder
@@ -30,7 +29,7 @@ Model = PPO | SAC
 def make_model(config: TrainConfig, resumed: bool = False, progress: bool = False) -> Model:
     """Make a recipe's learner with its training environment.
 
-    Its first policy is a constant tension, or that of `network.start`. It has no logger.
+    Its first policy is a constant tension (see `first_policy`), or that of `network.start`. It has no logger.
 
     Parameters
     ----------
@@ -49,19 +48,20 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
     keywords = settings.keywords() | {"privileged": settings.privileged or has_privileged_critic(config)}
     steps = settings.max_episode_steps
     low, high = settings.tension_range
-    tension = config.network.initial_tension
-    first_action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
+    first = first_policy(settings, config.network.initial_tension)
     devices = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
-    env: VecEnv = Staggered(devices, first_action, steps, progress) if config.staggered else devices
-    env = ActorView(env, (low, high), config.network.features, settings.share)
+    env: VecEnv = Staggered(devices, first.constant, steps, progress) if config.staggered else devices
+    mean_angle = devices.venv.settings.mean_angle_deg
+    unit = config.ppo.mean_exploration if config.algorithm == "ppo" and mean_angle is not None else 1.0
+    env = ActorView(env, (low, high), config.network.features, settings.share, mean_angle, first.gain, unit)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)
     inputs = None
     if config.network.standard_inputs:
         shown = (low, high) if config.network.features else None
-        inputs = measure_inputs(settings.id, keywords, steps, first_action, settings.history, shown, progress)
-    model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first_action, inputs)
+        inputs = measure_inputs(settings.id, keywords, steps, first, settings.history, shown, progress)
+    model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
         start_from(model, read_bundle(_start_folder(config.network.start)))
     env.seed(config.first_scenario)

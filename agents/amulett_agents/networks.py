@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -38,12 +38,12 @@ def measure_inputs(
     env_id: str,
     keywords: dict[str, Any],
     steps: int,
-    first_action: float,
+    first: Callable[[NDArray[np.float32]], NDArray[np.float32]],
     history: int,
     tension_range: tuple[float, float] | None = None,
     progress: bool = False,
 ) -> Inputs:
-    """Return the observations' means and deviations under a constant action, over episodes of `steps` agent steps.
+    """Return the observations' means and deviations under a first policy, over episodes of `steps` agent steps.
 
     They are measured once, in fixed training scenarios: nothing drifts, and a bundle holds them within its first
     layer's weights. The environment's own scales cover every possible value, so typical velocities are below 0.04.
@@ -54,7 +54,8 @@ def measure_inputs(
     keywords : dict
         Keywords of the environment.
     steps : int
-    first_action : float
+    first : callable
+        Maps observations to actions.
     history : int
         Number of stacked observations, to which the same values are applied.
     tension_range : (float, float), optional
@@ -64,10 +65,9 @@ def measure_inputs(
     """
     env = gym.make_vec(env_id, num_envs=EPISODES, split="train", max_episode_steps=steps, **keywords)
     seen = [env.reset(seed=SEED)[0]]
-    actions = np.full((EPISODES, 1), first_action, dtype=np.float32)
     with Progress(steps - 1, "measuring the inputs", "steps", progress) as bar:
         for _ in range(steps - 1):
-            seen.append(env.step(actions)[0])
+            seen.append(env.step(first(seen[-1]))[0])
             bar.update()
     env.close()
     shown = np.concatenate(seen).astype(np.float64)
@@ -149,6 +149,12 @@ class AsymmetricPolicy(ActorCriticPolicy):
         self.mlp_extractor = AsymmetricNetworks(  # type: ignore[assignment]
             self.features_dim, self.visible, sizes["pi"], sizes["vf"], self.activation_fn
         )
+
+
+def policy_inputs(inputs: StandardInputs, networks: object) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return means and gains of the policy's inputs, which may be fewer than its critic's."""
+    visible = networks.visible.numpy() if isinstance(networks, AsymmetricNetworks) else slice(None)
+    return inputs.means.numpy()[visible], inputs.gains.numpy()[visible]
 
 
 def visible_entries(shown: int, known: int, history: int) -> list[int]:

@@ -8,6 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
+from amulett_agents.first_policy import FirstPolicy
 from amulett_agents.networks import AsymmetricPolicy, Inputs, policy_keywords, visible_entries
 from amulett_agents.schedules import learning_rate
 from amulett_gym.envs.transition import OBSERVATIONS
@@ -20,8 +21,8 @@ _SAME = {
 """Settings with the same name in Stable-Baselines3."""
 
 
-def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> PPO:
-    """Return PPO whose first policy is the constant `first_action`; `inputs` standardise its observations."""
+def make_ppo(config: TrainConfig, env: VecEnv, first: FirstPolicy, inputs: Inputs | None) -> PPO:
+    """Return PPO that begins with the policy `first`; `inputs` standardise its observations."""
     ppo = config.ppo
     about_policy = policy_keywords(config.network, "vf", inputs) | {"log_std_init": float(np.log(ppo.initial_std))}
     policy: str | type[AsymmetricPolicy] = "MlpPolicy"
@@ -47,7 +48,7 @@ def make_ppo(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
     assert isinstance(action_net, torch.nn.Linear)
     with torch.no_grad():
         action_net.weight.zero_()
-        action_net.bias.fill_(first_action)
+        action_net.bias.copy_(torch.as_tensor(first.constant))
     return model
 
 

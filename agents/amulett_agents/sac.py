@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
+import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecEnv
 
 from amulett_agents.config import TrainConfig
+from amulett_agents.first_policy import FirstPolicy
 from amulett_agents.networks import Inputs, policy_keywords
 from amulett_agents.schedules import learning_rate
 
@@ -27,8 +27,8 @@ _SAME = {
 """Settings with the same name in Stable-Baselines3."""
 
 
-def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inputs | None) -> SAC:
-    """Return SAC whose first policy has the constant mean `first_action`; `inputs` standardise its observations."""
+def make_sac(config: TrainConfig, env: VecEnv, first: FirstPolicy, inputs: Inputs | None) -> SAC:
+    """Return SAC whose first policy has the constant mean of `first`; `inputs` standardise its observations."""
     sac = config.sac
     model = SAC(
         "MlpPolicy",
@@ -42,10 +42,10 @@ def make_sac(config: TrainConfig, env: VecEnv, first_action: float, inputs: Inpu
         device="cpu",
     )
     actor = model.policy.actor
-    mean = math.atanh(min(max(first_action, -_NEARLY_ONE), _NEARLY_ONE))
+    means = np.arctanh(np.clip(first.constant.astype(np.float64), -_NEARLY_ONE, _NEARLY_ONE))
     with torch.no_grad():
-        for layer, value in ((actor.mu, mean), (actor.log_std, math.log(sac.initial_std))):
+        for layer, value in ((actor.mu, means), (actor.log_std, np.log(sac.initial_std))):
             assert isinstance(layer, torch.nn.Linear)
             layer.weight.zero_()
-            layer.bias.fill_(value)
+            layer.bias.copy_(torch.as_tensor(value))
     return model

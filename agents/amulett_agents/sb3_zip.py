@@ -14,15 +14,14 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from amulett_agents.config import load_train_config
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym.envs.settings import MeanAngle
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.contenders import Own
 from amulett_gym.profile import Profile
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import read_json, user_path
-
-_SHAPES = {"observation": (len(OBSERVATIONS),), "action": (1,)}
 
 
 class About(Group):
@@ -31,6 +30,9 @@ class About(Group):
     env_id: str = Field(description="environment that it was trained in; its version is that of the observations")
     agent_period: float = Field(gt=0, le=100, description="time an action is held [s]")
     tension_range: list[float] = Field(min_length=2, max_length=2, description="tension at action -1 and +1 [N]")
+    mean_angle_range: MeanAngle | None = Field(
+        default=None, description="mean drive angle at action +1, in Amulett/Drives-v0 only [deg]"
+    )
 
     @field_validator("env_id")
     @classmethod
@@ -57,14 +59,14 @@ def load_sb3_zip(
     Parameters
     ----------
     path : str or Path
-        Zip of any algorithm, also recurrent, whose policy maps 13 observations to 1 action.
+        Zip of any algorithm, also recurrent, whose policy maps 13 observations to the environment's actions.
     profile : Profile
         Unused, as `env_id`: the meaning of an action is stored in N.
     env_id : str
     trust_pickle : bool
         Whether the zip's author is trusted: loading a zip can run any code in it.
     about : mapping, optional
-        ``env_id``, ``agent_period`` [s] and ``tension_range`` [N] of the training.
+        ``env_id``, ``agent_period`` [s], ``tension_range`` [N] and ``mean_angle_range`` [deg] of the training.
 
     Raises
     ------
@@ -80,7 +82,10 @@ def load_sb3_zip(
         )
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
-    return Own(str(path), _keywords(path, about), act=_Acting(_load(path)))
+    found = _about(path, about)
+    drives = found.env_id == DRIVES_ID
+    keywords = found.model_dump(exclude={"env_id"}, exclude_none=True)
+    return Own(str(path), keywords, act=_Acting(_load(path, 2 if drives else 1)), env_id=DRIVES_ID if drives else None)
 
 
 class _Acting:
@@ -102,7 +107,7 @@ class _Acting:
         return actions
 
 
-def _load(path: Path) -> BasePolicy:
+def _load(path: Path, actions: int) -> BasePolicy:
     try:
         data, parameters, _ = load_from_zip_file(path, device="cpu")
         if data is None:
@@ -114,20 +119,22 @@ def _load(path: Path) -> BasePolicy:
         policy.load_state_dict(parameters["policy"])
     except Exception as error:  # a pickle may raise anything
         raise AmulettError(f"'{path}' holds no model that this Stable-Baselines3 can load: {error!r}"[:500]) from error
-    shapes = {"observation": policy.observation_space.shape, "action": policy.action_space.shape}
-    for name, shape in _SHAPES.items():
-        if shapes[name] != shape:
-            raise AmulettError(f"the {name}s of '{path}' have shape {shapes[name]}; it has to be {shape}")
+    for name, found, shape in (
+        ("observation", policy.observation_space.shape, (len(OBSERVATIONS),)),
+        ("action", policy.action_space.shape, (actions,)),
+    ):
+        if found != shape:
+            raise AmulettError(f"the {name}s of '{path}' have shape {found}; it has to be {shape}")
     policy.set_training_mode(False)
     return policy
 
 
-def _keywords(path: Path, about: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the environment's keywords for a zip's actions."""
+def _about(path: Path, about: Mapping[str, Any] | None) -> About:
+    """Return the meaning of a zip's actions."""
     description, recipe = path.with_suffix(".json"), path.with_name("config.yaml")
     if about is None and not description.is_file():
         if recipe.is_file():
-            return _keywords_of(recipe)
+            return _about_of(recipe)
         example = {"env_id": ENV_IDS[0], "agent_period": 0.02, "tension_range": [4.0, 15.0]}
         raise AmulettError(
             f"'{path}' holds neither the time between actions nor the tensions that they mean. Write the training's "
@@ -136,18 +143,17 @@ def _keywords(path: Path, about: Mapping[str, Any] | None) -> dict[str, Any]:
         )
     content = read_json(description, "description of a zip") if about is None else dict(about)
     try:
-        found = About.model_validate(content)
+        return About.model_validate(content)
     except ValidationError as error:
         raise describe(error, About, f"'{description}'" if about is None else "about") from error
-    return {"agent_period": found.agent_period, "tension_range": found.tension_range}
 
 
-def _keywords_of(recipe: Path) -> dict[str, Any]:
+def _about_of(recipe: Path) -> About:
     config = load_train_config(recipe)
     env = config.env
-    if config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:
+    if env.id == DRIVES_ID or config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:
         raise AmulettError(
-            f"'{recipe}' sets network.features, env.follow_time, env.history or env.privileged, which its zip does not "
-            f"hold; use the bundle '{recipe.parent / 'last'}' instead"
+            f"'{recipe}' sets network.features, env.follow_time, env.history or env.privileged, or trains in "
+            f"{DRIVES_ID}, which its zip does not hold; use the bundle '{recipe.parent / 'last'}' instead"
         )
-    return {"agent_period": env.agent_period, "tension_range": env.tension_range}
+    return About(**env.model_dump(include=set(About.model_fields) - {"env_id"}), env_id=env.id)

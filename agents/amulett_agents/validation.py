@@ -77,7 +77,7 @@ def warm_up(config: TrainConfig) -> None:
     env = gym.make_vec(config.env.id, num_envs=2, split="validation", max_episode_steps=1, **config.env.keywords())
     env.reset(seed=0)
     for _ in range(2):  # the second step starts the next episode
-        env.step(np.zeros((2, 1), dtype=np.float32))
+        env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))
     env.close()
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from amulett_agents.adapter import SB3VecEnv
-from amulett_gym.laws.actor import follow
+from amulett_gym.laws.actor import beyond_setpoint, follow
 from amulett_gym.laws.features import FEATURES, with_features
 from amulett_gym.reporting.progress import Progress
 
@@ -21,7 +21,7 @@ class Staggered(VecEnvWrapper):
     Parameters
     ----------
     venv : SB3VecEnv
-    action : float
+    action : float or ndarray
         Action of all devices in the first `steps` steps of a run, which are not used for learning.
     steps : int
         Length of an episode [agent steps].
@@ -29,7 +29,9 @@ class Staggered(VecEnvWrapper):
         Show progress on stderr at a reset.
     """
 
-    def __init__(self, venv: SB3VecEnv, action: float, steps: int, progress: bool = False) -> None:
+    def __init__(
+        self, venv: SB3VecEnv, action: float | NDArray[np.float32], steps: int, progress: bool = False
+    ) -> None:
         super().__init__(venv)
         self._adapter, self._action, self._steps, self._progress = venv, action, steps, progress
 
@@ -56,6 +58,13 @@ class ActorView(VecEnvWrapper):
         Whether features are appended to the observations.
     share : float
         Share of the way from the present setpoint to the network's output that an action covers.
+    mean_angle_range : float, optional
+        Mean drive angle at action +1 [deg], if there is one.
+    setpoint_gain : float, optional
+        Mean drive angle, as action, by the setpoint's entry; the learner's action is added to it.
+    mean_unit : float
+        Action for the mean drive angle that the learner's action of 1 stands for: with the same exploration noise in
+        both of its entries, that of the mean drive angle is smaller.
 
     Attributes
     ----------
@@ -63,11 +72,23 @@ class ActorView(VecEnvWrapper):
         The present observations of the network.
     """
 
-    def __init__(self, venv: VecEnv, tension_range: tuple[float, float], features: bool, share: float) -> None:
+    def __init__(
+        self,
+        venv: VecEnv,
+        tension_range: tuple[float, float],
+        features: bool,
+        share: float,
+        mean_angle_range: float | None = None,
+        setpoint_gain: float | None = None,
+        mean_unit: float = 1.0,
+    ) -> None:
         assert venv.observation_space.shape is not None
         size = venv.observation_space.shape[0] + (len(FEATURES) if features else 0)
-        super().__init__(venv, gym.spaces.Box(-1.0, 1.0, (size,), np.float32))
+        shown = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
+        bounds = np.array([1.0] if mean_angle_range is None else [1.0 / mean_unit, 1.0], dtype=np.float32)
+        super().__init__(venv, shown, gym.spaces.Box(-bounds, bounds))
         self.tension_range, self.features, self.share = tension_range, features, share
+        self.mean_angle_range, self.setpoint_gain, self.mean_unit = mean_angle_range, setpoint_gain, mean_unit
         self.seen: NDArray[np.float32] = np.zeros((venv.num_envs, size), dtype=np.float32)
 
     def reset(self) -> Any:
@@ -77,7 +98,11 @@ class ActorView(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Send the low-pass filtered actions."""
-        self.venv.step_async(follow(actions, self.seen, self.share))
+        if self.mean_unit != 1.0:
+            actions = actions * np.array([self.mean_unit, 1.0], dtype=np.float32)
+        if self.setpoint_gain is not None:
+            actions = beyond_setpoint(actions, self.seen, self.setpoint_gain)
+        self.venv.step_async(follow(actions, self.seen, self.share, self.mean_angle_range))
 
     def step_wait(self) -> Any:
         """Take one step with all devices."""

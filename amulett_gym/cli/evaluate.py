@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, metavar="N", help=episodes)
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="episode length [s] (default: 10)")
     parser.add_argument("--seed", type=int, default=0, help="scenario i has the seed SEED + i (default: 0)")
-    parser.add_argument("--env-id", default="Amulett/Scaling-v0", help="environment (default: Amulett/Scaling-v0)")
+    env_id = "environment (default: Amulett/Scaling-v0). Policies trained in Amulett/Drives-v0 always act there"
+    parser.add_argument("--env-id", default="Amulett/Scaling-v0", help=env_id)
     parser.add_argument("--out", metavar="DIR", help="folder for results.json, scenarios.csv, report.html and figures")
     add_json(parser, "the content of results.json")
 

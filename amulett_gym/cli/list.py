@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
-    from amulett_gym import ENV_IDS
+    from amulett_gym import DRIVES_ID, ENV_IDS
     from amulett_gym.gains import Loops
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
@@ -39,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         "environments": {
             ENV_IDS[0]: "choose the factor by which eq. 6 scales the tension",
             ENV_IDS[1]: "choose the tension setpoint in N",
+            DRIVES_ID: "command both drives: their mean angle and the co-contraction",
         },
         "control loops": {
             "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",

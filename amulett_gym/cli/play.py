@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         for contender in contenders:
             keywords = protocol.keywords(contender)
             steps = keywords.pop("max_episode_steps") if arguments.steps is None else arguments.steps
-            env = gym.make(protocol.env_id, **{**keywords, "max_episode_steps": steps})
+            env = gym.make(protocol.env_of(contender), **{**keywords, "max_episode_steps": steps})
             stages.append(_Stage(contender, env, keywords["agent_period"], steps))
         rate = max(stage.env.metadata["render_fps"] for stage in stages)
         label = labels(names)

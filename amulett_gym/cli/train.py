@@ -39,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_installed()
     from dataclasses import asdict
 
+    from amulett_gym import DRIVES_ID
+    from amulett_gym.envs.action import TENSION_RANGE
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import load_profile
     from amulett_gym.storage.provenance import process_words
@@ -55,7 +57,9 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
-        print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tuple(config.env.tension_range)))
+        # The remarks are about the paper's loop.
+        tensions = TENSION_RANGE if config.env.id == DRIVES_ID else tuple(config.env.tension_range)
+        print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tensions))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:

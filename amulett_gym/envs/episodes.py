@@ -21,7 +21,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import LANES, MAX_MOVES, RUNNING, Loop, Paths
+from amulett_gym.simulation.layout import DRIVES, LANES, MAX_MOVES, RUNNING, Loop, Paths
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import episode_keys, sample
@@ -53,6 +53,8 @@ class Episodes:
     ----------
     observation_size : int
         Entries of an observation: 13, or more with the hidden state (see `envs.privileged`).
+    action_size : int
+        Entries of an action: 2 in the loop `drives`, else 1.
     started : ndarray of bool, shape (N,)
         Devices that have started an episode.
     """
@@ -60,10 +62,12 @@ class Episodes:
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profile, self.privileged = settings, settings.profile, settings.privileged
         self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if settings.privileged else 0)
+        self.action_size = 2 if settings.control == DRIVES else 1
         self.simulation = Simulation(self.profile, num_devices, settings.control, settings.tension_law)
         self._constants = np.zeros(1, dtype=transition.SETTINGS)
         self._constants["ticks"] = settings.ticks
         self._constants["low"], self._constants["high"] = settings.tension_range
+        self._constants["mean_angle"] = np.radians(settings.mean_angle_deg or 0.0)
         self._constants["cost_cap"] = COST_CAP
         self._constants["observation_noise"] = settings.observation_noise
         self._constants["horizon"] = settings.failure_horizon
@@ -135,8 +139,9 @@ class Episodes:
 
         Parameters
         ----------
-        actions : ndarray, shape (N,)
-            In [-1, 1]; values beyond are clipped. float64, for which the kernel is compiled.
+        actions : ndarray, shape (N * action_size,)
+            Of one device after the other, in [-1, 1]; values beyond are clipped. float64, for which the kernel is
+            compiled.
 
         Returns
         -------
@@ -153,13 +158,17 @@ class Episodes:
         observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
         report = np.empty((num_devices, transition.REPORT_SIZE))
         if np.isnan(actions).any():
-            raise AmulettError(f"the action of device {int(np.isnan(actions).argmax())} is NaN; allowed is [-1, 1]")
+            device = int(np.isnan(actions).argmax()) // self.action_size
+            raise AmulettError(f"the action of device {device} is NaN; allowed is [-1, 1]")
+        means = None
+        if self.action_size > 1:
+            means, actions = actions.reshape(-1, self.action_size).T.copy()
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if len(self._shares) == 1:
-            self._step(self._arrays, self.simulation.paths, self.simulation.loop, actions, observations, report)
+            self._step(self._arrays, self.simulation.paths, self.simulation.loop, means, actions, observations, report)
         else:
-            self._step_in_threads(actions, observations, report)
+            self._step_in_threads(means, actions, observations, report)
         if own is not None:
             costs = {name: total - before[name] for name, total in self._costs().items()}
             costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
@@ -180,12 +189,13 @@ class Episodes:
         arrays: Arrays,
         paths: Paths | None,
         loop: Loop | None,
+        means: NDArray[np.floating[Any]] | None,
         actions: NDArray[np.floating[Any]],
         observations: Observations,
         report: Report,
     ) -> None:
         """Take one agent step with the devices of some blocks."""
-        transition.step(*arrays, paths, loop, actions, observations, report)
+        transition.step(*arrays, paths, loop, means, actions, observations, report)
         if self.privileged:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
@@ -194,7 +204,13 @@ class Episodes:
         first = len(transition.OBSERVATIONS)
         observe_privileged(parameters, self._bare_inertia, scenarios, states, devices, first, observations)
 
-    def _step_in_threads(self, actions: NDArray[np.floating[Any]], observations: Observations, report: Report) -> None:
+    def _step_in_threads(
+        self,
+        means: NDArray[np.floating[Any]] | None,
+        actions: NDArray[np.floating[Any]],
+        observations: Observations,
+        report: Report,
+    ) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
         parameters, settings, scenarios, states = self._arrays
 
@@ -207,7 +223,8 @@ class Episodes:
             loop = self.simulation.loop
             if loop is not None:
                 loop = loop[0], loop[1][blocks]
-            self._step(arrays, paths, loop, actions[rows], observations[rows], report[rows])
+            mean = None if means is None else means[rows]
+            self._step(arrays, paths, loop, mean, actions[rows], observations[rows], report[rows])
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")

@@ -15,7 +15,7 @@ from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
-from amulett_gym.simulation.layout import CONTROLS, LOOPS, TENSION_LAWS, Control
+from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, TENSION_LAWS, Control
 from amulett_gym.tasks.scenario import empty_rows
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
@@ -37,6 +37,26 @@ def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+def _check_control(name: Any) -> Any:
+    if name == DRIVES:
+        raise AmulettError(
+            f"'{DRIVES}' is the loop of Amulett/Drives-v0 alone, whose action also has a mean drive angle; choose from "
+            f"{', '.join(sorted(CONTROLS))}, or make Amulett/Drives-v0"
+        )
+    if not isinstance(name, str) or name not in CONTROLS:
+        raise unknown("control", str(name), CONTROLS)
+    return name
+
+
+def _check_drives(name: Any) -> Any:
+    if name != DRIVES:
+        raise AmulettError(
+            f"the only loop of Amulett/Drives-v0 is '{DRIVES}'; the others are for Amulett/Scaling-v0 and "
+            "Amulett/Tension-v0"
+        )
+    return name
+
+
 def _check_range(tension_range: Bounds) -> Bounds:
     low, high = tension_range
     if not 0 <= low < high <= MOST_TENSION:
@@ -54,10 +74,11 @@ def _check_steps(steps: int) -> int:
 AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 Suite = Annotated[str, _one_of("suite", suite_names())]
 Split = Annotated[str, _one_of("split", SPLITS)]
-ControlLoop = Annotated[Control, _one_of("control", CONTROLS)]
+ControlLoop = Annotated[Control, BeforeValidator(_check_control)]
 CostTrack = Annotated[Track, _one_of("track", TRACKS)]
 TensionRange = Annotated[tuple[float, float], AfterValidator(_check_range)]
 TensionList = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_check_range)]  # of JSON files
+MeanAngle = Annotated[float, Field(gt=0, le=36_000)]  # [deg]
 AgentPeriod = Annotated[float, Field(gt=0, le=100)]
 Weights = Annotated[dict[str, float], AfterValidator(check_weights)]
 Noise = Annotated[float, Field(ge=0)]
@@ -128,7 +149,7 @@ class Settings(Group):
 
     @model_validator(mode="after")
     def _check_slack(self) -> Self:
-        if self.control not in LOOPS and self.tension_range[0] == 0.0:
+        if self.control not in (*LOOPS, DRIVES) and self.tension_range[0] == 0.0:
             raise AmulettError(
                 f"tension_range is {self.tension_range} N; the loop '{self.control}' needs a range above 0 N; slack "
                 "strings need a loop that feeds the co-contraction forward"
@@ -145,6 +166,11 @@ class Settings(Group):
     def ticks(self) -> int:
         """Control ticks in an agent step."""
         return _ticks(self.agent_period, self.profile.loop.control_period)
+
+    @property
+    def mean_angle_deg(self) -> float | None:
+        """Mean drive angle at action +1 [deg]; None where the action has no such entry."""
+        return None
 
     @classmethod
     def read(cls, keywords: Mapping[str, Any], what: str = "environment", by_factor: bool = False) -> Self:
@@ -178,7 +204,8 @@ class Settings(Group):
         A shipped profile is a name, another one a mapping. Left out are keywords that do not change an episode
         (`render_mode`, `threads`, `num_envs`, `max_episode_steps`) and `reward_fn`, which is code.
         """
-        given = self.model_fields_set & Settings.model_fields.keys() - {"render_mode"}
+        others = VectorSettings.model_fields.keys() - Settings.model_fields.keys()
+        given = self.model_fields_set - others - {"render_mode"}
         found = self.model_dump(mode="json", include=given)
         if "profile" in found and is_shipped(self.profile):
             found["profile"] = self.profile.name
@@ -203,6 +230,44 @@ class VectorSettings(Settings):
     @classmethod
     def _default_steps(cls, steps: Any) -> Any:
         return DEFAULT_STEPS if steps is None else steps
+
+
+class DrivesSettings(Settings):
+    """Keywords of `Amulett/Drives-v0`."""
+
+    control: Annotated[Control, BeforeValidator(_check_drives)] = Field(
+        default=DRIVES, description="control loop: commands of both drives, no other"
+    )
+    tension_range: TensionRange = Field(
+        default=FEED_FORWARD_RANGE, description="co-contraction at action -1 and +1, as tension of both strings [N]"
+    )
+    mean_angle_range: MeanAngle | None = Field(
+        default=None,
+        description="mean drive angle at action +1, its negative at -1 [deg], at most the profile's command limit; "
+        "None: that of a joint angle of 90 deg, rounded",
+    )
+
+    @model_validator(mode="after")
+    def _check_mean_angle(self) -> Self:
+        limit = self.profile.drives.command_limit_deg
+        if self.mean_angle_range is not None and limit is not None and self.mean_angle_range > limit:
+            raise AmulettError(
+                f"mean_angle_range is {self.mean_angle_range:g} deg; the profile's command_limit_deg is {limit:g}"
+            )
+        return self
+
+    @property
+    def mean_angle_deg(self) -> float:
+        """Mean drive angle at action +1 [deg]."""
+        if self.mean_angle_range is not None:
+            return self.mean_angle_range
+        plant, limit = self.profile.plant, self.profile.drives.command_limit_deg
+        quarter = max(round(90.0 * plant.joint_pulley_radius / plant.drive_pulley_radius), 1)
+        return float(quarter if limit is None else min(quarter, limit))
+
+
+class DrivesVectorSettings(DrivesSettings, VectorSettings):
+    """Keywords of the vector version of `Amulett/Drives-v0`."""
 
 
 def signature(settings: type[Settings]) -> inspect.Signature:

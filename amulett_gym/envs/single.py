@@ -10,10 +10,10 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 from numpy.typing import NDArray
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.envs.settings import Settings, signature
+from amulett_gym.envs.settings import DrivesSettings, Settings, signature
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, MAY_BE_MISSING, METRICS, READINGS
 from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.layout import FAILURES
@@ -58,13 +58,15 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     metadata: dict[str, Any] = {"render_modes": list(Settings.render_modes), "render_fps": 50}
     env_id: ClassVar[str] = ENV_IDS[1]
     acts_by_factor: ClassVar[bool] = False
+    settings_type: ClassVar[type[Settings]] = Settings
     __signature__ = signature(Settings)
 
     def __init__(self, **keywords: Any) -> None:
-        self.settings = settings = Settings.read(keywords, self.env_id, self.acts_by_factor)
+        self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
         self.profile, self.tension_range = settings.profile, settings.tension_range
         self.episodes = Episodes(1, settings)
         self.observation_space, self.action_space = spaces_of(self.episodes)
+        self._action_shape = (self.episodes.action_size,)
         self.render_mode = settings.render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
         self._renderer: Any = None
@@ -105,7 +107,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return observation, self._info(self.episodes.report())
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Hold an action, shape (1,), for one agent period; values beyond [-1, 1] are clipped.
+        """Hold an action of the space's shape for one agent period; values beyond [-1, 1] are clipped.
 
         Returns
         -------
@@ -122,8 +124,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
         actions = np.asarray(action, dtype=np.float64)
-        if actions.shape != (1,):
-            raise AmulettError(f"the action has shape {actions.shape}; it has to be (1,)")
+        if actions.shape != self._action_shape:
+            raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
         observations, report = self.episodes.step(actions)
         info = self._info(report)
         if self.render_mode == "human":
@@ -356,9 +358,62 @@ class ScalingEnv(TensionEnv):
     acts_by_factor = True
 
 
+class DrivesEnv(TensionEnv):
+    """`Amulett/Drives-v0`: command both drives directly ([12] Stevens et al.).
+
+    There is no control loop between the agent and the drives. All but the action is as in :class:`ScalingEnv`, whose
+    docstring is the specification.
+
+    ## Action Space
+
+    `Box(-1, 1, (2,), float32)`, reached on a ramp that takes the `agent_period`:
+
+    | Num | Action                                      | Min           | Max         | Unit |
+    |-----|---------------------------------------------|---------------|-------------|------|
+    | 0   | mean angle theta_s of both drives           | -1 (-259 deg) | 1 (259 deg) | deg  |
+    | 1   | co-contraction sigma, as tension of strings | -1 (0 N)      | 1 (15 N)    | N    |
+
+    The commands are u_1 = theta_s + theta_c and u_2 = theta_s - theta_c, with theta_c = f^-1(sigma) / R_1, limited by
+    the profile's `command_limit_deg`. Without a load the joint rests at R_1 / R_2 theta_s, both strings at sigma; a
+    load increases the agonist's tension and decreases the antagonist's. The ramps of an episode's first action begin
+    where the drives are: at the mean of both commands, and at the tension that half their difference means. A late tick
+    leaves the commands unchanged; the next ramp begins at what the last action asked for.
+
+    Entry 12 of the observation is sigma, over `tension_range`. The mean angle is that of the two commands, entries 10
+    and 11. The reward is that of the other environments: `effort` is the whole ISAV of the commands, since a jump of
+    the position setpoint passes to no command by itself.
+
+    ## Arguments
+
+    As those of :class:`ScalingEnv`, except:
+
+    | Keyword            | Default    | Meaning                                                                        |
+    |--------------------|------------|--------------------------------------------------------------------------------|
+    | `control`          | `"drives"` | no other                                                                       |
+    | `tension_range`    | (0, 15)    | co-contractions at action -1 and +1 [N]                                        |
+    | `mean_angle_range` | None       | mean drive angle at action +1 [deg], at most the profile's `command_limit_deg`;|
+    |                    |            | None: that of a joint angle of 90 deg, 90 R_2 / R_1, rounded, or this limit    |
+    | `tension_law`      | `"agent"`  | with `"eq6"` or `"eq6-printed"`, the second entry of the action has no effect  |
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    env_id = DRIVES_ID
+    settings: DrivesSettings
+    settings_type = DrivesSettings
+    __signature__ = signature(DrivesSettings)
+
+    @property
+    def mean_angle_range(self) -> float:
+        """Mean drive angle at action +1 [deg]."""
+        return self.settings.mean_angle_deg
+
+
 def spaces_of(episodes: Episodes) -> tuple[Space[Any], Space[Any]]:
     """Return the observation space, then the action space of a device."""
-    return Box(-1.0, 1.0, (episodes.observation_size,), np.float32), Box(-1.0, 1.0, (1,), np.float32)
+    return Box(-1.0, 1.0, (episodes.observation_size,), np.float32), Box(-1.0, 1.0, (episodes.action_size,), np.float32)
 
 
 def frame_rate(settings: Settings) -> int:

@@ -20,6 +20,7 @@ SETTINGS = record(
         ("low", "f8"),  # tension setpoint at action -1 [N]
         ("high", "f8"),  # tension setpoint at action +1 [N]
         ("full_control", "i8"),  # 1: the effort is that of the drives' own motion
+        ("mean_angle", "f8"),  # mean drive angle at action +1, if actions have one [rad]
         ("prices", "f8", (len(FAMILIES), len(COST_TERMS))),  # `reward.prices`, per rad2 s, rad2/s, N2 s, N2 m2 s
         ("cost_cap", "f8"),
         ("observation_noise", "f8"),
@@ -113,8 +114,12 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, c_blocks, s_blocks, paths, loop, actions, observations, report):
-    """Take one agent step with all devices; fill observations and report, one row per device."""
+def step(p, e, c_blocks, s_blocks, paths, loop, means, actions, observations, report):
+    """Take one agent step with all devices; fill observations and report, one row per device.
+
+    `actions` are those for the tension; `means` those for the mean drive angle, or None: then the code for these is not
+    compiled.
+    """
     num_devices = actions.shape[0]
     parameters, settings = p[0], e[0]
     m = np.empty(1, dtype=MOTION_BLOCK)[0]
@@ -122,16 +127,17 @@ def step(p, e, c_blocks, s_blocks, paths, loop, actions, observations, report):
         first = block * LANES
         end = min(first + LANES, num_devices)
         c, s = c_blocks[block], s_blocks[block]
-        step_block(parameters, settings, c, s, m, paths, loop, block, first, end, actions, observations, report)
+        step_block(parameters, settings, c, s, m, paths, loop, block, first, end, means, actions, observations, report)
 
 
 @compiled_in_place
-def step_block(p, e, c, s, m, paths, loop, block, first, end, actions, observations, report):
+def step_block(p, e, c, s, m, paths, loop, block, first, end, means, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
     for device in range(first, end):
         i = np.uint64(device - first)
         # On a ramp: a jump of the setpoint would add effort in each agent step.
         s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
+        begin_mean(e, loop, block, i, means, device)
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
         terms[0], terms[1], terms[2], terms[3] = costs(e, s, i)
@@ -139,6 +145,7 @@ def step_block(p, e, c, s, m, paths, loop, block, first, end, actions, observati
     for device in range(first, end):
         i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the ramp's rounding
+        end_mean(e, loop, block, i, means, device)
         observe(p, e, c, s, i, observations[device])
         write_reward(e, c, s, i, report[device])
         write_report(p, c, s, i, report[device])
@@ -148,6 +155,27 @@ def step_block(p, e, c, s, m, paths, loop, block, first, end, actions, observati
 def wanted_tension(e, action):
     """Return the tension setpoint [N] of an action."""
     return compiled_tension_of(min(max(float(action), -1.0), 1.0), e.low, e.high)
+
+
+@compiled
+def begin_mean(e, loop, block, i, means, device):
+    """Let the mean drive angle begin its ramp to that of an action."""
+    if means is not None:
+        q = loop[1][block]
+        q.mean_rate[i] = (wanted_mean(e, means[device]) - q.mean_command[i]) / e.ticks
+
+
+@compiled
+def end_mean(e, loop, block, i, means, device):
+    """Set the mean drive angle to that of an action, without the ramp's rounding."""
+    if means is not None:
+        loop[1][block].mean_command[i] = wanted_mean(e, means[device])
+
+
+@compiled
+def wanted_mean(e, action):
+    """Return the mean drive angle [rad] of an action."""
+    return min(max(float(action), -1.0), 1.0) * e.mean_angle
 
 
 @compiled

@@ -13,10 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
 from amulett_gym.envs.reward import TERMS
-from amulett_gym.envs.settings import NO_LIMIT, VectorSettings, signature
+from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError
@@ -46,10 +46,11 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     }
     env_id: ClassVar[str] = ENV_IDS[1]
     acts_by_factor: ClassVar[bool] = False
+    settings_type: ClassVar[type[VectorSettings]] = VectorSettings
     __signature__ = signature(VectorSettings)
 
     def __init__(self, **keywords: Any) -> None:
-        self.settings = settings = VectorSettings.read(keywords, self.env_id, self.acts_by_factor)
+        self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
         self.profile, self.tension_range = settings.profile, settings.tension_range
         self.num_envs, self.max_episode_steps = settings.num_envs, settings.max_episode_steps
         self._limit = math.inf if settings.max_episode_steps == NO_LIMIT else settings.max_episode_steps
@@ -108,7 +109,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     def step(
         self, actions: NDArray[np.floating[Any]]
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Hold actions, shape (num_envs, 1), for one agent period; values beyond [-1, 1] are clipped.
+        """Hold actions of the space's shape for one agent period; values beyond [-1, 1] are clipped.
 
         Devices whose episode has ended start the next one instead.
 
@@ -122,10 +123,11 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
         actions = np.array(actions, dtype=np.float64, order="C")  # avoids a compilation for strided or read-only arrays
-        if actions.shape != (self.num_envs, 1):
-            raise AmulettError(f"the actions have shape {actions.shape}; it has to be ({self.num_envs}, 1)")
+        wanted = self.num_envs, self.episodes.action_size
+        if actions.shape != wanted:
+            raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
         again = np.flatnonzero(self._ended)
-        observations, report = self.episodes.step(actions[:, 0])
+        observations, report = self.episodes.step(actions.reshape(-1))
         if again.size:
             observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
@@ -234,6 +236,23 @@ class ScalingVectorEnv(TensionVectorEnv):
 
     env_id = ENV_IDS[0]
     acts_by_factor = True
+
+
+class DrivesVectorEnv(TensionVectorEnv):
+    """Many devices of `Amulett/Drives-v0`, specified by :class:`amulett_gym.envs.single.DrivesEnv`.
+
+    All else is as in :class:`TensionVectorEnv`.
+    """
+
+    env_id = DRIVES_ID
+    settings: DrivesVectorSettings
+    settings_type = DrivesVectorSettings
+    __signature__ = signature(DrivesVectorSettings)
+
+    @property
+    def mean_angle_range(self) -> float:
+        """Mean drive angle at action +1 [deg]."""
+        return self.settings.mean_angle_deg
 
 
 def _batched(space: Space[Any], count: int) -> Space[Any]:

@@ -17,7 +17,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
+from numpy.typing import NDArray
 
+from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError
 
 STEPS = 120
@@ -94,7 +96,9 @@ def _bounds(subject: Subject) -> None:
     for space in (env.observation_space, env.action_space):
         assert isinstance(space, gym.spaces.Box)
         _assert(bool(np.isfinite(space.low).all() and np.isfinite(space.high).all()), f"{space} is not bounded")
-    _assert(env.action_space == gym.spaces.Box(-1.0, 1.0, (1,), np.float32), f"the action space is {env.action_space}")
+    size = 2 if subject.env_id == DRIVES_ID else 1
+    expected = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
+    _assert(env.action_space == expected, f"the action space is {env.action_space}")
     for observation, *_ in _steps(env, 2):
         _assert(env.observation_space.contains(observation), f"{observation} is outside the observation space")
 
@@ -126,14 +130,14 @@ def _aliasing(subject: Subject) -> None:
     env = subject.make()
     first, _ = env.reset(seed=0)
     kept = first.copy()
-    second = env.step(np.ones(1, dtype=np.float32))[0]
+    second = env.step(_held(env, 1.0))[0]
     _assert(np.array_equal(first, kept) and not np.shares_memory(first, second), "an observation changed afterwards")
 
 
 def _copies(subject: Subject) -> None:
     env = subject.make()
     env.reset(seed=7)
-    action = np.full(1, 0.3, dtype=np.float32)
+    action = _held(env, 0.3)
     for _ in range(40):
         env.step(action)
     twins = (pickle.loads(pickle.dumps(env)), copy.deepcopy(env))
@@ -151,7 +155,7 @@ def _vector(subject: Subject) -> None:
     expected = [env.reset(seed=20 + i)[0] for i, env in enumerate(singles)]
     _assert(np.array_equal(observations, expected), "reset differs")
     ended = [False] * count
-    for actions in np.random.default_rng(0).uniform(-1, 1, (STEPS, count, 1)).astype(np.float32):
+    for actions in _random(vector.action_space, STEPS):
         observations, rewards, terminated, truncated, _ = vector.step(actions)
         for i, env in enumerate(singles):
             outcome = (env.reset()[0], 0.0, False, False) if ended[i] else env.step(actions[i])[:4]
@@ -163,7 +167,7 @@ def _vector(subject: Subject) -> None:
 def _reset_mask(subject: Subject) -> None:
     vector = subject.make_vec(4)
     vector.reset(seed=0)
-    before = vector.step(np.zeros((4, 1), dtype=np.float32))[0]
+    before = vector.step(np.zeros(vector.action_space.shape or (), dtype=np.float32))[0]
     mask = np.array([True, False, True, False])
     after, info = vector.reset(options={"reset_mask": mask})
     _assert(np.array_equal(after[~mask], before[~mask]), "an unmasked device changed")
@@ -173,7 +177,8 @@ def _reset_mask(subject: Subject) -> None:
 def _bad_actions(subject: Subject) -> None:
     env = subject.make().unwrapped
     env.reset(seed=0)
-    for action in (np.array([np.nan], dtype=np.float32), np.zeros(2, dtype=np.float32), np.float32(0)):
+    longer = np.append(_held(env, 0.0), np.float32(0.0))
+    for action in (_held(env, np.nan), longer, np.float32(0)):
         try:
             env.step(action)
         except AmulettError:
@@ -234,9 +239,18 @@ def _drawn(env: Any, seed: int) -> Any:
 
 def _steps(env: gym.Env[Any, Any], seed: int | None) -> Iterator[tuple[Any, ...]]:
     env.reset(seed=seed)
-    generator = np.random.default_rng(0)
-    for _ in range(STEPS):
-        yield env.step(generator.uniform(-1, 1, 1).astype(np.float32))
+    for action in _random(env.action_space, STEPS):
+        yield env.step(action)
+
+
+def _held(env: gym.Env[Any, Any], value: float) -> NDArray[np.float32]:
+    """Return the action whose entries all have a value."""
+    return np.full(env.action_space.shape or (), value, dtype=np.float32)
+
+
+def _random(space: gym.Space[Any], count: int) -> NDArray[np.float32]:
+    """Return actions of a space, or of a batch of it, that are always the same."""
+    return np.random.default_rng(0).uniform(-1, 1, (count, *(space.shape or ()))).astype(np.float32)
 
 
 def _rollout(env: gym.Env[Any, Any], seed: int | None) -> list[tuple[Any, ...]]:

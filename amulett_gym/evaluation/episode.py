@@ -72,7 +72,7 @@ def record_episode(
     """
     contender = name if isinstance(name, Contender) else parse_contender(name)
     keywords = protocol.keywords(contender)
-    env: Any = gym.make(protocol.env_id, disable_env_checker=True, **keywords).unwrapped
+    env: Any = gym.make(protocol.env_of(contender), disable_env_checker=True, **keywords).unwrapped
     policy = load_contender(contender, env)
     if scenario is None and protocol.scenarios:
         scenario = protocol.scenarios[0]
@@ -83,17 +83,23 @@ def record_episode(
 
     ticks_per_second = max(round(1.0 / simulation.control_period), 1)
     wanted = simulation.read("tension_command")
+    memory = None if simulation.loop is None or episodes.action_size == 1 else simulation.loop[1]
+    mean = np.zeros(1) if memory is None else memory["mean_command"][0, :1].copy()
 
     def act(tick: int) -> None:
         """Start the kernel's ramp at each agent step, as the environment does; the kernel handles late ticks."""
-        nonlocal wanted
+        nonlocal wanted, mean
         if tick > 0 and tick % ticks_per_second == 0:
             report(1)
         if tick % ticks_per_step == 0:
             simulation.command_tension(wanted)
-            last, action = wanted, np.clip(policy(episodes.observe())[:, 0], -1.0, 1.0)
-            wanted = action_to_tension(action, env.tension_range)
+            last, action = wanted, np.clip(policy(episodes.observe()), -1.0, 1.0)
+            wanted = action_to_tension(action[:, -1], env.tension_range)
             simulation.states["tension_rate"][0, 0] = (wanted - last)[0] / ticks_per_step
+            if memory is not None:
+                simulation.command_mean(mean)
+                last, mean = mean, action[:, 0].astype(np.float64) * np.radians(env.mean_angle_range)
+                memory["mean_rate"][0, 0] = (mean - last)[0] / ticks_per_step
 
     trajectory = record(simulation, keywords["max_episode_steps"] * ticks_per_step, before_tick=act)
     failure = FAILURES[int(simulation.read("failure")[0])]

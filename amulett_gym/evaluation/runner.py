@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE, Track, prices
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
@@ -35,7 +35,7 @@ from amulett_gym.laws.parametric import is_tuned, is_tuned_file
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
-from amulett_gym.simulation.layout import CONTROLS, FAMILIES, LOOPS
+from amulett_gym.simulation.layout import CONTROLS, DRIVES, FAMILIES, LOOPS
 from amulett_gym.storage.reading import user_path
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
@@ -126,6 +126,16 @@ class Protocol:
             return families_of(self.suite)
         rows = (pack(scenario, self.profile) for scenario in self.scenarios)
         return list(dict.fromkeys(FAMILIES[int(row["family"][0])] or self.suite for row in rows))
+
+    def env_of(self, contender: Contender) -> str:
+        """Return the id of a contender's environment.
+
+        In a comparison in `Amulett/Drives-v0`, laws for a tension, eq. 6 among them, act in the first of `ENV_IDS`.
+        """
+        if contender.env_id is not None:
+            return contender.env_id
+        own = isinstance(contender, Own)
+        return ENV_IDS[0] if self.env_id == DRIVES_ID and not own else self.env_id
 
     def options(self, episodes: int) -> dict[str, Any] | None:
         """Return the vector environment's reset options for own scenarios; None for the suite's."""
@@ -347,11 +357,11 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
         if profile != protocol.profile:
             other = "another version of the " if profile.name == protocol.profile.name else "the "
             places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
-    loop = trained.keywords.get("control", CONTROLS[0])
+    loop = trained.keywords.get("control", DRIVES if trained.id == DRIVES_ID else CONTROLS[0])
     for preposition, there, here in (
         ("in the loop", loop, contender.env_keywords.get("control", CONTROLS[0])),
         ("for", trained.keywords.get("suite", "steps"), protocol.task),
-        ("in", trained.id, protocol.env_id),
+        ("in", trained.id, protocol.env_of(contender)),
     ):
         if there != here:
             places.append(f"{preposition} {there}, not {here}")
@@ -376,7 +386,12 @@ def _unique(contenders: Sequence[Contender]) -> tuple[list[Contender], list[str]
             policy = constant_tension(policy)
         elif policy is not None and (is_bundle(policy) or is_tuned_file(policy)):
             policy = user_path(policy).resolve()
-        key = (policy, repr(contender.env_keywords), contender.act if isinstance(contender, Own) else None)
+        key = (
+            policy,
+            contender.env_id,
+            repr(contender.env_keywords),
+            contender.act if isinstance(contender, Own) else None,
+        )
         first = kept.setdefault(key, contender)
         if first is not contender and first.name != contender.name:
             remarks.append(f"{contender.name} is the same as {first.name}, and ran once")
@@ -410,7 +425,7 @@ class Run:
 
 
 def _make(protocol: Protocol, contender: Contender) -> Any:
-    return gym.make_vec(protocol.env_id, num_envs=protocol.episodes, **protocol.keywords(contender))
+    return gym.make_vec(protocol.env_of(contender), num_envs=protocol.episodes, **protocol.keywords(contender))
 
 
 def load_contender(contender: Contender, env: Any) -> Policy:
@@ -420,7 +435,8 @@ def load_contender(contender: Contender, env: Any) -> Policy:
             raise AmulettError(f"contender '{contender.name}' has no policy: give it a callable, act=...")
         return own_policy(contender.act, env, contender.name)
     if contender.policy_name is None:
-        return lambda observations: np.zeros((len(observations), 1), dtype=np.float32)
+        size = env.unwrapped.episodes.action_size
+        return lambda observations: np.zeros((len(observations), size), dtype=np.float32)
     return load_policy(contender.policy_name, env)
 
 

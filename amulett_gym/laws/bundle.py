@@ -32,9 +32,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 from safetensors import SafetensorError
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
-from amulett_gym.envs.settings import AgentPeriod, Steps, TensionList
+from amulett_gym.envs.settings import AgentPeriod, MeanAngle, Steps, TensionList
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.laws.features import FEATURES
@@ -84,6 +84,12 @@ class PolicyDescription(Group):
     tension_range: TensionList = Field(
         description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
     )
+    mean_angle_range: MeanAngle | None = Field(
+        default=None, description="mean drive angle at action +1 [deg], in Amulett/Drives-v0 only"
+    )
+    setpoint_gain: float | None = Field(
+        default=None, description="the setpoint's entry times this is added to the mean drive angle's action [1]"
+    )
     agent_period: AgentPeriod = Field(description="time an action is held [s]")
     follow: float = Field(
         default=1.0, gt=0, le=1, description="an action's share of the way from the present setpoint to the output"
@@ -95,11 +101,14 @@ class PolicyDescription(Group):
     @model_validator(mode="after")
     def _check_sizes(self) -> PolicyDescription:
         inputs, outputs = self.network.layers[0], self.network.layers[-1]
-        if (inputs, outputs) != (self.history * self.size, 1):
+        actions = 1 if self.mean_angle_range is None else 2
+        if self.setpoint_gain is not None and actions == 1:
+            raise ValueError("setpoint_gain needs mean_angle_range: only a mean drive angle can follow the setpoint")
+        if (inputs, outputs) != (self.history * self.size, actions):
             times = f"{self.history} times " if self.history > 1 else ""
             raise ValueError(
                 f"the network maps {inputs} numbers to {outputs}; it has to map {times}the {self.size} observations "
-                "and features to 1 action"
+                f"and features to {actions} action{'s' if actions > 1 else ''}"
             )
         return self
 
@@ -156,7 +165,9 @@ class Bundle:
     provenance: dict[str, Any]
 
     def act(self, observations: ArrayLike) -> NDArray[np.float32]:
-        """Return the actions, shape (N, 1), in [-1, 1] over the bundle's own `tension_range`.
+        """Return the network's output, shape (N, outputs): actions in [-1, 1] over the bundle's own ranges.
+
+        What `follow` and `setpoint_gain` add is in `laws.actor`.
 
         The observations have the shape (N, inputs): the last `history` ones of each device, the newest last (see
         `laws.history`).
@@ -202,11 +213,17 @@ def read_bundle(folder: str | Path) -> Bundle:
         raise AmulettError(f"'{folder / MANIFEST}' was changed or damaged: amulett-gym writes it in another form")
     policy = _parse(PolicyDescription, contents[POLICY], folder / POLICY)
     _check_observations(policy, folder / POLICY)
+    env = _parse(TrainingEnv, contents[ENV], folder / ENV)
+    if (env.id == DRIVES_ID) != (policy.mean_angle_range is not None):
+        raise AmulettError(
+            f"'{folder / POLICY}': mean_angle_range is {policy.mean_angle_range}; a policy has one exactly if it was "
+            f"trained in {DRIVES_ID}, and '{folder / ENV}' names {env.id}"
+        )
     return Bundle(
         folder=folder,
         layers=_read_layers(contents[WEIGHTS], policy.network, folder / WEIGHTS),
         policy=policy,
-        env=_parse(TrainingEnv, contents[ENV], folder / ENV),
+        env=env,
         provenance=_json(contents[PROVENANCE], folder / PROVENANCE),
     )
 
@@ -247,7 +264,7 @@ def _write_files(
         tensors[f"layer_{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
         tensors[f"layer_{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
     (folder / WEIGHTS).write_bytes(safetensors.numpy.save(tensors))
-    write_json(folder / POLICY, policy.model_dump())
+    write_json(folder / POLICY, policy.model_dump(exclude_none=True))
     write_json(folder / ENV, env.model_dump())
     write_json(folder / PROVENANCE, dict(provenance))
     manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in FILES})

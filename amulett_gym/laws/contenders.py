@@ -19,10 +19,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_names
-from amulett_gym.simulation.layout import CONTROLS, LOOPS
+from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS
 from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
@@ -58,12 +59,14 @@ class Contender:
     """One entry of a comparison.
 
     `env_keywords` are the environment's keywords that it needs; `policy_name` is for `load_policy`, None where the
-    environment's loop decides and actions are ignored.
+    environment's loop decides and actions are ignored. `env_id` is the only environment in which it can act; None: any
+    in which an action is a tension, or, of your own, the comparison's.
     """
 
     name: str
     env_keywords: dict[str, Any] = field(default_factory=dict)
     policy_name: str | None = None
+    env_id: str | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,8 @@ class Own(Contender):
     ----------
     act : callable
         Maps observations, a float32 array of shape (N, 13), see `envs.transition.OBSERVATIONS`, to actions, shape
-        (N, 1) or (N,), in [-1, 1]. It is called once per agent step for all scenarios; its method ``reset``, if there
-        is one, is called with N before the first step.
+        (N, 1) or (N,), in `Amulett/Drives-v0` (N, 2), in [-1, 1]. It is called once per agent step for all scenarios;
+        its method ``reset``, if there is one, is called with N before the first step.
     """
 
     act: Callable[[NDArray[np.float32]], Any] | None = None
@@ -132,9 +135,15 @@ def parse_contender(name: str) -> Contender:
         read_tuned(name)
     elif name not in ("eq6-held", "eq6-held-printed") and name not in tuned_names():
         folder = bundle_folder(name)
-        policy = read_bundle(folder).policy
-        privileged = {"privileged": True} if policy.is_privileged else {}
-        return Contender(name, {"agent_period": policy.agent_period, **privileged}, str(folder))
+        bundle = read_bundle(folder)
+        policy = bundle.policy
+        keywords: dict[str, Any] = {"agent_period": policy.agent_period}
+        if policy.is_privileged:
+            keywords["privileged"] = True
+        if bundle.env.id == DRIVES_ID:
+            keywords |= {"control": DRIVES, "mean_angle_range": policy.mean_angle_range}
+            return Contender(name, keywords, str(folder), env_id=DRIVES_ID)
+        return Contender(name, keywords, str(folder))
     return Contender(name, policy_name=name)
 
 

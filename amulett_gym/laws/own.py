@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from amulett_gym import ENV_IDS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.contenders import Own, no_function, python_file
 
@@ -27,7 +28,9 @@ def load_own(name: str) -> Own:
         ``path/mylaw.py:function``. The function (or any callable object) takes observations, a float32 array of shape
         (N, 13), see `envs.transition.OBSERVATIONS`, and returns N actions in [-1, 1], shape (N,) or (N, 1). Index with
         ``observations[:, 0]``; `N` is 1 for a single arm. An attribute ``reset`` is called with N before an episode. An
-        attribute ``env_keywords`` has keywords that the environment needs, such as ``{"agent_period": 0.1}``.
+        attribute ``env_keywords`` has keywords that the environment needs, such as ``{"agent_period": 0.1}``; an
+        attribute ``env_id`` the id of the only one in which it acts: in ``"Amulett/Drives-v0"`` actions have the shape
+        (N, 2).
 
     Raises
     ------
@@ -61,7 +64,10 @@ def load_own(name: str) -> Own:
 
     if callable(reset := getattr(function, "reset", None)):
         act.reset = reset  # type: ignore[attr-defined]
-    return Own(name, dict(getattr(function, "env_keywords", {})), act=act)
+    env_id = getattr(function, "env_id", None)
+    if env_id is not None and env_id not in ENV_IDS:
+        raise unknown(f"environment of '{name}'", str(env_id), ENV_IDS)
+    return Own(name, dict(getattr(function, "env_keywords", {})), act=act, env_id=env_id)
 
 
 def _run(path: Path) -> ModuleType:

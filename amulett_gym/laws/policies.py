@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulett_gym import DRIVES_ID
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
@@ -22,7 +23,8 @@ from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, tuned_v
 from amulett_gym.profile import Profile
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
-"""Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1)."""
+"""Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1). In `Amulett/Drives-v0`
+actions have two entries."""
 
 Act = Callable[[NDArray[np.float64]], NDArray[np.float32]]
 """A policy for batches only."""
@@ -46,7 +48,8 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     Returns
     -------
     callable
-        Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1]. In a
+        Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1]. In
+        `Amulett/Drives-v0`, where only bundles trained there and your functions act, actions have two entries. In a
         privileged environment observations are longer; a policy ignores entries that it was not made for.
 
     Raises
@@ -63,6 +66,12 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
         raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
+    is_law = name.startswith(CONSTANT) or is_tuned(name) or name in ("eq6-held", "eq6-held-printed")
+    if is_law and base.episodes.action_size > 1:
+        raise AmulettError(
+            f"'{name}' chooses a tension and cannot act in {DRIVES_ID}, whose action also has a mean drive angle; "
+            "use a policy bundle that was trained there, a function of your own, or another environment"
+        )
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
     elif is_tuned(name):
@@ -77,6 +86,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
 def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Policy:
     """Return a user's function (see `contenders.Own.act`) as a policy that checks its actions; `name`: for messages."""
     name = name or getattr(act, "__name__", type(act).__name__)
+    size = env.unwrapped.episodes.action_size
 
     def policy(observation: ArrayLike) -> NDArray[np.float32]:
         observations = np.atleast_2d(np.asarray(observation, dtype=np.float32))
@@ -87,14 +97,14 @@ def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Po
             actions = np.empty(0, dtype=np.float32)
         if actions.size == 0:
             raise AmulettError(f"'{name}' returned {returned!r:.80}; it has to return {count} numbers")
-        if actions.shape not in ((count,), (count, 1)):
+        if actions.shape != (count, size) and (size > 1 or actions.shape != (count,)):
             raise AmulettError(
                 f"'{name}' returned actions of shape {actions.shape} for observations of shape {observations.shape}; "
-                f"it has to be ({count}, 1) or ({count},)"
+                f"it has to be ({count}, {size}){f' or ({count},)' if size == 1 else ''}"
             )
         if np.isnan(actions).any():
             raise AmulettError(f"'{name}' returned NaN as an action; it has to be a number from -1 to 1")
-        actions = actions.reshape(-1, 1)
+        actions = actions.reshape(-1, size)
         return actions[0] if np.ndim(observation) == 1 else actions
 
     if callable(reset := getattr(act, "reset", None)):
@@ -165,6 +175,15 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
         raise AmulettError(
             f"policy bundle '{bundle.folder}' needs privileged observations; make the environment with privileged=True"
         )
+    mine, theirs = bundle.policy.mean_angle_range, getattr(env, "mean_angle_range", None)
+    if (mine is None and theirs is not None) or (mine is not None and theirs is None):
+        needed = DRIVES_ID if theirs is None else "an environment in which an action is a tension"
+        raise AmulettError(f"policy bundle '{bundle.folder}' needs {needed}; this is {env.env_id}")
+    if mine != theirs:
+        raise AmulettError(
+            f"policy bundle '{bundle.folder}' means {mine} deg by an action of 1, this environment {theirs} deg; "
+            f"make it with mean_angle_range={mine}"
+        )
     if not np.isclose(trained, agent_period, rtol=1e-9):
         raise AmulettError(
             f"policy bundle '{bundle.folder}' acts every {trained} s, this environment every {agent_period} s; "
@@ -181,8 +200,10 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
         converted = batch[:, :size].copy()
         setpoint = action_to_tension(batch[:, TENSION_SETPOINT], tension_range)
         converted[:, TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
-        tension = action_to_tension(actor(converted), own_range)
-        return tension_to_action(tension, tension_range).astype(np.float32)
+        actions = actor(converted)
+        tension = action_to_tension(actions[:, -1], own_range)
+        actions[:, -1] = tension_to_action(tension, tension_range)
+        return actions
 
     return act
 

@@ -13,7 +13,18 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel, layout
-from amulett_gym.simulation.layout import LANES, LOOPS, Control, Loop, Paths, pack_loop, pack_parameters, words, zeros
+from amulett_gym.simulation.layout import (
+    DRIVES,
+    LANES,
+    LOOPS,
+    Control,
+    Loop,
+    Paths,
+    pack_loop,
+    pack_parameters,
+    words,
+    zeros,
+)
 
 
 class Simulation:
@@ -25,7 +36,7 @@ class Simulation:
     num_devices : int
         At least 1.
     control : str
-        One of `layout.CONTROLS`.
+        One of `layout.CONTROLS`, or `layout.DRIVES`.
     tension_law : {"agent", "eq6", "eq6-printed"}
         Source of the tension setpoint: :meth:`command_tension`, or eq. 6 inside the loop, at control rate.
 
@@ -57,7 +68,7 @@ class Simulation:
         self.states = zeros(num_blocks, layout.STATE_BLOCK)
         self.paths: Paths | None = None
         self.loop: Loop | None = None
-        if control in LOOPS:
+        if control in (*LOOPS, DRIVES):
             self.loop = pack_loop(profile, control), zeros(num_blocks, layout.LOOP_BLOCK)
 
     @property
@@ -124,6 +135,22 @@ class Simulation:
         block, lane = np.divmod(np.arange(self.num_devices), LANES)
         self.states["tension_command"][block, lane] = tension
         self.states["tension_rate"][block, lane] = 0.0
+
+    def command_mean(self, angle: ArrayLike) -> None:
+        """Set the mean angle of each device's drives [rad], scalar or shape (num_devices,), until the next call.
+
+        Raises
+        ------
+        AmulettError
+            If the loop is not `layout.DRIVES`, or an angle is not finite.
+        """
+        if self.loop is None or self.loop[0]["loop"][0] != len(LOOPS):
+            raise AmulettError(f"only the loop '{DRIVES}' takes a mean drive angle; make it with control='{DRIVES}'")
+        if not np.isfinite(angle).all():
+            raise AmulettError(f"the mean drive angle is {angle!r}; it has to be finite")
+        block, lane = np.divmod(np.arange(self.num_devices), LANES)
+        self.loop[1]["mean_command"][block, lane] = angle
+        self.loop[1]["mean_rate"][block, lane] = 0.0
 
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks."""

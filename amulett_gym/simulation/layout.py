@@ -36,8 +36,13 @@ Control = Literal[
     "feedforward-feedback",
     "feedback-linearisation",
     "torque",
+    "drives",
 ]
-CONTROLS: tuple[Control, ...] = get_args(Control)
+DRIVES: Control = "drives"
+"""Direct commands of both drives: the loop of `Amulett/Drives-v0` alone, whose action has another meaning."""
+
+CONTROLS: tuple[Control, ...] = get_args(Control)[:-1]
+"""The loops in which an action is a co-contraction."""
 
 LOOPS: tuple[Control, ...] = CONTROLS[2:]
 """The loops with gains in `profile.loops`; the paper's are those before."""
@@ -98,7 +103,7 @@ _REFERENCES = {
 }
 
 LOOP_PARAMETERS = record(
-    _fields("loop reference_shape", "i8")  # index into `LOOPS`; one of `_REFERENCES`
+    _fields("loop reference_shape", "i8")  # index into `LOOPS`, their number for `DRIVES`; one of `_REFERENCES`
     + _fields("position_table", "f8", CELLS, 4)
     + _fields("slope_table", "f8", CELLS, 4)
     + _fields("max_force floor_position drive_share highest_factor drive_step inertia weight")
@@ -223,6 +228,8 @@ LOOP_BLOCK = _block(
     + _fields("integral stiffness_integral stiffness_reference stiffness_error")
     + _fields("elapsed load force_biceps force_triceps bias_biceps bias_triceps saturated_biceps saturated_triceps")
     + _fields("observed_angle observed_velocity observed_acceleration disturbance")
+    # mean drive angle asked for by the agent, which moves by `mean_rate` [rad] a tick
+    + _fields("mean_command mean_rate")
     # what the loop wants, and what is added to it, so that it starts at rest
     + _fields("biceps triceps trim_biceps trim_triceps")
 )
@@ -286,8 +293,8 @@ def pack_parameters(
     AmulettError
         If a name is unknown.
     """
-    if control not in CONTROLS:
-        raise unknown("control", control, CONTROLS)
+    if control not in (*CONTROLS, DRIVES):
+        raise unknown("control", control, (*CONTROLS, DRIVES))
     if tension_law not in TENSION_LAWS:
         raise unknown("tension law", tension_law, TENSION_LAWS)
     plant, drives, sensors, loop = profile.plant, profile.drives, profile.sensors, profile.loop
@@ -338,14 +345,14 @@ def pack_parameters(
 
 
 def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
-    """Return the gains of one of `LOOPS` and what it knows of the device, as `LOOP_PARAMETERS` of shape (1,)."""
+    """Return gains and device of one of `LOOPS`, or of `DRIVES`, as `LOOP_PARAMETERS` of shape (1,)."""
     tables, loop, drives = build_tables(profile.spring), profile.loop, profile.drives
     if control in BY_STIFFNESS:
         _check_stiffening(tables, control)
     masses: list[Numbers] = [item.mass for item in profile.plant.masses]
     arms: list[Numbers] = [item.arm for item in profile.plant.masses]
     packed = np.zeros(1, dtype=LOOP_PARAMETERS)
-    packed["loop"] = LOOPS.index(control)
+    packed["loop"] = (*LOOPS, DRIVES).index(control)
     packed["position_table"], packed["max_force"] = tables.position, tables.max_force
     packed["drive_share"] = -np.expm1(-loop.control_period / drives.lag) if drives.lag > 0 else 1.0
     packed["highest_factor"] = 1.0 / packed["drive_share"]
@@ -355,6 +362,8 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     packed["slope_table"] = tables.estimated_slope
     floor = min(profile.sensors.force_floor, tables.max_force)
     packed["floor_position"] = tables.deflection_at(floor) / tables.max_deflection if floor > 0.0 else 0.0
+    if control == DRIVES:  # it has no gains
+        return packed
     gains = getattr(profile.loops, control.replace("-", "_"))
     for name in _GAINS:
         packed[name] = getattr(gains, name, 0.0)

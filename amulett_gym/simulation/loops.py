@@ -12,6 +12,7 @@ import numpy as np
 from amulett_gym.control.agonist import select_agonist
 from amulett_gym.control.co_rotation import correction
 from amulett_gym.control.drive_model import drive_command, next_angle
+from amulett_gym.control.drives import co_contraction, drive_commands
 from amulett_gym.control.equilibrium_point import equilibrium
 from amulett_gym.control.feedback_linearisation import desired_jerk, drive_rates, tautness
 from amulett_gym.control.feedforward_feedback import opening
@@ -32,6 +33,7 @@ from amulett_gym.simulation.layout import LOOPS
 EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
 TORQUE_STIFFNESS, FEEDFORWARD_FEEDBACK = (LOOPS.index(name) for name in ("torque-stiffness", "feedforward-feedback"))
 FEEDBACK_LINEARISATION, TORQUE = (LOOPS.index(name) for name in ("feedback-linearisation", "torque"))
+DRIVES = len(LOOPS)
 FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 
 
@@ -60,6 +62,8 @@ def want(p, g, s, q, first, end):
         run_feedback_linearisation(p, g, s, q, first, end)
     elif g.loop == TORQUE:
         run_torque(p, g, s, q, first, end)
+    elif g.loop == DRIVES:
+        run_drives(p, g, s, q, first, end)
 
 
 @compiled_lanes
@@ -142,6 +146,7 @@ def begin_loop(p, g, c, s, q, i):
     q.model_biceps[i], q.model_triceps[i] = s.command_biceps[i], s.command_triceps[i]
     q.integral[i] = q.stiffness_integral[i] = q.stiffness_error[i] = 0.0
     q.stiffness_reference[i] = -1.0
+    begin_drives(p, g, s, q, i)
     begin_estimates(p, g, c, s, q, i)
     if g.loop == FEEDBACK_LINEARISATION:
         q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)  # its trim is that of the feed-forward
@@ -470,3 +475,23 @@ def run_torque(p, g, s, q, first, end):
         pull_biceps, pull_triceps = hold_at(p, g, 0.0, torque, tension)
         apart = 0.5 * (pull_biceps - pull_triceps)
         q.biceps[i], q.triceps[i] = middle + apart, middle - apart
+
+
+@compiled
+def begin_drives(p, g, s, q, i):
+    """Begin the agent's ramps where the drives are: at their mean angle, and the tension at which they co-contract."""
+    q.mean_command[i] = 0.5 * (s.command_biceps[i] + s.command_triceps[i])
+    q.mean_rate[i] = 0.0
+    if g.loop == DRIVES:
+        deflection = co_contraction(s.command_biceps[i], s.command_triceps[i], p.drive_radius)
+        s.tension_command[i] = s.tension_setpoint[i] = look_up(p.force_table, deflection * p.inverse_max_deflection)
+
+
+@compiled_lanes
+def run_drives(p, g, s, q, first, end):
+    """Run `control.drives`; a late tick leaves mean and tension as they are."""
+    for i in range(first, end):
+        q.mean_command[i] += q.mean_rate[i]
+        position = find_position(p.force_table, g.position_table, s.tension_setpoint[i])
+        deflection = position / p.inverse_max_deflection
+        q.biceps[i], q.triceps[i] = drive_commands(q.mean_command[i], deflection, p.drive_radius)

@@ -19,7 +19,7 @@ from amulett_gym.laws.bundle import PolicyDescription, read_bundle
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.laws.history import History
 
-SCALING, TENSION = amulett_gym.ENV_IDS
+SCALING, TENSION = amulett_gym.ENV_IDS[:2]
 SIZE = len(OBSERVATIONS)
 FAILS = {"profile": {"base": "testbed", "plant": {"velocity_limit_deg": 80.0}}}
 

@@ -9,7 +9,7 @@ from amulett_gym.storage.provenance import differences
 from amulett_gym.storage.safe_yaml import read_yaml
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-RECIPES = ("ppo-history", "causal", "sac")
+RECIPES = ("ppo-history", "causal", "sac", "drives")
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -33,7 +33,8 @@ def test_the_default_recipe_writes_out_every_key_with_its_default():
 
 
 def test_each_recipe_is_of_its_kind():
-    history, causal, sac = (load_train_config(CONFIGS / f"{name}.yaml") for name in RECIPES)
+    history, causal, sac, drives = (load_train_config(CONFIGS / f"{name}.yaml") for name in RECIPES)
     assert (history.algorithm, causal.algorithm, sac.algorithm) == ("ppo", "ppo", "sac")
+    assert (drives.algorithm, drives.env.id) == ("ppo", "Amulett/Drives-v0")
     assert history.env.history > 1
     assert causal.env.privileged

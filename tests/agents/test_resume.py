@@ -78,7 +78,8 @@ REPLAYED = [
     "sac.anneal=true",
     "env.history=2",
 ]
-RECIPES = {"plain": PLAIN, "smooth": SMOOTH, "replayed": REPLAYED}
+DRIVES = ["env.id=Amulett/Drives-v0", "env.tension_range=[0, 15]"]
+RECIPES = {"plain": PLAIN, "smooth": SMOOTH, "replayed": REPLAYED, "drives": DRIVES}
 ROLLOUTS = 10
 
 processes = multiprocessing.get_context("forkserver")
@@ -192,7 +193,7 @@ def uninterrupted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("uninterrupted")
     process = started(live, folder / "plain", PLAIN)
     process.join()
-    for name in ("smooth", "replayed"):
+    for name in ("smooth", "replayed", "drives"):
         train(recipe(RECIPES[name]), folder / name, progress=False)
     operations = int((folder / "operations").read_text())
     kept = {name: outcome(folder / name) for name in RECIPES}

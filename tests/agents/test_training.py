@@ -39,7 +39,7 @@ from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.laws.contenders import contender_names  # noqa: E402
 from amulett_gym.laws.features import FEATURES  # noqa: E402
 
-SCALING, TENSION = amulett_gym.ENV_IDS
+SCALING, TENSION = amulett_gym.ENV_IDS[:2]
 ROOT = Path(__file__).parents[2]
 
 SMALL = [

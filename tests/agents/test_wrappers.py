@@ -107,7 +107,7 @@ def test_training_seeds_share_no_scenario():
 def test_both_kinds_of_action_are_learned_alike(tmp_path):
     """So one training gives the weights of both policies that come with the package."""
     kept = []
-    for env_id in ENV_IDS:
+    for env_id in ENV_IDS[:2]:
         short = ["total_steps=768", "ppo.n_epochs=2", "validation.episodes=4", f"env.id={env_id}"]
         result = train(load_train_config(None, [*SMALL, *short]), tmp_path / env_id, progress=False)
         kept.append([array for layer in read_bundle(result.last).layers for array in layer])

@@ -11,7 +11,7 @@ from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.tasks.suites import suite_names
 
-SCALING, TENSION = amulett_gym.ENV_IDS
+SCALING, TENSION = amulett_gym.ENV_IDS[:2]
 SENSED = len(OBSERVATIONS)
 MID = np.zeros(1, dtype=np.float32)
 

@@ -81,7 +81,7 @@ def test_a_picture_is_an_array_of_bytes_that_changes_as_the_arm_moves(env_id):
         env.reset(seed=0)
         before = env.render()
         for _ in range(60):
-            env.step(ACTION)
+            env.step(np.full(env.action_space.shape, ACTION[0]))
         after = env.render()
     for image in (before, after):
         assert image.shape == SHAPE

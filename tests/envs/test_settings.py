@@ -22,7 +22,7 @@ from amulett_gym.envs.vector import ScalingVectorEnv, TensionVectorEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import TrainingEnv
 
-SCALING, TENSION = ENV_IDS
+SCALING, TENSION = ENV_IDS[:2]
 EVERY = (ScalingEnv, TensionEnv, ScalingVectorEnv, TensionVectorEnv)
 VECTOR_ONLY = ("num_envs", "max_episode_steps", "threads")
 

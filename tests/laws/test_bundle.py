@@ -30,7 +30,7 @@ from amulett_gym.laws.bundle import (
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.storage.writing import write_json
 
-SCALING, TENSION = amulett_gym.ENV_IDS
+SCALING, TENSION = amulett_gym.ENV_IDS[:2]
 ENV = TrainingEnv(id=SCALING, keywords={"suite": "steps"}, max_episode_steps=500)
 
 

@@ -12,7 +12,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import contender_names, parse_contender
 from amulett_gym.profile import load_profile
 
-SCALING, TENSION = amulett_gym.ENV_IDS
+SCALING, TENSION = amulett_gym.ENV_IDS[:2]
 
 
 def observation_at(error_deg: float) -> np.ndarray:

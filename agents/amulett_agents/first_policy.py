@@ -1,0 +1,59 @@
+"""The first policy of a training run: a constant tension; in `Amulett/Drives-v0` with the drives at the setpoint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_agents.config import EnvSettings
+from amulett_gym import DRIVES_ID
+from amulett_gym.envs.action import tension_to_action
+from amulett_gym.envs.settings import DrivesSettings
+from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.profile import load_profile
+
+_SETPOINT = OBSERVATIONS.index("setpoint")
+
+
+@dataclass(frozen=True)
+class FirstPolicy:
+    """The law to which a network's output is added.
+
+    Attributes
+    ----------
+    tension : float
+        Action for the tension.
+    gain : float, optional
+        Action for the mean drive angle, by the setpoint's entry in the observation: the drives turn to where they hold
+        an arm without a load at its setpoint. None: there is no such action.
+    """
+
+    tension: float
+    gain: float | None = None
+
+    @property
+    def constant(self) -> NDArray[np.float32]:
+        """The action at the setpoint 0."""
+        return np.array([self.tension] if self.gain is None else [0.0, self.tension], dtype=np.float32)
+
+    def __call__(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Return the first actions, shape (N, 1) or (N, 2), for observations, shape (N, 13) or wider."""
+        actions = np.tile(self.constant, (len(observations), 1))
+        if self.gain is not None:
+            actions[:, 0] = self.gain * observations[:, _SETPOINT]
+        return actions
+
+
+def first_policy(settings: EnvSettings, tension: float | None) -> FirstPolicy:
+    """Return the first policy of a recipe's environment; `tension` [N], None: the middle of the range."""
+    low, high = settings.tension_range
+    action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
+    if settings.id != DRIVES_ID:
+        return FirstPolicy(action)
+    profile = load_profile(settings.profile)
+    turns = profile.plant.joint_pulley_radius / profile.plant.drive_pulley_radius
+    mean_angle = DrivesSettings(profile=profile, mean_angle_range=settings.mean_angle_range).mean_angle_deg
+    return FirstPolicy(action, OBSERVATION_SCALES["joint_angle"] * turns / float(np.radians(mean_angle)))
