@@ -112,6 +112,31 @@ class Torque(Following):
     most_rate: Rate = Field(default=20.0, description="largest rate that the loop asks of the drives [rad/s]")
 
 
+class Cascade(EquilibriumPoint):
+    """Gains of `control.cascade`."""
+
+    kp: float = Field(default=7.39, ge=0, le=1e4, description="K_o, string force by position error [N/rad]")
+    kd: float = Field(default=2.0, ge=0, le=1e3, description="K_v, string force by joint rate [N s/rad]")
+    kf: float = Field(default=0.01, ge=0, le=10, description="k_f, turn of a drive by error of its force [rad/N]")
+    ki: float = Field(default=2.82, ge=0, le=1000, description="rate of the drive angle by position error [1/s]")
+    velocity_filter: Filter = Field(default=0.01, description="time constant of the measured joint rate [s]; 0: none")
+
+
+class ComputedTorque(EquilibriumPoint):
+    """Gains of `control.computed_torque`."""
+
+    kp: float = Field(default=1000.0, ge=0, le=1e6, description="k_p, acceleration by position error [1/s2]")
+    kd: float = Field(default=5.0, ge=0, le=1e4, description="k_v, acceleration by rate of the position error [1/s]")
+    ki: float = Field(default=4000.0, ge=0, le=1e8, description="k_i, jerk by position error [1/s3]")
+    factor: float = Field(default=1.4, gt=0, le=100, description="lambda, by which a drive is faster than its lag [1]")
+    least_tension: float = Field(default=0.5, ge=0, le=1000, description="smallest co-contraction of the strings [N]")
+    velocity_filter: Filter = Field(default=0.01, description="time constant of the measured joint rate [s]; 0: none")
+
+
+class MinimalMotion(ComputedTorque):
+    """Gains of `control.minimal_motion`, which differs from computed torque in the drive angles that it chooses."""
+
+
 class Loops(Group):
     """Gains of all loops but the paper's, which are in `loop`."""
 
@@ -127,3 +152,6 @@ class Loops(Group):
         default=FeedbackLinearisation(), description="jerk and mean tension decoupled"
     )
     torque: Torque = Field(default=Torque(), description="joint torque of a virtual spring and damper")
+    cascade: Cascade = Field(default=Cascade(), description="position, then string forces, on a feed-forward")
+    computed_torque: ComputedTorque = Field(default=ComputedTorque(), description="computed torque on two levels")
+    minimal_motion: MinimalMotion = Field(default=MinimalMotion(), description="computed torque with the least motion")

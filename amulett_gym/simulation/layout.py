@@ -36,6 +36,9 @@ Control = Literal[
     "feedforward-feedback",
     "feedback-linearisation",
     "torque",
+    "cascade",
+    "computed-torque",
+    "minimal-motion",
     "drives",
 ]
 DRIVES: Control = "drives"

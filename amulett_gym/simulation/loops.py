@@ -10,7 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from amulett_gym.control.agonist import select_agonist
+from amulett_gym.control.cascade import force_difference, winding
 from amulett_gym.control.co_rotation import correction
+from amulett_gym.control.computed_torque import followed_rate, wanted_acceleration
 from amulett_gym.control.drive_model import drive_command, next_angle
 from amulett_gym.control.drives import co_contraction, drive_commands
 from amulett_gym.control.equilibrium_point import equilibrium
@@ -20,6 +22,7 @@ from amulett_gym.control.force_estimate import next_bias
 from amulett_gym.control.inverse_dynamics import joint_torque
 from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.control.joint_observer import observe
+from amulett_gym.control.minimal_motion import nearest_pair
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.control.reference_motion import remaining_jerk, remaining_offset
 from amulett_gym.control.torque import common_rate, desired_torque
@@ -33,6 +36,7 @@ from amulett_gym.simulation.layout import LOOPS
 EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
 TORQUE_STIFFNESS, FEEDFORWARD_FEEDBACK = (LOOPS.index(name) for name in ("torque-stiffness", "feedforward-feedback"))
 FEEDBACK_LINEARISATION, TORQUE = (LOOPS.index(name) for name in ("feedback-linearisation", "torque"))
+CASCADE, COMPUTED_TORQUE, MINIMAL_MOTION = map(LOOPS.index, ("cascade", "computed-torque", "minimal-motion"))
 DRIVES = len(LOOPS)
 FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 
@@ -62,6 +66,12 @@ def want(p, g, s, q, first, end):
         run_feedback_linearisation(p, g, s, q, first, end)
     elif g.loop == TORQUE:
         run_torque(p, g, s, q, first, end)
+    elif g.loop == CASCADE:
+        run_cascade(p, g, s, q, first, end)
+    elif g.loop == COMPUTED_TORQUE:
+        run_computed_torque(p, g, s, q, first, end)
+    elif g.loop == MINIMAL_MOTION:
+        run_minimal_motion(p, g, s, q, first, end)
     elif g.loop == DRIVES:
         run_drives(p, g, s, q, first, end)
 
@@ -334,9 +344,9 @@ def hold_stiff(p, g, s, i, angle, torque):
 
 
 @compiled
-def move_drives(p, g, q, i, biceps, triceps):
-    """Want the commands that bring the drives to given angles [rad], which move with the reference."""
-    rate = q.reference_rate[i] * p.joint_radius / p.drive_radius
+def move_drives(p, g, q, i, biceps, triceps, joint_rate):
+    """Want the commands that bring the drives to given angles [rad], which move with the joint at a rate [rad/s]."""
+    rate = joint_rate * p.joint_radius / p.drive_radius
     factor = min(g.factor, g.highest_factor)
     q.biceps[i] = drive_command(q.model_biceps[i], biceps, factor, rate, g.lead)
     q.triceps[i] = drive_command(q.model_triceps[i], triceps, factor, rate, g.lead)
@@ -354,7 +364,7 @@ def run_torque_stiffness(p, g, s, q, first, end):
         rise, fall = rise and torque + q.integral[i] < most, fall and torque + q.integral[i] > -most
         q.integral[i] = integrate(q.integral[i], error, g.torque_ki, p.control_period, rise, fall)
         biceps, triceps, _, _ = hold_stiff(p, g, s, i, s.measured_angle[i], torque + q.integral[i])
-        move_drives(p, g, q, i, biceps, triceps)
+        move_drives(p, g, q, i, biceps, triceps, q.reference_rate[i])
 
 
 @compiled_lanes
@@ -368,7 +378,7 @@ def run_feedforward_feedback(p, g, s, q, first, end):
         q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
         turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
         apart = control_stiffness(p, g, s, q, i, stiffness, antagonist >= g.floor_position, rise and fall)
-        move_drives(p, g, q, i, biceps + turn + apart, triceps + turn - apart)
+        move_drives(p, g, q, i, biceps + turn + apart, triceps + turn - apart, q.reference_rate[i])
 
 
 @compiled
@@ -475,6 +485,88 @@ def run_torque(p, g, s, q, first, end):
         pull_biceps, pull_triceps = hold_at(p, g, 0.0, torque, tension)
         apart = 0.5 * (pull_biceps - pull_triceps)
         q.biceps[i], q.triceps[i] = middle + apart, middle - apart
+
+
+@compiled
+def room_to_turn(p, s, i):
+    """Return whether turning both drives can still raise, and lower, the torque.
+
+    It cannot if a command is at its limit, or the spring of the string that is wound is at its end.
+    """
+    rise, fall = headroom(p, s, i)
+    return rise and s.measured_biceps[i] < p.slider_end, fall and s.measured_triceps[i] < p.slider_end
+
+
+@compiled_lanes
+def run_cascade(p, g, s, q, first, end):
+    """Run `control.cascade`."""
+    for i in range(first, end):
+        biceps, triceps = hold_reference(p, g, s, q, i)
+        error = q.reference[i] - s.measured_angle[i]
+        rise, fall = room_to_turn(p, s, i)
+        q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
+        torque = weight_at(g, q.reference[i]) + p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
+        want_biceps, want_triceps = string_forces(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+        q.biceps[i] = biceps + q.integral[i] + winding(want_biceps, s.estimate_biceps[i], s.untrusted_biceps[i], g.kf)
+        q.triceps[i] = (
+            triceps + q.integral[i] - winding(want_triceps, s.estimate_triceps[i], s.untrusted_triceps[i], g.kf)
+        )
+
+
+@compiled
+def find_torque(p, g, s, q, i, tension):
+    """Return the torque [N m] that `control.computed_torque` asks for, and the rate [rad/s] that its drives follow."""
+    error = q.reference[i] - s.measured_angle[i]
+    wanted = wanted_acceleration(
+        q.reference_acceleration[i], q.reference_rate[i] - q.velocity[i], error, q.integral[i], g.kd, g.kp
+    )
+    decay = decay_rate(tension, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+    torque = joint_torque(wanted, q.reference_rate[i], s.measured_angle[i], g.inertia, decay, g.weight)
+    most = p.joint_radius * (g.max_force - tension)
+    rise, fall = room_to_turn(p, s, i)
+    q.integral[i] = integrate(
+        q.integral[i], error, g.ki, p.control_period, rise and torque < most, fall and torque > -most
+    )
+    return torque, followed_rate(q.reference_rate[i], q.velocity[i], g.inertia * g.kp * error, most)
+
+
+@compiled
+def taut(g, s, i):
+    """Return the tension setpoint [N], at least the loop's smallest and at most what the springs give."""
+    return min(max(s.tension_setpoint[i], g.least_tension), g.max_force)
+
+
+@compiled_lanes
+def run_computed_torque(p, g, s, q, first, end):
+    """Run `control.computed_torque`."""
+    for i in range(first, end):
+        tension = taut(g, s, i)
+        torque, rate = find_torque(p, g, s, q, i, tension)
+        biceps, triceps = hold_at(p, g, s.measured_angle[i], torque, tension)
+        move_drives(p, g, q, i, biceps, triceps, rate)
+
+
+@compiled_lanes
+def run_minimal_motion(p, g, s, q, first, end):
+    """Run `control.minimal_motion`."""
+    end_of_table = 1.0 / p.inverse_max_deflection
+    for i in range(first, end):
+        tension = taut(g, s, i)
+        torque, rate = find_torque(p, g, s, q, i, tension)
+        angle = s.measured_angle[i]
+        biceps, triceps = nearest_pair(
+            p.force_table,
+            g.position_table,
+            torque / p.joint_radius,
+            tension,
+            g.max_force,
+            deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection,
+            deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection,
+        )
+        biceps, triceps = drive_angles(
+            angle, biceps * end_of_table, triceps * end_of_table, p.drive_radius, p.joint_radius
+        )
+        move_drives(p, g, q, i, biceps, triceps, rate)
 
 
 @compiled

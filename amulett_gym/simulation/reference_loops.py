@@ -80,7 +80,10 @@ def replay_loop(
     return dict(zip(("command_biceps", "command_triceps"), np.array(rows).T, strict=True))
 
 
-_SIGNALS = ("measured_angle", "measured_biceps", "measured_triceps", "estimate_biceps", "estimate_triceps")
+_SIGNALS = (
+    *("measured_angle", "measured_biceps", "measured_triceps"),
+    *("estimate_biceps", "estimate_triceps", "untrusted_biceps", "untrusted_triceps"),
+)
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,8 @@ class Reading:
     measured_triceps: float
     estimate_biceps: float
     estimate_triceps: float
+    untrusted_biceps: float
+    untrusted_triceps: float
 
     @property
     def may_rise(self) -> bool:
@@ -293,9 +298,13 @@ class Loop:
         angle = now.reference + self.gains.lead * now.reference_rate
         return self.device.hold(angle, self.device.weight * math.sin(now.reference), now.tension)
 
-    def move(self, now: Reading, biceps: float, triceps: float) -> Pair:
-        """Return the commands that bring the drives to given angles [rad], which move with the reference."""
-        rate = now.reference_rate * self.device.joint_radius / self.device.drive_radius
+    def move(self, now: Reading, biceps: float, triceps: float, joint_rate: float | None = None) -> Pair:
+        """Return the commands that bring the drives to given angles [rad], which move with the reference, or a rate."""
+        rate = (
+            (now.reference_rate if joint_rate is None else joint_rate)
+            * self.device.joint_radius
+            / self.device.drive_radius
+        )
         own, factor = np.array(now.drives), min(self.gains.factor, 1.0 / self.device.share)
         led = own + factor * (np.array([biceps, triceps]) - own) + self.gains.lead * rate
         return float(led[0]), float(led[1])
@@ -305,6 +314,11 @@ class Loop:
         if now.may_rise if error > 0.0 else now.may_fall:
             self.integral += gain * error * now.period
         return self.integral
+
+    def integrate_torque(self, now: Reading, error: float, gain: float) -> float:
+        """Return the integral term, which stops also where the spring of the wound string is at its end."""
+        wound = now.measured_biceps if error > 0.0 else now.measured_triceps
+        return self.integrate(now, error, gain) if wound < self.device.slider_end else self.integral
 
 
 class _EquilibriumPoint(Loop):
@@ -504,6 +518,67 @@ class _Torque(_Observing):
         return middle + apart, middle - apart
 
 
+class _Cascade(Loop):
+    def wants(self, now: Reading) -> Pair:
+        error, gains, device = now.reference - now.measured_angle, self.gains, self.device
+        difference = gains.kp * error - gains.kd * now.velocity
+        difference += device.weight * math.sin(now.reference) / device.joint_radius
+        turn, wound = self.integrate_torque(now, error, gains.ki), []
+        for sense, estimate, untrusted in (
+            (1.0, now.estimate_biceps, now.untrusted_biceps),
+            (-1.0, now.estimate_triceps, now.untrusted_triceps),
+        ):
+            lack = min(now.tension + max(sense * difference, 0.0), device.max_force) - estimate
+            wound.append(0.0 if untrusted and lack < 0.0 else sense * gains.kf * lack)
+        biceps, triceps = self.equilibrium(now)
+        return biceps + turn + wound[0], triceps + turn + wound[1]
+
+
+class _ComputedTorque(Loop):
+    def wants(self, now: Reading) -> Pair:
+        error, gains, device = now.reference - now.measured_angle, self.gains, self.device
+        feedback = gains.kd * (now.reference_rate - now.velocity) + gains.kp * error + self.integral
+        damping = 2.0 * decay_rate(device.profile, self.tension(now)) * now.reference_rate
+        torque = device.inertia * (now.reference_acceleration + feedback + damping)
+        torque += device.weight * math.sin(now.measured_angle)
+        most = device.joint_radius * (device.max_force - self.tension(now))
+        if abs(torque) < most or torque * error < 0.0:
+            self.integrate_torque(now, error, gains.ki)
+        far = abs(device.inertia * gains.kp * error) / most if most > 0.0 else math.inf
+        share = float(np.interp(far, [1.0, 2.0], [0.0, 1.0]))
+        return self.move(now, *self.pair(now, torque), (1.0 - share) * now.reference_rate + share * now.velocity)
+
+    def tension(self, now: Reading) -> float:
+        """Return the co-contraction [N]."""
+        return min(max(now.tension, float(self.gains.least_tension)), self.device.max_force)
+
+    def pair(self, now: Reading, torque: float) -> Pair:
+        """Return the drive angles [rad] that give a torque."""
+        return self.device.hold(now.measured_angle, torque, self.tension(now))
+
+
+class _MinimalMotion(_ComputedTorque):
+    def pair(self, now: Reading, torque: float) -> Pair:
+        device = self.device
+        pull = min(abs(torque) / device.joint_radius, device.max_force - self.tension(now))
+        sign = 1.0 if torque >= 0.0 else -1.0
+        wound = now.measured_angle * device.joint_radius
+        own = now.drives[0] * device.drive_radius - wound, wound - now.drives[1] * device.drive_radius
+        agonist, antagonist = own[:: int(sign)]
+
+        def slope(stretch: float) -> float:
+            """Return the slope of the squared distance along the antagonist's deflection, where it is 0 times f' f'."""
+            other = device.deflection(device.force(stretch) + pull)
+            return float((stretch - antagonist) * device.slope(other) + (other - agonist) * device.slope(stretch))
+
+        low, high = device.deflection(self.tension(now)), device.deflection(device.max_force - pull)
+        best = low if slope(low) >= 0.0 else high
+        if slope(low) < 0.0 < slope(high):
+            best = float(brentq(slope, low, high, xtol=1e-15, rtol=1e-14))
+        biceps, triceps = (device.deflection(device.force(best) + pull), best)[:: int(sign)]
+        return (wound + biceps) / device.drive_radius, (wound - triceps) / device.drive_radius
+
+
 _LOOPS: dict[Control, Callable[[Device, Any], Loop]] = {
     "equilibrium-point": _EquilibriumPoint,
     "co-rotation": _CoRotation,
@@ -511,4 +586,7 @@ _LOOPS: dict[Control, Callable[[Device, Any], Loop]] = {
     "feedforward-feedback": _FeedforwardFeedback,
     "feedback-linearisation": _FeedbackLinearisation,
     "torque": _Torque,
+    "cascade": _Cascade,
+    "computed-torque": _ComputedTorque,
+    "minimal-motion": _MinimalMotion,
 }
