@@ -15,6 +15,8 @@ _COLOURS = (
 )
 _PAPER = {"eq6": style.BLACK, "constant:10": style.GREY, "decentralized": style.GREY}
 _LINES = {"minimum-jerk": "-", "first-order": "--"}
+_SOME = style.FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "1235" else "")
+"""Labels some of a logarithmic axis's ticks, which would overlap."""
 _BEFORE, _AFTER = 0.4, 2.5  # [s]; the step is at 0.5 s
 
 
@@ -79,8 +81,8 @@ def trade_off_figure(study: Study) -> Figure:
     panel.set(xlim=limits, ylim=heights)
     panel.plot([], [], color=style.GREY, linestyle="--", label="first-order reference")
     for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_formatter(style.PLAIN)
-        axis.set_minor_formatter(style.PLAIN)
+        axis.set_major_formatter(_SOME)
+        axis.set_minor_formatter(_SOME)
     panel.set_xlabel(METRICS["drive_effort"].heading)
     panel.set_ylabel(METRICS["position_ise"].heading)
     style.legend_beside(panel)
