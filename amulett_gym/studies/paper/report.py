@@ -27,6 +27,7 @@ from amulett_gym.studies.paper.results import (
     content,
     counts_in_words,
     cross_check_table,
+    exchange_in_words,
     force_rise_table,
     hypothesis_table,
     overview,
@@ -158,7 +159,8 @@ def block(evidence: Evidence) -> str:
     parts = [
         *([] if evidence.folder is None else [status(evidence)]),
         f"### Tables 2-5\n\n{counts_in_words(evidence)} {bounds_in_words()}",
-        "In the table: paper / this model (ratio); **bold**: not explained.",
+        "In the table: paper / this model (ratio); **bold**: not explained. "
+        + exchange_in_words(evidence.reproduction.readings),
         overview(evidence.reproduction).markdown(),
         *(table.markdown() for table in tables),
         "### Hypotheses of section 1.2",

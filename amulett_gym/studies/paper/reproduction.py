@@ -464,6 +464,11 @@ def _row(cell: Cell, response: Response, readings: Readings) -> Row:
     return Row(cell, ours, spread, ratio, unit, low <= ratio <= high)
 
 
+def our_drive(column: str, readings: Readings) -> str:
+    """Return the drive whose ISAV is compared with a column of Table 5, both by names of `DRIVES`."""
+    return DRIVES[1 - DRIVES.index(column)] if readings.isav_columns == "swapped" else column
+
+
 def _select(cell: Cell, response: Response, readings: Readings) -> tuple[Values, str]:
     """Return our values of a cell and their unit, measured as `readings` say."""
     if cell.metric == "rise_time":
@@ -474,9 +479,7 @@ def _select(cell: Cell, response: Response, readings: Readings) -> tuple[Values,
         recorded = "true" if cell.profile == "simulation" else "estimated"
         source = recorded if readings.tension_error == "recorded" else readings.tension_error
         return response.tension_ise[source], cell.unit
-    drive = str(cell.drive)
-    if readings.isav_columns == "swapped":
-        drive = DRIVES[1 - DRIVES.index(drive)]
+    drive = our_drive(str(cell.drive), readings)
     kick = readings.isav_kick == "both" or (readings.isav_kick == "agonist" and drive == "biceps")
     values = response.isav[drive, "with" if kick else "without"]
     if readings.isav_unit == "rad":

@@ -28,11 +28,13 @@ from amulett_gym.studies.paper.reproduction import (
     BOUNDS,
     MEASUREMENT_TIME,
     MOVES_FROM,
+    Readings,
     Reproduction,
     Row,
     best_reading,
     explained,
     moved,
+    our_drive,
     reproduce,
 )
 from amulett_gym.studies.paper.study import WEIGHTS, OwnStudy, cross_check, shipped, spring_laws
@@ -64,11 +66,10 @@ READINGS = {
 }
 """Readings in words; one that is not here goes by its name."""
 
-_PAPER_NOTES = {
-    2: "Compared with the settling time: the last entry into the error margin.",
-    5: "The paper prints no unit in Table 5. ±, in all four tables: standard deviation of the testbed's "
-    f"{PROTOCOL.repetitions_testbed} repetitions, which differ by their sensor noise.",
-}
+_TABLE_5_NOTE = (
+    "The paper prints no unit in Table 5. ±, in all four tables: standard deviation of the testbed's "
+    f"{PROTOCOL.repetitions_testbed} repetitions, which differ by their sensor noise."
+)
 
 HOLDS = {True: "yes", False: "no", None: "open"}
 
@@ -205,6 +206,7 @@ def paper_table(reproduction: Reproduction, table: int, short: bool = False) -> 
             ]
             for index, row in zip(places, rows, strict=True)
         ],
+        f"{_TABLE_5_NOTE} {exchange_in_words(reproduction.readings)}".rstrip() if table == 5 else "",
         left=(0, 6),
     )
 
@@ -223,9 +225,14 @@ def overview(reproduction: Reproduction) -> Table:
         (row.cell.profile, row.cell.configuration, row.cell.metric, row.cell.drive): row for row in reproduction.rows
     }
     units = {(row.cell.metric, row.cell.drive): row.unit.replace("^2", "2") for row in reproduction.rows}
-    head = [
-        f"{METRICS[metric]}{f', column {drive}' if drive else ''} [{units[metric, drive]}]" for metric, drive in columns
-    ]
+
+    def heading(metric: str, drive: str | None) -> str:
+        name = METRICS[metric]
+        if drive is not None:
+            name += f", column {drive} / drive of the {our_drive(drive, reproduction.readings)}"
+        return f"{name} [{units[metric, drive]}]"
+
+    head = [heading(*column) for column in columns]
     return Table(
         "",
         ("device", "configuration", *head),
@@ -302,6 +309,9 @@ def readings_table(evidence: Evidence) -> Table:
 
 def cross_check_table(evidence: Evidence) -> Table:
     """Return the predictions of the fits to three configurations for the fourth."""
+    first, second = (
+        f"{drive} (here drive of the {our_drive(drive, evidence.reproduction.readings)})" for drive in DRIVES
+    )
     return Table(
         "Cross-check: fit three configurations, predict the fourth",
         ("left out of the fit", "explained", *(f"ratios, {device}" for device in DEVICES)),
@@ -313,9 +323,9 @@ def cross_check_table(evidence: Evidence) -> Table:
             ]
             for left_out, rows in evidence.predicted.items()
         ],
-        "Ratios to the paper's numbers, in the order of Tables 2, 3, 4, 5 biceps, 5 triceps. Each line is a "
-        "single fit, that of the first seed, without a condition on the spring and without the choice among equally "
-        "good sets.",
+        "Ratios to the paper's numbers, in this order: Table 2, Table 3, Table 4; of Table 5 first the paper's column "
+        f"{first}, then its column {second}. Each line is a single fit, that of the first seed, without a condition on "
+        "the spring and without the choice among equally good sets.",
         left=(0, 2, 3),
     )
 
@@ -359,10 +369,11 @@ def springs_table(evidence: Evidence) -> Table:
         )
     return Table(
         "Which spring laws the tables allow",
-        ("spring law", "free length / half width", "stiffness at 10 N / at 4 N", "cost", *_EACH, "of 40", "ratios"),
+        ("spring law", "length_ratio", "stiffness at 10 N / at 4 N", "cost", *_EACH, "of 40", "ratios"),
         body,
-        "The best fit with each law, all other parameters fitted again. Ratios to the paper's numbers: rise time and "
-        "position ISE of the testbed with variable stiffness.",
+        "`length_ratio`: free length of a spring over the half-width, as in the table above. The best fit with each "
+        "law, all other parameters fitted again. Ratios to the paper's numbers: rise time and position ISE of the "
+        "testbed with variable stiffness.",
     )
 
 
@@ -474,6 +485,16 @@ def counts_in_words(evidence: Evidence) -> str:
         f"{f', {undecided} cannot be decided' if undecided else ''}. {len(tried)} of the {len(claims)} claims are "
         f"about the paper's tables. The tables themselves contradict {len(tried) - len(borne_out)} of these "
         f"{len(tried)}. Of the remaining {len(borne_out)}, {hold[1]} hold on the simulated devices."
+    )
+
+
+def exchange_in_words(readings: Readings) -> str:
+    """Return a sentence on exchanged columns of Table 5, an empty string if they are taken as printed."""
+    if readings.isav_columns != "swapped":
+        return ""
+    return (
+        "The columns of Table 5 are taken as exchanged: the paper's column triceps is compared with the ISAV of this "
+        "model's biceps' drive, and its column biceps with that of the triceps' drive."
     )
 
 

@@ -518,6 +518,10 @@ def spread_table(content: Mapping[str, Any]) -> Table:
             ]
             for item in content["spread"]
         ],
+        "`radius_ratio`: radius of the drives' pulleys over that of the joint's pulley. `max_force`: string force at "
+        "which the springs saturate, at the string deflection `max_deflection`. Half-width: distance of a spring's "
+        "anchor from the string's axis. `width_ratio`: half-width over `max_deflection`. `length_ratio`: free length "
+        "of a spring over the half-width. "
         f"Equally good: parameter sets whose cost is within {content['ensemble']['equal_cost']:g} of the lowest one. "
         f"A parameter is determined if the equally good sets cover at most {100.0 * DETERMINED:g} % of its searched "
         "range and do not reach its ends. Shares are measured on a logarithmic scale, except for `length_ratio`. The "

@@ -14,8 +14,16 @@ from amulett_gym.studies.paper import reproduction as definitions
 from amulett_gym.studies.paper.claims import CLAIMS, NAMES, answer_hypotheses, check_claims, our_numbers
 from amulett_gym.studies.paper.motion import ForceRise, Sensitivity
 from amulett_gym.studies.paper.report import render
-from amulett_gym.studies.paper.reproduction import ALTERNATIVES, Row, best_reading, reproduce
-from amulett_gym.studies.paper.results import Evidence, bounds_in_words, readings_table, within
+from amulett_gym.studies.paper.reproduction import ALTERNATIVES, Readings, Row, best_reading, our_drive, reproduce
+from amulett_gym.studies.paper.results import (
+    Evidence,
+    bounds_in_words,
+    cross_check_table,
+    exchange_in_words,
+    overview,
+    readings_table,
+    within,
+)
 from amulett_gym.studies.paper.study import shipped
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5
 
@@ -203,3 +211,18 @@ def test_the_page_has_the_variations(page):
 def test_the_page_has_the_rise_time_of_the_string_force(page):
     (line,) = rows_of(page, "Rise time of the string force")
     assert line == ["testbed", "5 N", "0.25", "-", "0 of 10", "50 %"]
+
+
+@pytest.mark.parametrize(("choice", "ours"), [("swapped", "biceps"), ("as-printed", "triceps")])
+def test_columns_of_table_5_name_the_drive_that_they_are_compared_with(evidence, choice, ours):
+    readings = Readings(isav_columns=choice)
+    reproduction = replace(evidence.reproduction, readings=readings)
+    assert our_drive("triceps", readings) == ours
+    assert f"column triceps / drive of the {ours} [rad2/s]" in overview(reproduction).head[5]
+    note = cross_check_table(replace(evidence, reproduction=reproduction)).note
+    assert f"column triceps (here drive of the {ours})" in note
+    assert ("taken as exchanged" in exchange_in_words(readings)) == (choice == "swapped")
+
+
+def test_the_page_says_that_the_columns_of_table_5_are_exchanged(evidence, page):
+    assert exchange_in_words(evidence.reproduction.readings) in text_of(page)

@@ -338,8 +338,10 @@ def test_the_text_of_the_document_agrees_with_its_generated_part(evidence):
     assert peaks.ours.holds is False
     assert f"the drives lag by {evidence.reproduction.profiles['testbed'].drives.lag:.2f} s" in text
     testbed = evidence.reproduction.profiles["testbed"]
+    spring = testbed.spring
+    assert f"Each spring has {spring.stiffness / 1000:.0f} kN/m." in text
     assert (
-        f"{testbed.spring.stiffness / 1000:.0f} kN/m and half a width of {1000 * testbed.spring.half_width:.0f} mm"
+        f"Its half-width, the distance of its anchor from the string's axis, is {1000 * spring.half_width:.0f} mm"
         in text
     )
     share = 100 * testbed.sensors.potentiometer_noise / testbed.sensors.potentiometer_travel
