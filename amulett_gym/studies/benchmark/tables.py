@@ -210,17 +210,18 @@ def references(found: Content) -> Table:
         *("fall in the last quarter", "each start alone", "change by a second search", "contender below"),
     )
     note = (
-        "Clairvoyant: the best schedule of each scenario, found with everything known, including the sensor noise. "
-        "Foresight: found with everything known except the noise; the search evaluates with other draws of it. Share "
-        f"of the gap: 0 is {found['references']['from']}, the best tuned law, 1 the reference. Cost, other noise: of "
-        "the same schedules with new draws of the noise. Fall in the last quarter: by how much the mean cost fell in "
-        "the last quarter of the search. Each start alone: the cost that the search reaches from each of its two "
-        "starting points, with the noise used during the search. Change by a second search: of the mean cost, if "
-        "each scenario gets the cheaper schedule of both searches (in parentheses the number of scenarios); below "
-        "zero the cost falls. The second search has another seed and twice as many rounds. Contender below: number "
-        "of scenarios in which at least one policy or law costs less than the reference; every training seed counts, "
-        "those of the causal reference and of trainings without a reward term too. There are three reasons for a "
-        "lower cost. The contender acts inside the loop (eq6, eq6-printed, position-only), which no schedule can do. "
+        'In the row foresight, "cost" is with the scenarios\' own sensor noise, but "each start alone" and "fall in '
+        'the last quarter" are with the noise draws of the search: do not compare them. Clairvoyant: the best schedule '
+        "found for each scenario with everything known, its noise too. Foresight: the same without its noise; the "
+        "search uses other draws. Share of the gap: 0 is "
+        f"{found['references']['from']}, the best tuned law, 1 the reference. "
+        "Cost, other noise: of the same schedules with new draws. Fall in the last quarter: of the mean cost, in the "
+        "last quarter of the search. Each start alone: the cost reached from each of the search's two starts. Change "
+        "by a second search (number of scenarios): of the mean cost, if each scenario gets the cheaper schedule of "
+        "both searches. The second has another seed and twice as many rounds. Contender below: scenarios in which a "
+        "policy or law costs less than the reference. All training seeds count, and so do the causal reference and "
+        "trainings without a reward term. A lower cost has one of three reasons. "
+        "The contender acts inside the loop (eq6, eq6-printed, position-only), which no schedule can do. "
         "Or the search did not converge. Or, for foresight, the contender reacts to the actual noise, which a "
         "schedule cannot."
     )
