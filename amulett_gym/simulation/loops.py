@@ -18,7 +18,7 @@ from amulett_gym.control.drives import co_contraction, drive_commands
 from amulett_gym.control.equilibrium_point import equilibrium
 from amulett_gym.control.feedback_linearisation import desired_jerk, drive_rates, tautness
 from amulett_gym.control.feedforward_feedback import opening
-from amulett_gym.control.force_estimate import next_bias
+from amulett_gym.control.force_estimate import next_correction
 from amulett_gym.control.inverse_dynamics import joint_torque
 from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.control.joint_observer import observe
@@ -63,7 +63,9 @@ def want(p, g, s, q, first, end):
     elif g.loop == FEEDFORWARD_FEEDBACK:
         run_feedforward_feedback(p, g, s, q, first, end)
     elif g.loop == FEEDBACK_LINEARISATION:
+        find_jump_jerk(g, q, first, end)
         run_feedback_linearisation(p, g, s, q, first, end)
+        hand_over(p, g, s, q, first, end)
     elif g.loop == TORQUE:
         run_torque(p, g, s, q, first, end)
     elif g.loop == CASCADE:
@@ -209,12 +211,19 @@ def hold_reference(p, g, s, q, i):
 
 
 @compiled
-def predict_forces(p, q, i):
-    """Return both strings' positions in the force table by drive model and joint angle, and their forces [N]."""
+def predict_positions(p, q, i):
+    """Return both strings' positions in the force table by drive model and joint angle."""
     angle, scale = q.observed_angle[i], p.inverse_max_deflection
-    biceps = deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * scale
-    triceps = deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * scale
-    return biceps, triceps, look_up(p.force_table, biceps), look_up(p.force_table, triceps)
+    return (
+        deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * scale,
+        deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * scale,
+    )
+
+
+@compiled
+def slope_at(p, g, position):
+    """Return the slope of the force by the position in its table [N], limited from below."""
+    return max(look_up_slope(p.force_table, position), g.slope_floor * g.max_force)
 
 
 @compiled
@@ -240,9 +249,11 @@ def begin_estimates(p, g, c, s, q, i):
     slider_triceps = look_up(p.spring_table, triceps * p.inverse_max_deflection) + c.slider_bias_triceps[i]
     q.force_biceps[i] = estimate_force(p.estimate_table, slider_biceps, p.max_spring_deflection)
     q.force_triceps[i] = estimate_force(p.estimate_table, slider_triceps, p.max_spring_deflection)
-    _, _, predicted_biceps, predicted_triceps = predict_forces(p, q, i)
-    q.bias_biceps[i] = q.force_biceps[i] - predicted_biceps
-    q.bias_triceps[i] = q.force_triceps[i] - predicted_triceps
+    at_biceps, at_triceps = predict_positions(p, q, i)
+    q.correction_biceps[i] = find_position(p.force_table, g.position_table, q.force_biceps[i]) - at_biceps
+    q.correction_triceps[i] = find_position(p.force_table, g.position_table, q.force_triceps[i]) - at_triceps
+    q.slope_biceps[i] = slope_at(p, g, at_biceps + q.correction_biceps[i]) * p.inverse_max_deflection
+    q.slope_triceps[i] = slope_at(p, g, at_triceps + q.correction_triceps[i]) * p.inverse_max_deflection
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
     q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_at(g, angle)
@@ -264,22 +275,24 @@ def observe_device(p, g, s, q, first, end):
         )
         q.observed_angle[i], q.observed_velocity[i] = angle, velocity
         q.disturbance[i] += change
-        at_biceps, at_triceps, biceps, triceps = predict_forces(p, q, i)
+        at_biceps, at_triceps = predict_positions(p, q, i)
+        at_biceps += q.correction_biceps[i]
+        at_triceps += q.correction_triceps[i]
+        biceps, triceps = look_up(p.force_table, at_biceps), look_up(p.force_table, at_triceps)
+        slope_biceps, slope_triceps = slope_at(p, g, at_biceps), slope_at(p, g, at_triceps)
         slider_biceps = estimate_force(p.estimate_table, s.measured_biceps[i], p.max_spring_deflection)
         slider_triceps = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
-        q.bias_biceps[i] = next_bias(q.bias_biceps[i], slider_biceps, biceps, g.slider_time, period)
-        q.bias_triceps[i] = next_bias(q.bias_triceps[i], slider_triceps, triceps, g.slider_time, period)
-        q.force_biceps[i] = max(biceps + q.bias_biceps[i], 0.0)
-        q.force_triceps[i] = max(triceps + q.bias_triceps[i], 0.0)
+        q.correction_biceps[i] = next_correction(
+            q.correction_biceps[i], slider_biceps, biceps, slope_biceps, g.slider_time, period
+        )
+        q.correction_triceps[i] = next_correction(
+            q.correction_triceps[i], slider_triceps, triceps, slope_triceps, g.slider_time, period
+        )
+        q.force_biceps[i], q.force_triceps[i] = biceps, triceps
+        q.slope_biceps[i] = slope_biceps * p.inverse_max_deflection
+        q.slope_triceps[i] = slope_triceps * p.inverse_max_deflection
         q.saturated_biceps[i] = at_biceps >= 1.0 or s.measured_biceps[i] >= p.slider_end
         q.saturated_triceps[i] = at_triceps >= 1.0 or s.measured_triceps[i] >= p.slider_end
-
-
-@compiled
-def slope_at(p, g, force):
-    """Return the slope of a spring [N/m] at a force [N], limited from below."""
-    slope = look_up_slope(p.force_table, find_position(p.force_table, g.position_table, force))
-    return max(slope, g.slope_floor * g.max_force) * p.inverse_max_deflection
 
 
 @compiled
@@ -416,6 +429,15 @@ def estimate_stiffness(p, g, s, i):
 
 
 @compiled_lanes
+def find_jump_jerk(g, q, first, end):
+    """Set the jerk of what is left of the setpoint's jumps."""
+    for i in range(first, end):
+        begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
+        elapsed = q.last_time[i] - q.jump_time[i]
+        q.jump_jerk[i] = remaining_jerk(g.reference_shape, *begun, elapsed, g.reference_time)
+
+
+@compiled_lanes
 def run_feedback_linearisation(p, g, s, q, first, end):
     """Run `control.feedback_linearisation`."""
     for i in range(first, end):
@@ -428,14 +450,11 @@ def run_feedback_linearisation(p, g, s, q, first, end):
         fastest = p.joint_radius * g.max_force / g.inertia
         rate_jumps = abs(q.setpoint_acceleration[i]) > fastest
         reference_acceleration = q.reference_acceleration[i] - choose(rate_jumps, q.setpoint_acceleration[i], 0.0)
-        elapsed = q.last_time[i] - q.jump_time[i]
-        begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
-        jump_jerk = remaining_jerk(g.reference_shape, *begun, elapsed, g.reference_time)
         jerk = desired_jerk(
             q.reference[i] - angle,
             q.reference_rate[i] - velocity,
             reference_acceleration - acceleration,
-            jump_jerk,
+            q.jump_jerk[i],
             g.bandwidth,
         )
         torque = g.inertia * (reference_acceleration + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
@@ -444,19 +463,26 @@ def run_feedback_linearisation(p, g, s, q, first, end):
         wanted_biceps, wanted_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
         tension_rate = g.tension_bandwidth * 0.5 * (wanted_biceps + wanted_triceps - biceps - triceps)
         needed = jerk + 2.0 * decay * acceleration + weight_slope_at(g, angle) / g.inertia * velocity
-        slopes = slope_at(p, g, biceps), slope_at(p, g, triceps)
+        slopes = q.slope_biceps[i], q.slope_triceps[i]
         rate_biceps, rate_triceps = drive_rates(
             needed, tension_rate, velocity, slopes, g.inertia, p.drive_radius, p.joint_radius
         )
         still = velocity * p.joint_radius / p.drive_radius  # the drives' rate at which forces stay
         rate_biceps = min(rate_biceps, still) if q.saturated_biceps[i] else rate_biceps
         rate_triceps = max(rate_triceps, still) if q.saturated_triceps[i] else rate_triceps
-        taut = tautness(biceps, triceps, g.taut_force)
-        slack_biceps, slack_triceps = hold_reference(p, g, s, q, i)
-        biceps = q.model_biceps[i] + turn(p, g, rate_biceps) - q.trim_biceps[i]
-        triceps = q.model_triceps[i] + turn(p, g, rate_triceps) - q.trim_triceps[i]
-        q.biceps[i] = slack_biceps + taut * (biceps - slack_biceps)
-        q.triceps[i] = slack_triceps + taut * (triceps - slack_triceps)
+        q.tautness[i] = tautness(biceps, triceps, g.taut_force)
+        q.biceps[i] = q.model_biceps[i] + turn(p, g, rate_biceps) - q.trim_biceps[i]
+        q.triceps[i] = q.model_triceps[i] + turn(p, g, rate_triceps) - q.trim_triceps[i]
+
+
+@compiled_lanes
+def hand_over(p, g, s, q, first, end):
+    """Mix feed-forward into the commands where a string comes near slack: rarely, so that a branch is faster."""
+    for i in range(first, end):
+        if q.tautness[i] < 1.0:
+            biceps, triceps = hold_reference(p, g, s, q, i)
+            q.biceps[i] = biceps + q.tautness[i] * (q.biceps[i] - biceps)
+            q.triceps[i] = triceps + q.tautness[i] * (q.triceps[i] - triceps)
 
 
 @compiled_lanes
@@ -478,7 +504,7 @@ def run_torque(p, g, s, q, first, end):
         missing = torque - p.joint_radius * (biceps - triceps)
         missing = min(missing, 0.0) if q.saturated_biceps[i] else missing
         missing = max(missing, 0.0) if q.saturated_triceps[i] else missing
-        stiffness = p.joint_radius * p.joint_radius * (slope_at(p, g, biceps) + slope_at(p, g, triceps))
+        stiffness = p.joint_radius * p.joint_radius * (q.slope_biceps[i] + q.slope_triceps[i])
         rate = common_rate(missing, velocity, stiffness, g.torque_time, p.drive_radius, p.joint_radius)
         middle = 0.5 * (q.model_biceps[i] + q.model_triceps[i]) + turn(p, g, rate)
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)

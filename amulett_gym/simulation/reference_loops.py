@@ -388,7 +388,7 @@ class _Observing(Loop):
         self.motion = np.array([now.reference, 0.0])
         sliders = [float(self.device.slider_at(max(stretch, 0.0))) for stretch in self.stretches(now)]
         self.forces = np.array([self.device.slider_force(slider) for slider in sliders])
-        self.bias = self.forces - self.predicted(now)
+        self.correction = np.array([self.device.deflection(force) for force in self.forces]) - self.stretches(now)
         self.disturbance, self.acceleration = -self.model_acceleration(), 0.0
 
     def stretches(self, now: Reading) -> NDArray[np.float64]:
@@ -396,10 +396,6 @@ class _Observing(Loop):
         wound = self.device.joint_radius * self.motion[0]
         turned = self.device.drive_radius * np.array(now.drives)
         return np.array([turned[0] - wound, wound - turned[1]])
-
-    def predicted(self, now: Reading) -> NDArray[np.float64]:
-        """Return both string forces [N] by the model."""
-        return np.array([self.device.force(stretch) for stretch in self.stretches(now)])
 
     def decay(self) -> float:
         """Return delta [1/s]."""
@@ -421,20 +417,22 @@ class _Observing(Loop):
         gain = np.array([1.0 - kept**3, 1.5 * (1.0 - kept) ** 2 * (1.0 + kept) / h, (1.0 - kept) ** 3 / h**2])
         self.motion = state[:2] + gain[:2] * missed
         self.disturbance += gain[2] * missed
+        self.stretched = self.stretches(now) + self.correction
+        self.forces = np.array([self.device.force(stretch) for stretch in self.stretched])
         sliders = [self.device.slider_force(slider) for slider in (now.measured_biceps, now.measured_triceps)]
-        self.bias += (sliders - self.predicted(now) - self.bias) * h / (self.gains.slider_time + h)
-        self.forces = np.maximum(self.predicted(now) + self.bias, 0.0)
+        self.correction += (sliders - self.forces) / self.slopes() * h / (self.gains.slider_time + h)
         self.acceleration = self.model_acceleration() + self.disturbance
 
     def slopes(self) -> NDArray[np.float64]:
         """Return both springs' slopes [N/m], limited from below."""
         least = self.gains.slope_floor * self.device.max_force / self.device.end
-        return np.array([max(float(self.device.slope(self.device.deflection(f))), least) for f in self.forces])
+        within = (self.stretched >= 0.0) & (self.stretched <= self.device.end)
+        return np.maximum(np.where(within, self.device.slope(self.stretched), 0.0), least)
 
     def saturated(self, now: Reading) -> tuple[bool, bool]:
         """Return whether each string is at its spring's end."""
         end = self.device.slider_end
-        biceps, triceps = self.stretches(now) >= self.device.end
+        biceps, triceps = self.stretched >= self.device.end
         return bool(biceps or now.measured_biceps >= end), bool(triceps or now.measured_triceps >= end)
 
     def turn(self, rate: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amulett_gym.control.force_estimate import next_bias
+from amulett_gym.control.force_estimate import next_correction
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks.scenario import Scenario, pack
@@ -14,10 +14,10 @@ TESTBED = load_profile("testbed")
 
 
 def test_a_constant_difference_is_found_within_the_time_constant():
-    bias = 0.0
-    for _ in range(200):
-        bias = next_bias(bias, 7.0, 5.0, 0.1, 0.0025)
-    assert bias == pytest.approx(2.0 * (1.0 - (0.1 / 0.1025) ** 200))
+    correction = 0.0
+    for _ in range(200):  # of a string with a slope of 4 N
+        correction = next_correction(correction, 7.0, 5.0 + 4.0 * correction, 4.0, 0.1, 0.0025)
+    assert correction == pytest.approx(0.5 * (1.0 - (0.1 / 0.1025) ** 200))
 
 
 @pytest.mark.parametrize("control", ["feedback-linearisation", "torque"])

@@ -365,7 +365,12 @@ def test_minimal_motion_does_not_move_the_drives_only_to_soften():
 
 @pytest.mark.parametrize(
     ("control", "tension", "ise", "settling"),
-    [("cascade", 8.07, 190.0, 0.179), ("computed-torque", 5.0, 236.0, 0.24), ("minimal-motion", 5.0, 236.0, 0.24)],
+    [
+        ("cascade", 8.07, 190.0, 0.179),
+        ("computed-torque", 5.0, 236.0, 0.24),
+        ("minimal-motion", 5.0, 236.0, 0.24),
+        ("feedback-linearisation", 8.0, 153.0, 0.218),
+    ],
 )
 def test_the_step_of_the_paper_is_as_good_as_a_prototype(control, tension, ise, settling):
     keys = episode_keys(np.arange(8, dtype=np.uint64), np.zeros(8, dtype=np.uint64), "held-out")
@@ -375,3 +380,13 @@ def test_the_step_of_the_paper_is_as_good_as_a_prototype(control, tension, ise, 
     simulation.advance(2000)
     assert simulation.read("position_ise").mean() * np.degrees(1.0) ** 2 < 1.1 * ise
     assert (simulation.read("inside_since") - simulation.read("step_start")).mean() < 1.1 * settling
+
+
+def test_a_device_far_from_its_profile_does_not_run_away_in_the_torque_loop():
+    # Its pulleys make the drive model predict a string beyond its spring's end, which is not there.
+    keys = episode_keys(np.array([62, 133], dtype=np.uint64), np.zeros(2, dtype=np.uint64), "shifted")
+    simulation = Simulation(TESTBED, 2, "torque")
+    simulation.reset(sample("mixed", keys, TESTBED, split="shifted"))
+    simulation.command_tension(8.0)
+    simulation.advance(1100)
+    assert not simulation.read("failure").any()
