@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.studies.benchmark.description import PAPER_STEP
@@ -18,6 +19,13 @@ TRADE = 1.02
 """Largest ratio to eq. 6's value of a metric of Tables 2-5."""
 
 HALF = 0.5
+
+BEST_LOOP_SHARE = 0.5
+"""Largest share of eq. 6's cost on the paper's step that the best loop may have, on *full control*."""
+
+FEWEST_FAMILIES = 3
+"""Fewest families in which a schedule learned in the best loop costs less than a constant, on *full control*."""
+
 SEED_SHARE = 0.9
 MOST_SECONDS = 300.0
 """Duration of one training run."""
@@ -44,8 +52,13 @@ Judge = Callable[[Any, Any, Any], bool]
 
 
 def check_claims(found: Content) -> list[Claim]:
-    """Return all claims about the headline's learned entry, judged; none if nothing was learned, or on a quick run."""
+    """Return all claims, judged; none on a quick run.
+
+    On the track *schedule* they are about the headline's learned entry: none if nothing was learned.
+    """
     best = found["best_learned"]
+    if found.get("track") == FULL_CONTROL:
+        return [] if found.get("quick") else _on_full_control(found)
     if best is None or found.get("quick"):
         return []
     parts = (_on_held_out, _on_shares, _on_shifted, _on_paper_step, _on_seeds)
@@ -170,6 +183,37 @@ def _on_seeds(found: Content, best: str) -> list[Claim]:
     text = f"one training takes at most {MOST_SECONDS / 60:.0f} minutes on 2 cores"
     note = "seconds, the longest of all seeds, on the machine that trained"
     return [seeds, Claim("training", text, longest, None, None, longest <= MOST_SECONDS, note)]
+
+
+def _on_full_control(found: Content) -> list[Claim]:
+    """Return the claims of the track *full control*: about the best loop on the paper's step, and about scheduling."""
+    headline, overall = found["description"]["headline"], found["constants"]["overall"]
+    step, chosen = found["results"].get(f"{PAPER_STEP}/held-out"), found["constants"]["best"].get(PAPER_STEP)
+    ratio = None if step is None else step[chosen]["ratio"][YARDSTICK]
+    text = f"the best loop with its best constant has at most {BEST_LOOP_SHARE} of eq. 6's full-control cost"
+    claims = [_claim(PAPER_STEP, text, ratio, _at_most(BEST_LOOP_SHARE), f"{chosen}, chosen on train; ratio of costs")]
+    if step is not None:
+        shares = {name: step[name]["ratio_of_commands"] for name in found["constants"]["best_by_loop"][PAPER_STEP]}
+        name = min(shares, key=lambda name: shares[name]["mean"])
+        note = f"{name}; gains tuned by the full-control cost; reported only"
+        text = "the same, by the cost of the track schedule without its tension term"
+        claims.append(_claim(PAPER_STEP, text, shares[name], None, note))
+    loop = found["entries"][overall]["loop"]
+    learned = [name for name, entry in found["entries"].items() if entry["kind"] == "learned" and entry["loop"] == loop]
+    about = f"{headline}, held-out"
+    for name in learned or [""]:
+        ratios = {key: family["ratio_to_constant"].get(name) for key, family in found["families"].items()}
+        lower = [key for key, ratio in ratios.items() if ratio and ratio["high"] is not None and ratio["high"] < 1.0]
+        text = f"{name or 'a schedule learned'} in {loop}, the best loop, costs less than {overall} in at least"
+        number = {"mean": float(len(lower)), "low": None, "high": None} if name else None
+        note = f"families with an interval below 1: {', '.join(lower) or 'none'}" if name else "nothing learned there"
+        text = f"{text} {FEWEST_FAMILIES} families"
+        claims.append(_claim(about, text, number, lambda mean, low, high: mean >= FEWEST_FAMILIES, note))
+    goal = found["references"]["clairvoyant"].get(headline)
+    for key, family in found["families"].items() if goal is not None else ():
+        text = f"clairvoyant schedules in {loop}, relative to {overall}: {key}"
+        claims.append(_claim(about, text, family.get("clairvoyant"), None, "ratio of costs; reported only"))
+    return claims
 
 
 def _below_one(mean: float, low: float | None, high: float | None) -> bool:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from amulett_gym.envs.reward import COST_TERMS
+from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
+from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE
+from amulett_gym.envs.settings import ControlLoop, CostTrack
 from amulett_gym.errors import unknown
 from amulett_gym.evaluation.runner import MOST_EPISODES
-from amulett_gym.laws.contenders import CONSTANT, contender_names
+from amulett_gym.laws.contenders import CONSTANT, contender_names, split_loop
+from amulett_gym.laws.parametric import LAWS
 from amulett_gym.learning import load_learning
 from amulett_gym.profile import Positive, Profile, load_profile
 from amulett_gym.settings import Group, configs_folder, describe, find_config
+from amulett_gym.simulation.layout import CONTROLS, LOOPS, Control
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.tasks.suites import suite_names
 
@@ -23,6 +27,9 @@ PAPER_STEP = "paper-step"
 """A suite of one scenario and its noise; it has no shifted split of its own."""
 
 Split = Literal["held-out", "shifted"]
+
+PAPERS: Control = CONTROLS[0]
+"""The paper's loop; contenders in it are named without a loop."""
 
 
 class Learned(Group):
@@ -82,6 +89,12 @@ class Bootstrap(Group):
 class Benchmark(Group):
     """A benchmark."""
 
+    track: CostTrack = Field(
+        default=SCHEDULE, description="what is compared: laws in the paper's loop (schedule), or in all (full-control)"
+    )
+    loops: list[ControlLoop] = Field(
+        default=[], description="control loops in which laws are compared; none: all that take a tension, of the track"
+    )
     profile: str = Field(default="testbed", description="a shipped profile, or a YAML file in the description's folder")
     suites: list[str] = Field(
         default=["mixed", "steps", "reach", "track", "pick-place", "contact", "hold-push", "payload", PAPER_STEP],
@@ -99,10 +112,13 @@ class Benchmark(Group):
         default=["position-only", "eq6", "eq6-printed", "eq6-tuned", "parametric"],
         description="laws or policy bundles to compare",
     )
+    tuned_budget: dict[str, Annotated[int, Field(ge=1)]] = Field(
+        default={}, description="law that is tuned in each loop -> simulated episodes, the same for each loop"
+    )
     constants: list[float] = Field(
         default=[4.0, 4.5, 5.0, 5.25, 5.5, 6.0, 6.5, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0],
         min_length=1,
-        description="constant tensions; the best are chosen on the split train [N]",
+        description="constant tensions, each in the loops whose range holds it; the best are chosen on train [N]",
     )
     learned: dict[str, Learned] = Field(
         default={
@@ -118,14 +134,41 @@ class Benchmark(Group):
         default=list(COST_TERMS), description="reward terms left out, one at a time, in further trainings of that entry"
     )
     clairvoyant: Clairvoyant = Field(default=Clairvoyant(), description="search for schedules with the future known")
+    optimal: int = Field(
+        default=0, ge=0, le=MOST_EPISODES, description="first headline scenarios solved by optimal control [scenarios]"
+    )
     bootstrap: Bootstrap = Field(default=Bootstrap(), description="bootstrap of the intervals")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_loops(cls, given: Any) -> Any:
+        if isinstance(given, Mapping) and given.get("track") == FULL_CONTROL and not given.get("loops"):
+            return {**given, "loops": [PAPERS, *LOOPS]}
+        return given
+
+    @model_validator(mode="after")
+    def _check_track(self) -> Benchmark:
+        if self.track == SCHEDULE:
+            for key in ("loops", "tuned_budget", "optimal"):
+                if getattr(self, key):
+                    raise ValueError(f"'{key}' is of the track {FULL_CONTROL}; the track is {SCHEDULE}")
+        elif PAPERS not in self.loops or "position-only" in self.loops:
+            raise ValueError(f"'loops' has to hold {PAPERS}, in which the baseline acts, and none without a tension")
+        for law in self.tuned_budget:
+            if law not in LAWS:
+                raise unknown("law that can be tuned", law, LAWS)
+            if law in self.contenders:
+                raise ValueError(f"'{law}' is tuned in each loop (tuned_budget), and named in 'contenders', too")
+        if self.optimal > self.episodes or self.optimal == 1:
+            raise ValueError(f"optimal is {self.optimal}; it has to be 0, or from 2 to episodes, {self.episodes}")
+        return self
 
     @model_validator(mode="after")
     def _check(self) -> Benchmark:
         for suite in (*self.suites, self.headline):
             if suite not in suite_names():
                 raise unknown("suite", suite, suite_names())
-        for key in ("suites", "splits", "contenders", "constants", "ablations"):
+        for key in ("loops", "suites", "splits", "contenders", "constants", "ablations"):
             values = getattr(self, key)
             if len(set(values)) < len(values):
                 raise ValueError(f"'{key}' names something twice")
@@ -134,11 +177,15 @@ class Benchmark(Group):
         if self.headline not in self.suites:
             raise ValueError(f"headline is '{self.headline}', which is none of the suites")
         for tension in self.constants:
-            if not 4.0 <= tension <= 15.0:
-                raise ValueError(f"'constants' holds {tension} N; the default actions reach from 4 to 15 N")
+            if not any(_holds(loop, tension) for loop in self.loops or [PAPERS]):
+                low, high = map(min, zip(*map(_range, self.loops or [PAPERS]), strict=True))
+                raise ValueError(f"'constants' holds {tension} N; the default actions reach from {low:g} to {high:g} N")
         for name in self.learned:
-            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", name) or name in contender_names():
+            loop, own = split_loop(name)
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", own) or own in contender_names():
                 raise ValueError(f"'{name}' cannot be a learned entry's name: use up to 40 letters, digits and dashes")
+            if loop and self.track == SCHEDULE:
+                raise ValueError(f"learned entry '{name}' is in another loop; the track is {SCHEDULE}")
         if self.learned and self.best_learned not in self.learned:
             raise unknown("learned entry", self.best_learned, self.learned)
         if self.learned and self.learned[self.best_learned].reference:
@@ -160,18 +207,49 @@ class Benchmark(Group):
         return [pair for pair in pairs if pair != (PAPER_STEP, "shifted")]
 
     def constant_names(self) -> list[str]:
-        """Return the constants' names as contenders."""
-        return [f"{CONSTANT}{tension:g}" for tension in self.constants]
+        """Return the constants' names as contenders, loop by loop."""
+        return [
+            named(loop, f"{CONSTANT}{tension:g}")
+            for loop in self.loops or [PAPERS]
+            for tension in self.constants
+            if _holds(loop, tension)
+        ]
+
+    def law_names(self) -> list[str]:
+        """Return the laws' names as contenders, loop by loop; those that name a loop themselves are in no other."""
+        own = [name for name in self.contenders if split_loop(name)[0] or name == "position-only"]
+        laws = [named(loop, name) for loop in self.loops or [PAPERS] for name in self.contenders if name not in own]
+        return [*own, *laws]
 
 
-QUICK_EPISODES, QUICK_SEEDS, QUICK_STEPS = 20, 2, 131_072
+def named(loop: str, law: str) -> str:
+    """Return a contender's name by its loop and law."""
+    return law if loop == PAPERS else f"{loop}/{law}"
+
+
+def loop_of(name: str) -> Control:
+    """Return the loop of a contender's name."""
+    return cast(Control, split_loop(name)[0] or PAPERS)
+
+
+def _range(loop: Control) -> tuple[float, float]:
+    return FEED_FORWARD_RANGE if loop in LOOPS else TENSION_RANGE
+
+
+def _holds(loop: Control, tension: float) -> bool:
+    low, high = _range(loop)
+    return low <= tension <= high
+
+
+QUICK_EPISODES, QUICK_SEEDS, QUICK_STEPS, QUICK_BUDGET = 20, 2, 131_072, 12_000
 
 
 def quick(description: Benchmark) -> Benchmark:
     """Return a small benchmark of the same parts, about a minute of CPU time, as a test of the installation.
 
     The headline suite, `contact`, `hold-push` and `paper-step`, few scenarios, every fourth constant, two seeds of
-    short training of the entry that the claims are about, no ablations, a shallow search. Claims are not judged by it.
+    short training of the entry that the claims are about, no ablations, a shallow search. On *full control* the paper's
+    loop, that of this entry, and one more, with short tuning. Claims are not judged by it.
     """
     wanted = (description.headline, "contact", "hold-push", PAPER_STEP)
     learned = {}
@@ -181,9 +259,14 @@ def quick(description: Benchmark) -> Benchmark:
         learned[description.best_learned] = entry.model_copy(
             update={"seeds": entry.seeds[:QUICK_SEEDS], "set": [*entry.set, *short]}
         )
+    loops = [loop_of(description.best_learned), *LOOPS]
+    loops = [PAPERS, *[loop for loop in dict.fromkeys(loops) if loop in description.loops and loop != PAPERS][:2]]
     return Benchmark.model_validate(
         {
             **description.model_dump(),
+            "loops": loops if description.loops else [],
+            "tuned_budget": {law: min(budget, QUICK_BUDGET) for law, budget in description.tuned_budget.items()},
+            "optimal": min(description.optimal, 2),
             "suites": [suite for suite in description.suites if suite in wanted],
             "episodes": min(description.episodes, QUICK_EPISODES),
             "constants": description.constants[::4],
@@ -194,6 +277,7 @@ def quick(description: Benchmark) -> Benchmark:
                 "check": 2,
                 "draws": min(description.clairvoyant.draws, 2),
                 "effort": 0.1,
+                "starts": description.clairvoyant.starts,
             },
             "bootstrap": {"resamples": min(description.bootstrap.resamples, 1000)},
         }
@@ -225,9 +309,14 @@ def recipe_folder(path: str | Path | None) -> Path:
 
 def load_profile_of(description: Benchmark, folder: Path) -> Profile:
     """Return the device that a description names; a file's path is relative to the description's `folder`."""
+    return load_profile(profile_of(description, folder))
+
+
+def profile_of(description: Benchmark, folder: Path) -> str | Path:
+    """Return the name or the file of that device."""
     name = description.profile
     is_file = Path(name).suffix.lower() in (".yaml", ".yml")
-    return load_profile(find_config(name, "profile", folder) if is_file else name)
+    return find_config(name, "profile", folder) if is_file else name
 
 
 def training_recipe(entry: Learned, seed: int, folder: Path, more: Sequence[str] = ()) -> Any:

@@ -1,10 +1,11 @@
-"""The generated part of ``docs/benchmark.md``."""
+"""The generated part of ``docs/benchmark.md``, or of ``docs/full-control.md``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.reporting.document import image, marks, update_document
 from amulett_gym.reporting.words import pretty
 from amulett_gym.studies.benchmark.claims import Claim
@@ -22,6 +23,9 @@ MARKS = marks("amulett benchmark")
 SHOWN = ("score", "pareto", "law", "law_by_velocity", "learning", "families")
 """Figures of the document."""
 
+SHOWN_OF_LOOPS = ("pareto", "families", "constants", "responses", "law", "learning")
+"""Figures of the document on the track *full control*."""
+
 
 def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure], path: str | Path) -> None:
     """Renew the generated part of a document, and its figures in the folder ``images`` next to it.
@@ -31,13 +35,15 @@ def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str
     AmulettError
         As `reporting.document.check_document`.
     """
-    shown = [name for name in SHOWN if name in figures]
+    full = found["track"] == FULL_CONTROL
+    shown = [name for name in (SHOWN_OF_LOOPS if full else SHOWN) if name in figures]
+    title = "full_control" if full else "benchmark"
     parts = [
         "" if found["command"] is None else f"`{found['command']}` on {found['machine']}",
         pretty(f"**{verdict(found, claims)}**"),
         pretty("\n".join(f"- {line}" for line in not_met(claims))),
         *(pretty(table.markdown()) for table in tables(found, claims).values()),
-        *(image(f"benchmark_{name}", CAPTIONS[name]) for name in shown),
+        *(image(f"{title}_{name}", CAPTIONS[name]) for name in shown),
     ]
-    files = {f"benchmark_{name}": figures[name] for name in shown}
+    files = {f"{title}_{name}": figures[name] for name in shown}
     update_document(path, {MARKS: "\n\n".join(filter(None, parts))}, files)

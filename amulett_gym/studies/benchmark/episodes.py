@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import prices
+from amulett_gym.envs.reward import SCHEDULE, prices
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
 from amulett_gym.jit.code_cache import fingerprint
@@ -64,7 +64,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
     settings = [
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
         *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
-        prices(protocol.profile, protocol.suite),
+        prices(protocol.profile, protocol.suite, track=contender.env_keywords.get("track", SCHEDULE)),
     ]
     name = contender.policy_name or contender.name
     acting: list[Any] = [name]

@@ -11,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.evaluation import plots
 from amulett_gym.evaluation.episode import record_episode
-from amulett_gym.evaluation.metrics import METRICS
+from amulett_gym.evaluation.metrics import EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
-from amulett_gym.laws.contenders import constant_tension
+from amulett_gym.laws.contenders import constant_tension, split_loop
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, FuncFormatter
 from amulett_gym.reporting.words import pretty
 from amulett_gym.simulation.trajectory import Trajectory
-from amulett_gym.studies.benchmark.description import PAPER_STEP
+from amulett_gym.studies.benchmark.description import PAPER_STEP, loop_of
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
 from amulett_gym.studies.benchmark.runs import learning_curve
 from amulett_gym.studies.benchmark.stages import Evidence
@@ -39,6 +40,8 @@ _REFERENCES = ((style.ORANGE, "^"), ("#B8860B", "^"))
 _ABLATION = ("#c9a0a0", ".")
 _BEST_CONSTANT = (style.BLUE, "o")
 _SUITES = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
+_LOOPS = (*_SUITES[1:], style.OLIVE, style.INDIGO, style.GREY)
+_MARKERS = {"constant": "o", "law": "s", "own": "h", "learned": "P", "reference": "^", "ablation": "."}
 
 SPEED_LIMIT = 120.0
 """Largest joint rate that the law is drawn for [deg/s]."""
@@ -74,11 +77,23 @@ def draw(evidence: Evidence, found: Content) -> dict[str, Figure]:
 
 
 def styles(found: Content) -> dict[str, tuple[str, str]]:
-    """Return a colour and a marker for each entry: eq. 6 is black, what was learned is red."""
+    """Return a colour and a marker for each entry: eq. 6 is black, what was learned is red.
+
+    On *full control* the colour is that of the loop, and the marker that of the kind.
+    """
+    if found["track"] == FULL_CONTROL:
+        colours = loop_colours(found)
+        own = {name: (colours[entry["loop"]], _MARKERS[entry["kind"]]) for name, entry in found["entries"].items()}
+        return {**own, YARDSTICK: _LAWS[YARDSTICK]}
     laws, constants, ablations = cycle(_OTHER_LAWS), cycle([_BEST_CONSTANT]), cycle([_ABLATION])
     palettes = {"law": laws, "own": laws, "constant": constants, "ablation": ablations}
     palettes |= {"learned": cycle(_LEARNED), "reference": cycle(_REFERENCES)}
     return {name: _LAWS.get(name) or next(palettes[entry["kind"]]) for name, entry in found["entries"].items()}
+
+
+def loop_colours(found: Content) -> dict[str, str]:
+    """Return a colour for each control loop."""
+    return dict(zip(dict.fromkeys(entry["loop"] for entry in found["entries"].values()), cycle(_LOOPS)))
 
 
 @style.styled
@@ -149,13 +164,13 @@ def _dots(
 def pareto_figure(found: Content) -> Figure:
     """Draw position ISE against both drives' ISAV, and contact torque against push deflection, as ratios to eq. 6's."""
     headline = f"{found['description']['headline']}/held-out"
-    pairs = [(("position_ise", headline), ("effort", headline))]
+    pairs = [(("position_ise", headline), (EFFORT_OF[found["track"]], headline))]
     if {"contact/held-out", "hold-push/held-out"} <= set(found["results"]):
         pairs.append((("contact_peak", "contact/held-out"), ("push_deflection", "hold-push/held-out")))
     looks = styles(found)
     figure, panels = style.panel_grid(len(pairs), 2, 0.0, 4.9)
     for panel, axes in zip(panels, pairs, strict=True):
-        constants = []
+        constants: dict[str, list[tuple[float, float, float]]] = {}
         panel.axhline(1.0, color=style.GREY, linewidth=0.7)
         panel.axvline(1.0, color=style.GREY, linewidth=0.7)
         for name, entry in found["entries"].items():
@@ -163,14 +178,15 @@ def pareto_figure(found: Content) -> Figure:
             if across["mean"] is None or up["mean"] is None:
                 continue
             if entry["kind"] == "constant":
-                constants.append((constant_tension(name), across["mean"], up["mean"]))
+                constants.setdefault(entry["loop"], []).append((_newtons(name), across["mean"], up["mean"]))
             if not is_main(found, name):
                 continue
             style.draw_dot(panel, across, up, *looks[name], label(found, name), zorder=4)
-        line = np.array(sorted(constants))
-        panel.plot(line[:, 1], line[:, 2], color=style.BLUE, linewidth=0.9, marker=".", markersize=4, alpha=0.8)
-        for tension, x, y in line[:: max(len(line) // 4, 1)]:
-            panel.annotate(f"{tension:g} N", (x, y), (4, 4), textcoords="offset points", fontsize=7, color=style.BLUE)
+        for loop, tried in constants.items():
+            line, colour = np.array(sorted(tried)), loop_colours(found)[loop]
+            panel.plot(line[:, 1], line[:, 2], color=colour, linewidth=0.9, marker=".", markersize=4, alpha=0.8)
+            for tension, x, y in line[:: max(len(line) // 4, 1)] if len(constants) == 1 else ():
+                panel.annotate(f"{tension:g} N", (x, y), (4, 4), textcoords="offset points", fontsize=7, color=colour)
         for put, (key, place) in zip((panel.set_xlabel, panel.set_ylabel), axes, strict=True):
             metric, suite = METRICS[key], "" if place == headline else f" on {place.split('/')[0]}"
             one = pretty(f"{metric.text(found['results'][place][YARDSTICK]['metrics'][key]['mean'])} {metric.unit}")
@@ -191,10 +207,19 @@ def _to_eq6(found: Content, place: str, name: str, metric: str) -> Mapping[str, 
 
 @style.styled
 def constants_figure(found: Content) -> Figure:
-    """Draw the cost of each constant on each suite's split `train`, the lowest marked."""
+    """Draw the cost of each constant on each suite's split `train`, the lowest marked.
+
+    On *full control*: in each loop on the headline suite.
+    """
+    tried = found["constants"]["tried"]
+    curves, what = tried, "suite"
+    if found["track"] == FULL_CONTROL:
+        overall, what, curves = tried[found["description"]["headline"]], "control loop", {}
+        for name, cost in overall.items():
+            curves.setdefault(loop_of(name), {})[name] = cost
     figure, panel = style.one_panel(3.7)
-    for k, (suite, costs) in enumerate(found["constants"]["tried"].items()):
-        tensions, means = [constant_tension(name) for name in costs], np.array(list(costs.values()))
+    for k, (suite, costs) in enumerate(curves.items()):
+        tensions, means = [_newtons(name) for name in costs], np.array(list(costs.values()))
         colour, best = _SUITES[k % len(_SUITES)], int(means.argmin())
         dashes = "-" if k < len(_SUITES) else "--"
         panel.plot(
@@ -203,9 +228,14 @@ def constants_figure(found: Content) -> Figure:
         panel.plot(tensions[best], 1.0, color=colour, marker="o", markersize=6, markeredgecolor="white", zorder=5)
     panel.set_ylim(0.97, min(max(panel.get_ylim()[1], 1.1), 2.0))
     panel.set_xlabel("constant tension setpoint [N]")
-    panel.set_ylabel("cost, divided by that of\nthe suite's best constant")
-    style.legend_beside(panel, title="suite: its best constant")
+    panel.set_ylabel(f"cost, divided by that of\nthe {what}'s best constant")
+    style.legend_beside(panel, title=f"{what}: its best constant")
     return figure
+
+
+def _newtons(name: str) -> float:
+    """Return the tension of a constant, in any loop [N]."""
+    return constant_tension(split_loop(name)[1])
 
 
 def _curves(evidence: Evidence) -> dict[str, list[NDArray[np.float64]]]:
@@ -322,6 +352,8 @@ def worst_figure(evidence: Evidence, found: Content) -> Figure:
 
 def _main(evidence: Evidence) -> list[str]:
     learned = [name for name, entry in evidence.entries.items() if entry.kind in ("learned", "reference")]
+    if evidence.description.track == FULL_CONTROL:
+        return [YARDSTICK, *evidence.best_constants(), *learned[:MOST_MEMBERS]]
     asked = (YARDSTICK, evidence.best_constant(), TUNED_EQ6, TUNED_LAW, POSITION_ONLY, *learned[:MOST_MEMBERS])
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
 
@@ -342,7 +374,8 @@ def resting_figure(found: Content) -> Figure:
     headline = f"{found['description']['headline']}/held-out"
     pushed = "hold-push/held-out" if "hold-push/held-out" in found["results"] else headline
     shown = (("resting_stiffness", headline), ("push_deflection", pushed))
-    names = list(found["entries"])
+    full = found["track"] == FULL_CONTROL
+    names = [name for name in found["entries"] if not full or is_main(found, name)]
     looks = styles(found)
     figure, panels = style.panel_grid(2, 2, 0.0, 0.9 + 0.2 * len(names), sharey=True)
     for panel, (key, place) in zip(panels, shown, strict=True):
@@ -363,7 +396,7 @@ def profiles_figure(found: Content) -> Figure:
     figure, panel = style.one_panel(4.0)
     costs = profiles["costs"]
     for name, shares in profiles.items():
-        if name == "costs":
+        if name == "costs" or (found["track"] == FULL_CONTROL and not is_main(found, name)):
             continue
         colour = looks[name][0]
         panel.plot(costs, [share["mean"] for share in shares], color=colour, label=label(found, name))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.envs.reward import COST_CAP, default_weights, divisors, prices
+from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, SCHEDULE, Track, default_weights, divisors, prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.random import keys_from_seeds
@@ -19,8 +19,11 @@ from amulett_gym.tasks.suites import SPLITS, episode_keys, families_of, suite_na
 PRICES_SHA256 = "e5e4393edbb6a45a15900136442047d3e4d33a07c43eb787462b31f6dd4bed46"
 """SHA-256 of the divisors and weights of all suites on the shipped testbed, from `price_hash`."""
 
+PRICES_OF = {SCHEDULE: PRICES_SHA256, FULL_CONTROL: "5b6dd4606f431d4bc8158c9219c0c8aedad27f6069e19c2d3a3bab66ab560904"}
+"""The same by track."""
 
-def check_frozen(suites: Sequence[str]) -> None:
+
+def check_frozen(suites: Sequence[str], track: Track = SCHEDULE) -> None:
     """Raise AmulettError if a suite, a divisor or a weight differs from the frozen one."""
     profile, committed = load_profile(PROFILE), frozen()["hashes"]
     changed = [
@@ -34,28 +37,28 @@ def check_frozen(suites: Sequence[str]) -> None:
             f"these suites draw other scenarios than those that were frozen (tasks/hashes.json): {', '.join(changed)}; "
             "a change of a suite goes with a new version"
         )
-    if price_hash(profile) != PRICES_SHA256:
+    if price_hash(profile, track) != PRICES_OF[track]:
         raise AmulettError(
             "the divisors or weights of the cost are not those that were frozen (studies/benchmark/frozen.py); "
             "a change of them goes with a new version"
         )
 
 
-def price_hash(profile: Profile) -> str:
-    """Return the SHA-256 of all that turns raw metrics into a cost on a profile: divisors, weights, cap."""
+def price_hash(profile: Profile, track: Track = SCHEDULE) -> str:
+    """Return the SHA-256 of all that turns raw metrics into a track's cost on a profile: divisors, weights, cap."""
     content: list[Any] = [COST_CAP]
     for suite in suite_names():
         for family in families_of(suite):
-            content.append([suite, family, default_weights(family), divisors(profile, suite, family)])
-        content.append(prices(profile, suite).tolist())
+            content.append([suite, family, default_weights(family, track), divisors(profile, suite, family, track)])
+        content.append(prices(profile, suite, track=track).tolist())
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
-def hashes(profile: Profile, suites: Iterable[str]) -> dict[str, Any]:
+def hashes(profile: Profile, suites: Iterable[str], track: Track = SCHEDULE) -> dict[str, Any]:
     """Return the hashes of the suites' splits and prices on a benchmark's own profile: its numbers depend on them."""
     return {
         "suites": {suite: {split: suite_hash(suite, split, profile) for split in SPLITS} for suite in suites},
-        "prices": price_hash(profile),
+        "prices": price_hash(profile, track),
         "profile": hashlib.sha256(profile.model_dump_json().encode()).hexdigest(),
     }
 

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
+from amulett_gym.envs.reward import SCHEDULE
+from amulett_gym.evaluation.metrics import COST_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import fill
@@ -34,9 +36,8 @@ CAPTIONS = {
     "score": "Score on each suite's first held-out scenarios (their number in parentheses), with 95 % intervals. "
     "Arrows: beyond the axis.",
     "ratios": "Cost divided by eq. 6's in the same scenarios, by suite and split, with 95 % intervals.",
-    "pareto": "Ratios to eq. 6's values, with paired 95 % intervals. Left: effort (ISAV without the setpoint's jump) "
-    "over position ISE. Right: deflection of a held posture under pushes over the peak torque of a contact. Blue "
-    "line: the constants. Lower left is better.",
+    "pareto": "Ratios to eq. 6's values, with paired 95 % intervals. Left: effort over position ISE. Right: deflection "
+    "of a held posture under pushes over the peak torque of a contact. Lines: the constants. Lower left is better.",
     "law": "Tension setpoint over position error. Black: both forms of eq. 6 (the paper's Figure 6). Dots: agent steps "
     "of up to 100 held-out scenarios; thick lines: medians while the joint moves towards the setpoint, stands or moves "
     "away. Of a learned policy, the training seed with the lowest validation cost is shown.",
@@ -46,8 +47,8 @@ CAPTIONS = {
     "profiles": "Performance profiles: the share of episodes whose cost is at most the value on the axis; for learned "
     "policies with 95 % intervals.",
     "families": "The main suite by family: cost divided by eq. 6's, with the number of scenarios in parentheses.",
-    "constants": "Cost of a constant tension on each suite's split train, divided by that of the suite's best "
-    "constant: the best constant depends on the suite.",
+    "constants": "Cost of a constant tension on the split train, divided by that of the best constant: the best "
+    "constant depends on the suite, and on the control loop.",
     "learning": "Validation cost of every training run over agent steps and over wall-clock time. Dotted: cost of the "
     "laws on the same scenarios.",
     "resting": "Resting stiffness, and deflection under pushes: shows whether a cost is low only because the arm is "
@@ -110,12 +111,13 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
     results, best, law = found["results"][place], found["best_learned"], found["best_by_hand"]
     scenarios = f"{found['description']['episodes']} held-out scenarios of {found['description']['headline']}"
     costs = number(results[law]["ratio"][YARDSTICK]["mean"])
+    cost = METRICS[COST_OF[found.get("track", SCHEDULE)]].name
     if best is None:
-        return f"Nothing was learned. The best tuned law, {law}, has {costs} of eq. 6's cost in {scenarios}."
+        return f"Nothing was learned. The best tuned law, {law}, has {costs} of eq. 6's {cost} in {scenarios}."
     seeds = len(found["entries"][best]["seeds"])
     text = (
         f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, has "
-        f"{with_interval(results[best]['ratio'][YARDSTICK])} of eq. 6's cost in {scenarios}; the best tuned law, "
+        f"{with_interval(results[best]['ratio'][YARDSTICK])} of eq. 6's {cost} in {scenarios}; the best tuned law, "
         f"{law}, has {costs}."
     )
     if found.get("quick"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
+from amulett_gym.envs.reward import Track
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, Run, play_alone
 from amulett_gym.evaluation.search.clairvoyant import Effort, Reference, clairvoyant, replay
 from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.laws.contenders import Own, parse_contender
-from amulett_gym.studies.benchmark.description import Benchmark
+from amulett_gym.simulation.layout import Control
+from amulett_gym.studies.benchmark.description import Benchmark, loop_of, named
 
 CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"
 MOST_THREADS = 4
@@ -44,6 +47,15 @@ class Searched:
     foresight: Searched | None = None
 
 
+@dataclass(frozen=True)
+class Place:
+    """The control loop and the track of a search, and the laws from which it starts."""
+
+    loop: Control
+    track: Track
+    starts: tuple[str, ...]
+
+
 def protocols(description: Benchmark, protocol: Protocol) -> dict[str, Protocol]:
     """Return by suite the protocol under which its first held-out scenarios are searched."""
     there = replace(protocol, split="held-out", env_id=ENV_IDS[1])
@@ -61,6 +73,21 @@ def check_starts(description: Benchmark) -> None:
             raise AmulettError(f"clairvoyant.starts names '{name}', which acts inside the loop and has no schedule")
 
 
+def place(evidence: Any) -> Place:
+    """Return where schedules are searched: in the loop of the best constant, from its laws of the named starts.
+
+    Parameters
+    ----------
+    evidence : stages.Evidence
+    """
+    description, loop = evidence.description, loop_of(evidence.best_constant())
+    starts = []
+    for name in description.clairvoyant.starts:
+        entry = evidence.entries.get(named(loop, name))
+        starts.append(name if entry is None else entry.members[0].policy_name)
+    return Place(loop, description.track, tuple(starts))
+
+
 def rounds(description: Benchmark) -> int:
     """Return the number of rounds of all searches together."""
     settings, effort = description.clairvoyant, _effort(description)
@@ -71,10 +98,7 @@ def rounds(description: Benchmark) -> int:
 
 
 def search(
-    description: Benchmark,
-    protocol: Protocol,
-    folder: Path,
-    report: Callable[[int, str], object] = lambda rounds, what: None,
+    description: Benchmark, protocol: Protocol, folder: Path, report: Callable[[int, str], object], place: Place
 ) -> Searched:
     """Search for the best schedules of a suite's first held-out scenarios, or read those found before.
 
@@ -86,6 +110,7 @@ def search(
         Of the benchmark.
     report : callable
         Called with a number of finished rounds, and the label of the search.
+    place : Place
 
     Raises
     ------
@@ -94,15 +119,18 @@ def search(
     """
     settings, effort = description.clairvoyant, _effort(description)
     threads = min(os.cpu_count() or 1, MOST_THREADS)
-    trials = Trials(protocol, threads=threads)
+    there = partial(Trials, control=place.loop, track=place.track, threads=threads)
+    trials = there(protocol)
     others = trials.redrawn(REDRAWS, FIRST_REDRAW)
 
     def find(what: str, trials: Trials, effort: Effort) -> Reference:
         label = f"{what} on {protocol.suite}"
-        return clairvoyant(trials, effort, settings.starts, folder / what, BLOCK, lambda rounds: report(rounds, label))
+        return clairvoyant(trials, effort, place.starts, folder / what, BLOCK, lambda rounds: report(rounds, label))
 
     def judged(actions: NDArray[np.float32]) -> Run:
-        return play_alone(protocol, Own("schedules", act=_Schedules(actions)))
+        return play_alone(
+            protocol, Own("schedules", {"control": place.loop, "track": place.track}, act=_Schedules(actions))
+        )
 
     found = find(CLAIRVOYANT, trials, effort)
     evidence = _evidence(found, others)
@@ -111,7 +139,7 @@ def search(
     count = min(settings.check, protocol.episodes)
     if count:
         first = found.costs[:count]
-        few = Trials(replace(protocol, episodes=count), threads=threads)
+        few = there(replace(protocol, episodes=count))
         again = find(CHECK, few, replace(_longer(effort, 2.0), seed=effort.seed + 1))
         evidence["second_search"] = {
             "scenarios": count,

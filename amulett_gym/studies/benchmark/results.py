@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import __version__
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import YARDSTICK
+from amulett_gym.evaluation.search.optimal import OptimalCosts
 from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.evaluation.statistics import (
     LEVEL,
@@ -34,8 +36,9 @@ from amulett_gym.evaluation.statistics import (
 from amulett_gym.laws.parametric import LAWS, tuned_content
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.writing import write_json
+from amulett_gym.studies.benchmark.description import loop_of
 from amulett_gym.studies.benchmark.episodes import Played
-from amulett_gym.studies.benchmark.frozen import PRICES_SHA256
+from amulett_gym.studies.benchmark.frozen import PRICES_OF
 from amulett_gym.studies.benchmark.reference import Searched
 from amulett_gym.studies.benchmark.runs import outcome
 from amulett_gym.studies.benchmark.stages import Evidence
@@ -63,6 +66,9 @@ REPORTED = (
 )
 """Physical metrics that are reported of every entry."""
 
+DRIVES = ("drive_effort", "drive_work")
+"""Those that are reported on the track *full control*, too."""
+
 PROFILE_COSTS = tuple(round(0.05 * k, 2) for k in range(61))
 """Costs at which performance profiles are evaluated."""
 
@@ -88,7 +94,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "format": "amulett-benchmark-results",
         "version": 1,
         "description": description.model_dump(mode="json"),
-        "hashes": {**evidence.hashes, "suites_version": SUITES_VERSION, "frozen_prices": PRICES_SHA256},
+        "hashes": {**evidence.hashes, "suites_version": SUITES_VERSION, "frozen_prices": PRICES_OF[description.track]},
         "seeds": dict(evidence.overlap),
         **({"quick": True} if quick else {}),
         "command": command,
@@ -97,17 +103,22 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
         "remarks": device_remarks(
             evidence.profile,
-            evidence.entries,
+            [name for name in evidence.entries if name not in evidence.tuned],
             places={name: entry.members[0].policy_name for name, entry in evidence.entries.items()},
         ),
-        "units": {metric: UNITS[metric] for metric in REPORTED},
+        "track": description.track,
+        "units": {metric: UNITS[metric] for metric in reported(evidence)},
         "best_learned": best,
         "best_by_hand": hand,
-        "entries": {name: {"kind": entry.kind, "seeds": list(entry.seeds)} for name, entry in evidence.entries.items()},
+        "entries": {
+            name: {"kind": entry.kind, "seeds": list(entry.seeds), "loop": entry.loop}
+            for name, entry in evidence.entries.items()
+        },
         "constants": {
             "overall": evidence.best_constant(),
             "tried": evidence.tried,
             "best": {suite: evidence.best_constant(suite) for suite in evidence.tried},
+            "best_by_loop": {suite: evidence.best_constants(suite) for suite in evidence.tried},
         },
         "validation": evidence.validation,
         "results": results,
@@ -127,20 +138,20 @@ def best_by_hand(evidence: Evidence) -> str:
     names = [
         name for name, entry in evidence.entries.items() if entry.kind in ("law", "constant") and name != POSITION_ONLY
     ]
-    costs = {name: float(evidence.headline()[name].values["cost"].mean()) for name in names}
+    costs = {name: float(evidence.headline()[name].values[evidence.metric].mean()) for name in names}
     return min(costs, key=lambda name: costs[name])
 
 
 def opponents(evidence: Evidence, suite: str) -> list[str]:
     """Return the names of the entries with which all others are compared on a suite."""
-    constants = evidence.best_constant(), evidence.best_constant(suite)
+    constants = *evidence.best_constants(), evidence.best_constant(), evidence.best_constant(suite)
     asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, POSITION_ONLY)
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
 
 
 def shown(evidence: Evidence, suite: str | None = None) -> list[str]:
     """Return the entries worth a line: all but the constants that are not the best, overall or on the suite."""
-    kept = {evidence.best_constant(), *([] if suite is None else [evidence.best_constant(suite)])}
+    kept = {*evidence.best_constants(), *([] if suite is None else evidence.best_constants(suite))}
     return [name for name, entry in evidence.entries.items() if entry.kind != "constant" or name in kept]
 
 
@@ -168,19 +179,22 @@ def _numbers(
     evidence: Evidence, results: dict[str, Played], name: str, against: Iterable[str], everything: bool
 ) -> Content:
     values = results[name].values
-    cost = values["cost"]
+    cost = values[evidence.metric]
     draws = _draws(evidence, *cost.shape)
-    others = {other: results[other].values["cost"] for other in against}
+    others = {other: results[other].values[evidence.metric] for other in against}
     found: Content = {
         "cost": nested_mean(cost, draws).plain(),
         "ratio": {other: _ratio(cost, theirs[0], evidence).plain() for other, theirs in others.items()},
         "failures": _failures(results[name]),
         "seeds": cost.mean(axis=1).tolist(),
-        "metrics": {metric: nested_mean(values[metric], draws).plain() for metric in REPORTED},
+        "metrics": {metric: nested_mean(values[metric], draws).plain() for metric in reported(evidence)},
     }
     if not everything:
         return found
     yardstick = results[YARDSTICK].values
+    if evidence.description.track == FULL_CONTROL:
+        commands, eq6 = (each["cost"] - each["cost_tension"] for each in (values, yardstick))
+        found["ratio_of_commands"] = _ratio(commands, eq6[0], evidence).plain()
     for metric, numbers in found["metrics"].items():
         numbers["ratio_to_eq6"] = _ratio(values[metric], yardstick[metric][0], evidence).plain()
     return {
@@ -209,14 +223,35 @@ def _by_family(evidence: Evidence) -> Content:
         chosen = families == code
         found[FAMILIES[code] or evidence.protocol.suite] = {
             "scenarios": int(chosen.sum()),
-            "ratio_to_eq6": {
-                name: _ratio(
-                    results[name].values["cost"][:, chosen], results[YARDSTICK].values["cost"][0, chosen], evidence
-                ).plain()
-                for name in shown(evidence)
-            },
+            "ratio_to_eq6": {name: _share_of(evidence, name, YARDSTICK, chosen) for name in shown(evidence)},
         }
+        if evidence.description.track == FULL_CONTROL:
+            constants: dict[str, str] = {loop_of(name): name for name in evidence.best_constants()}
+            family = found[FAMILIES[code] or evidence.protocol.suite]
+            family["ratio_to_constant"] = {
+                name: _share_of(evidence, name, constants.get(entry.loop, evidence.best_constant()), chosen)
+                for name, entry in evidence.entries.items()
+                if name in shown(evidence)
+            }
+            searched = evidence.searched.get(evidence.protocol.suite)
+            if searched is not None:
+                goal = searched.run.values[evidence.metric]
+                few = chosen[: goal.size]
+                constant = results[evidence.best_constant()].values[evidence.metric][0, : goal.size]
+                if few.any():
+                    family["clairvoyant"] = _ratio(goal[None, few], constant[few], evidence).plain()
     return found
+
+
+def _share_of(evidence: Evidence, name: str, other: str, chosen: NDArray[np.bool_]) -> Content:
+    """Return the ratio of two entries' costs in some headline scenarios, held-out."""
+    costs, others = (evidence.headline()[entry].values[evidence.metric][:, chosen] for entry in (name, other))
+    return _ratio(costs, others[0], evidence).plain()
+
+
+def reported(evidence: Evidence) -> tuple[str, ...]:
+    """Return the physical metrics that are reported of every entry."""
+    return (*REPORTED, *(DRIVES if evidence.description.track == FULL_CONTROL else ()))
 
 
 def _profiles(evidence: Evidence) -> Content:
@@ -224,7 +259,7 @@ def _profiles(evidence: Evidence) -> Content:
     found: Content = {"costs": list(PROFILE_COSTS)}
     for name in shown(evidence):
         if evidence.entries[name].kind != "ablation":
-            cost = evidence.headline()[name].values["cost"]
+            cost = evidence.headline()[name].values[evidence.metric]
             draws = _draws(evidence, *cost.shape)
             found[name] = [share.plain() for share in performance_profile(cost, PROFILE_COSTS, draws)]
     return found
@@ -235,15 +270,15 @@ def _references(evidence: Evidence, hand: str) -> Content:
     searched = evidence.searched
     foreseen = {suite: found.foresight for suite, found in searched.items() if found.foresight is not None}
     causal: Content = {}
-    results = evidence.headline()
+    results, metric = evidence.headline(), evidence.metric
     for name, entry in evidence.entries.items():
         if entry.kind == "reference":
-            goal, by_hand = results[name].values["cost"].mean(axis=0), results[hand].values["cost"][0]
+            goal, by_hand = results[name].values[metric].mean(axis=0), results[hand].values[metric][0]
             causal[name] = {
                 "cost": float(goal.mean()),
-                "ratio_to_eq6": _ratio(goal[None], results[YARDSTICK].values["cost"][0], evidence).plain(),
+                "ratio_to_eq6": _ratio(goal[None], results[YARDSTICK].values[metric][0], evidence).plain(),
                 "share_from_hand": {
-                    other: _share(by_hand, results[other].values["cost"], goal, evidence).plain()
+                    other: _share(by_hand, results[other].values[metric], goal, evidence).plain()
                     for other in shown(evidence)
                     if other != name
                 },
@@ -253,15 +288,32 @@ def _references(evidence: Evidence, hand: str) -> Content:
         "clairvoyant": {suite: _goal(evidence, suite, found, hand) for suite, found in searched.items()},
         "foresight": {suite: _goal(evidence, suite, found, hand) for suite, found in foreseen.items()},
         "causal": causal,
+        **({} if evidence.optimal is None else {"optimal": _optimal(evidence, evidence.optimal, hand)}),
+    }
+
+
+def _optimal(evidence: Evidence, found: OptimalCosts, hand: str) -> Content:
+    """Return the costs of the optimal commands, and the ratios of entries to them in the same scenarios."""
+    count = found.cost.size
+    costs = {name: evidence.headline()[name].values[evidence.metric][:, :count] for name in shown(evidence)}
+    shares = {name: _share(costs[hand][0], cost, found.cost, evidence).plain() for name, cost in costs.items()}
+    return {
+        "scenarios": count,
+        "solved": int(found.success.sum()),
+        "cost": float(found.cost.mean()),
+        "predicted_cost": float(found.predicted_cost.mean()),
+        "ratio_to_eq6": _ratio(found.cost[None], costs[YARDSTICK][0], evidence).plain(),
+        "entries_to_eq6": {name: _ratio(cost, costs[YARDSTICK][0], evidence).plain() for name, cost in costs.items()},
+        "share_from_hand": shares,
     }
 
 
 def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Content:
     """Return the search's result on a suite, with each entry's score and share of the way."""
-    goal, results = searched.run.values["cost"], evidence.played[suite, "held-out"]
-    costs = {name: results[name].values["cost"][:, : goal.size] for name in shown(evidence)}
+    goal, results = searched.run.values[evidence.metric], evidence.played[suite, "held-out"]
+    costs = {name: results[name].values[evidence.metric][:, : goal.size] for name in shown(evidence)}
     start, by_hand, eq6 = (
-        results[name].values["cost"][0, : goal.size] for name in (evidence.best_constant(), hand, YARDSTICK)
+        results[name].values[evidence.metric][0, : goal.size] for name in (evidence.best_constant(), hand, YARDSTICK)
     )
     return {
         **searched.evidence,
@@ -299,8 +351,11 @@ def _training(evidence: Evidence) -> Content:
         result = outcome(run)
         episodes = result["steps"] // run.config.env.max_episode_steps + run.config.num_envs * run.config.staggered
         entry["runs"][str(run.seed)] = {**result, "episodes": episodes}
+    for name, content in evidence.tuned.items():
+        recipe = {key: value for key, value in content["recipe"].items() if key != "profile"}
+        found[name] = {"tuned_episodes": content["training_episodes"], "recipe": recipe}
     for name in LAWS:
-        if name in evidence.entries and not evidence.entries[name].seeds:
+        if name in evidence.entries and not evidence.entries[name].seeds and name not in evidence.tuned:
             shipped = tuned_content(name, evidence.profile, "mixed")
             found[name] = {"tuned_episodes": shipped["training_episodes"], "recipe": shipped["recipe"]}
     return found
@@ -308,8 +363,8 @@ def _training(evidence: Evidence) -> Content:
 
 def _worst(evidence: Evidence, hand: str) -> list[Content]:
     """Return the learned entry's worst scenarios of the headline suite, held-out, compared with the best tuned law."""
-    results, best = evidence.headline(), evidence.description.best_learned
-    learned, law = results[best].values["cost"].mean(axis=0), results[hand].values["cost"][0]
+    results, best, metric = evidence.headline(), evidence.description.best_learned, evidence.metric
+    learned, law = results[best].values[metric].mean(axis=0), results[hand].values[metric][0]
     order = np.argsort(law - learned, kind="stable")[:WORST]
     found = []
     for rank, scenario in enumerate(order.tolist()):
@@ -321,7 +376,7 @@ def _worst(evidence: Evidence, hand: str) -> list[Content]:
                 "family": family,
                 "learned": float(learned[scenario]),
                 "by_hand": float(law[scenario]),
-                "eq6": float(results[YARDSTICK].values["cost"][0, scenario]),
+                "eq6": float(results[YARDSTICK].values[metric][0, scenario]),
                 "loses": bool(learned[scenario] > law[scenario]),
                 "file": f"{WORST_FOLDER}/{rank + 1:02d}-{family}-seed-{evidence.protocol.seed + scenario}.json",
             }

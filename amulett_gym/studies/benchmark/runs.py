@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym import ENV_IDS
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.errors import AmulettError
+from amulett_gym.laws.contenders import split_loop
 from amulett_gym.learning import advice, load_learning, not_installed
 from amulett_gym.storage.provenance import differences
 from amulett_gym.storage.reading import read_json, read_text
 from amulett_gym.storage.safe_yaml import read_yaml
-from amulett_gym.studies.benchmark.description import Benchmark, training_recipe
+from amulett_gym.studies.benchmark.description import Benchmark, loop_of, named, profile_of, training_recipe
 
 _CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.csv"
 
@@ -51,17 +54,18 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
 
     Raises AmulettError if a recipe cannot be read or is wrong.
     """
-    runs = []
+    runs, device = [], [] if description.track == SCHEDULE else [f"env.profile={profile_of(description, recipes)}"]
     for name, entry in description.learned.items():
         for seed in entry.seeds:
-            config = training_recipe(entry, seed, recipes)
+            config = training_recipe(entry, seed, recipes, device)
             _check_period(description, name, config)
+            _check_loop(description, name, config)
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
     if description.learned:
         best = description.learned[description.best_learned]
         for term in description.ablations:
             name, seed = ablation_name(description.best_learned, term), best.seeds[0]
-            config = training_recipe(best, seed, recipes, [f"env.reward_weights.{term}=0.0"])
+            config = training_recipe(best, seed, recipes, [*device, f"env.reward_weights.{term}=0.0"])
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
     return runs
 
@@ -74,6 +78,18 @@ def _check_period(description: Benchmark, name: str, config: Any) -> None:
             f"learned entry '{name}' acts every {config.env.agent_period} s; an episode of {description.duration} s is "
             "no whole number of such steps"
         )
+
+
+def _check_loop(description: Benchmark, name: str, config: Any) -> None:
+    """Refuse a recipe whose policy would act in another loop than it was trained in, or by another track's cost."""
+    control = config.env.control
+    own = named(control, split_loop(name)[1])
+    if description.track == FULL_CONTROL and config.env.track != FULL_CONTROL:
+        raise AmulettError(
+            f"learned entry '{name}' is trained on the track {config.env.track}; set env.track={FULL_CONTROL}"
+        )
+    if config.env.id in ENV_IDS[:2] and control != loop_of(name):
+        raise AmulettError(f"learned entry '{name}' is trained in the loop {control}; call it '{own}'")
 
 
 def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from amulett_gym import __version__
+from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.metrics import capped_cost
+from amulett_gym.evaluation.metrics import COST_OF, capped_cost
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
-from amulett_gym.laws.contenders import Contender, parse_contender
+from amulett_gym.evaluation.search.laws import Recipe, result_path, tune
+from amulett_gym.evaluation.search.optimal import OptimalCosts, optimal_costs
+from amulett_gym.evaluation.search.transcription import load_casadi
+from amulett_gym.laws.contenders import Contender, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
@@ -25,7 +29,7 @@ from amulett_gym.storage.reading import read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
-from amulett_gym.studies.benchmark.description import Benchmark, load_profile_of
+from amulett_gym.studies.benchmark.description import PAPERS, Benchmark, load_profile_of, loop_of, named
 from amulett_gym.studies.benchmark.episodes import Played, file_label, played
 from amulett_gym.studies.benchmark.frozen import check_frozen, hashes, seed_overlap
 from amulett_gym.studies.benchmark.reference import Searched
@@ -41,7 +45,7 @@ from amulett_gym.studies.benchmark.runs import (
 DESCRIPTION = "description.json"
 """File by which a benchmark's folder is recognised."""
 
-EPISODES, RUNS = "episodes", "runs"
+EPISODES, RUNS, TUNED_LAWS, OPTIMAL = "episodes", "runs", "laws", "optimal"
 
 Kind = Literal["law", "constant", "own", "learned", "reference", "ablation"]
 
@@ -58,6 +62,11 @@ class Entry:
     kind: Kind
     members: tuple[Contender, ...]
     seeds: tuple[int, ...] = ()
+
+    @property
+    def loop(self) -> str:
+        """The control loop that plays."""
+        return str(self.members[0].env_keywords.get("control", PAPERS))
 
     def file_labels(self) -> list[str]:
         """Return the names of the members' files."""
@@ -81,11 +90,27 @@ class Evidence:
     searched: dict[str, Searched]  # by suite: the clairvoyant reference, which holds the foresight one
     runs: list[TrainingRun]
     overlap: dict[str, int]  # from `frozen.seed_overlap`
+    tuned: dict[str, dict[str, Any]] = field(default_factory=dict)  # law tuned here -> its file's content
+    optimal: OptimalCosts | None = None
 
-    def best_constant(self, suite: str | None = None) -> str:
-        """Return the constant of the lowest cost on a suite's split `train`; overall if None: on the headline suite."""
+    @property
+    def metric(self) -> str:
+        """The metric that is the track's cost."""
+        return COST_OF[self.description.track]
+
+    def best_constant(self, suite: str | None = None, loop: str | None = None) -> str:
+        """Return the constant of the lowest cost on a suite's split `train`, in any loop or in one.
+
+        If the suite is None, it is the headline suite: the constant is the best one overall.
+        """
         tried = self.tried[suite or self.description.headline]
-        return min(tried, key=lambda name: tried[name])
+        return min((name for name in tried if loop in (None, loop_of(name))), key=lambda name: tried[name])
+
+    def best_constants(self, suite: str | None = None) -> list[str]:
+        """Return the best constant of each loop."""
+        return [
+            self.best_constant(suite, loop) for loop in dict.fromkeys(map(loop_of, self.tried[self.protocol.suite]))
+        ]
 
     def headline(self, split: str = "held-out") -> dict[str, Played]:
         """Return all entries' episodes on the headline suite."""
@@ -147,8 +172,11 @@ def run_benchmark(
         duration=description.duration,
     )
     laws = _hand_made(description, own)
+    recipes_of_laws = _tuning(description, profile)
+    if description.optimal:
+        load_casadi()
     reference.check_starts(description)
-    check_frozen(description.suites)
+    check_frozen(description.suites, description.track)
     needed = required_runs(description, recipes, out / RUNS if runs is None else user_path(runs))
     chosen = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
     chosen["runs"] = None if runs is None else str(runs)
@@ -156,7 +184,7 @@ def run_benchmark(
     overlap = seed_overlap([run.config for run in needed], description.seed, description.episodes)
     if overlap["overlap"]:
         raise AmulettError(f"{overlap['overlap']} episodes would be trained on or chosen by, and judged on as well")
-    found_hashes = hashes(profile, description.suites)
+    found_hashes = hashes(profile, description.suites, description.track)
     with output_folder(out, "benchmark", [[DESCRIPTION]]), locked_folder(out):
         _remember(out / DESCRIPTION, description, recipes, found_hashes)
         copies.write(out)
@@ -168,7 +196,24 @@ def run_benchmark(
             f"trained on, {overlap['validation']:,} chosen by, {overlap['judged']:,} judged on a suite; none is two of "
             "these"
         )
-        return _work(description, out, protocol, laws, needed, found_hashes, overlap, say, progress)
+        tuned = {}
+        for name, recipe in recipes_of_laws.items():
+            folder = out / TUNED_LAWS / recipe.control
+            tuned[name] = tune(folder, recipe, progress=progress)
+            say(f"{name}: tuned with {recipe.episodes:,} simulated episodes")
+            contender = replace(parse_contender(str(result_path(folder, recipe))), name=split_loop(name)[1])
+            laws.append(Entry(name, "law", (in_loop(contender, split_loop(name)[0]),)))
+        evidence = _work(description, out, protocol, laws, needed, found_hashes, overlap, say, progress)
+        if not description.optimal:
+            return replace(evidence, tuned=tuned)
+        scenarios = range(description.seed, description.seed + description.optimal)
+        with Progress(description.optimal, "optimal control", "scenarios", progress) as bar:
+            solved = optimal_costs(
+                *(profile, description.headline, "held-out", scenarios, out / OPTIMAL, description.duration),
+                report=lambda note: bar.update(note=note),
+            )
+        say(f"optimal control: mean cost {solved.cost.mean():.4f}, solved {solved.success.sum()} of {len(scenarios)}")
+        return replace(evidence, tuned=tuned, optimal=solved)
 
 
 def _work(
@@ -183,6 +228,9 @@ def _work(
     progress: bool,
 ) -> Evidence:
     places, folder = description.places(), out / EPISODES
+    metric = COST_OF[description.track]
+    if description.track == FULL_CONTROL:  # whose return the training minimises
+        laws = [_on_track(entry, description) for entry in laws]
     constants = [entry for entry in laws if entry.kind == "constant"]
     tried: dict[str, dict[str, float]] = {}
     with Progress(len(description.suites) * len(constants), "constants on train", "runs", progress) as bar:
@@ -191,7 +239,7 @@ def _work(
             tried[suite] = {}
             for entry in constants:
                 run = played(folder, entry.file_labels()[0], there, entry.members[0])
-                tried[suite][entry.name] = float(run.values["cost"].mean())
+                tried[suite][entry.name] = float(run.values[metric].mean())
                 bar.update(note=f"{entry.name} on {suite}")
 
     def trained(run: TrainingRun) -> None:
@@ -219,14 +267,6 @@ def _work(
                 if kept and done[0].schedule.error.size:
                     schedules[entry.name] = [run.schedule for run in done]
             say(f"{suite}, {split}: {len(entries)} contenders on {there.episodes} scenarios")
-    searched = {}
-    with Progress(reference.rounds(description), "reference search", "rounds", progress) as bar:
-        for suite, there in reference.protocols(description, protocol).items():
-            searched[suite] = reference.search(description, there, out, bar.update)
-            foreseen = searched[suite].foresight
-            for name, found in (("clairvoyant", searched[suite]), ("foresight", foreseen)):
-                if found is not None:
-                    say(f"{name}, {suite}: mean cost {found.run.values['cost'].mean():.4f}")
     evidence = Evidence(
         description=description,
         profile=protocol.profile,
@@ -237,26 +277,59 @@ def _work(
         tried=tried,
         validation={},
         schedules=schedules,
-        searched=searched,
+        searched={},
         runs=needed,
         overlap=overlap,
     )
-    return replace(evidence, validation=_on_validation(evidence, folder))
+    searched, where = {}, reference.place(evidence)
+    with Progress(reference.rounds(description), "reference search", "rounds", progress) as bar:
+        for suite, there in reference.protocols(description, protocol).items():
+            searched[suite] = reference.search(description, there, out, bar.update, where)
+            foreseen = searched[suite].foresight
+            for name, found in (("clairvoyant", searched[suite]), ("foresight", foreseen)):
+                if found is not None:
+                    say(f"{name}, {suite}: mean cost {found.run.values[metric].mean():.4f}")
+    return replace(evidence, searched=searched, validation=_on_validation(evidence, folder))
 
 
 def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
     """Return the entries without training: laws, constants, the caller's contenders."""
-    names = list(dict.fromkeys([YARDSTICK, *description.contenders]))
+    names = list(dict.fromkeys([YARDSTICK, *description.law_names()]))
     contenders = [parse_contender(name) for name in names]
     label = labels([contender.name for contender in contenders])
     entries = [Entry(label[contender.name], "law", (contender,)) for contender in contenders]
     entries += [Entry(name, "constant", (parse_contender(name),)) for name in description.constant_names()]
     entries += [Entry(contender.name, "own", (contender,)) for contender in own]
-    names = [entry.name for entry in entries] + list(description.learned)
+    names = [entry.name for entry in entries] + list(description.learned) + list(_tuned_names(description))
     for name in names:
         if names.count(name) > 1:
             raise AmulettError(f"two contenders would be called '{name}'; give one of them another name")
     return entries
+
+
+def _on_track(entry: Entry, description: Benchmark) -> Entry:
+    """Return an entry whose members play on the description's track; it decides the return, and no metric."""
+    keywords = {"track": description.track}
+    members = (replace(member, env_keywords={**member.env_keywords, **keywords}) for member in entry.members)
+    return replace(entry, members=tuple(members))
+
+
+def _tuned_names(description: Benchmark) -> dict[str, tuple[str, str]]:
+    """Return the names of the laws that are tuned here, each with its loop and law."""
+    return {named(loop, law): (loop, law) for loop in description.loops for law in description.tuned_budget}
+
+
+def _tuning(description: Benchmark, profile: Profile) -> dict[str, Recipe]:
+    """Return by name how each law is tuned in each loop.
+
+    Raises AmulettError if a budget is too small.
+    """
+    return {
+        name: Recipe(law, description.headline, profile, control=loop, track=description.track).within(
+            description.tuned_budget[law]
+        )
+        for name, (loop, law) in _tuned_names(description).items()
+    }
 
 
 def _learned(description: Benchmark, runs: Sequence[TrainingRun]) -> list[Entry]:
@@ -268,8 +341,10 @@ def _learned(description: Benchmark, runs: Sequence[TrainingRun]) -> list[Entry]
     entries = []
     for name in dict.fromkeys(run.entry for run in runs):
         own = [run for run in runs if run.entry == name]
-        members = tuple(parse_contender(str(run.folder / "best")) for run in own)
-        entries.append(Entry(name, kinds[name], members, tuple(run.seed for run in own)))
+        loop = split_loop(name)[0]
+        members = tuple(in_loop(parse_contender(str(run.folder / "best")), loop) for run in own)
+        entry = Entry(name, kinds[name], members, tuple(run.seed for run in own))
+        entries.append(_on_track(entry, description) if description.track == FULL_CONTROL else entry)
     return entries
 
 
@@ -283,7 +358,8 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
         evidence.protocol, split="validation", episodes=config.validation.episodes, seed=config.validation.seed
     )
     costs = {}
-    for name in (YARDSTICK, evidence.best_constant(), "eq6-tuned", "parametric"):
+    loop = loop_of(description.best_learned)
+    for name in (YARDSTICK, evidence.best_constant(loop=loop), named(loop, "eq6-tuned"), named(loop, "parametric")):
         if name in evidence.entries:
             entry = evidence.entries[name]
             run = played(folder, entry.file_labels()[0], there, entry.members[0])
@@ -318,7 +394,9 @@ def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: d
     try:
         stored = json.loads(read_text(path, "benchmark"))
         stored.pop("amulett-gym", None)
-    except (ValueError, AttributeError) as error:
+        # Keys that are newer than the folder had their defaults then.
+        stored["description"] = {**Benchmark().model_dump(mode="json"), **stored["description"]}
+    except (ValueError, AttributeError, KeyError, TypeError) as error:
         if isinstance(error, AmulettError):
             raise
         raise AmulettError(

@@ -6,12 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.evaluation.metrics import METRICS
+from amulett_gym.envs.reward import FULL_CONTROL
+from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
-from amulett_gym.laws.contenders import CONSTANT
+from amulett_gym.laws.contenders import CONSTANT, split_loop
 from amulett_gym.reporting.table import Table, csv_text
 from amulett_gym.reporting.words import interval, number, with_interval
 from amulett_gym.storage.writing import write_text
+from amulett_gym.studies.benchmark.by_loop import by_loop
 from amulett_gym.studies.benchmark.claims import Claim
 from amulett_gym.studies.benchmark.description import PAPER_STEP
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_LAW, Content
@@ -26,14 +28,16 @@ Estimate = Mapping[str, float | None]
 
 def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
     """Return all tables by name, without empty ones."""
+    full = found["track"] == FULL_CONTROL
     made = {
         "claims": claims_table(claims),
+        **(by_loop(found) if full else {}),
         "ranking": ranking(found),
         "suites": by_suite(found),
-        "scores": scores(found),
+        **({} if full else {"scores": scores(found)}),
         "metrics": physical(found),
         "paper_step": paper_step(found),
-        "constants": constants(found),
+        **({} if full else {"constants": constants(found)}),
         "seeds": by_seed(found),
         "ablations": ablations(found),
         "references": references(found),
@@ -78,7 +82,7 @@ def ranking(found: Content) -> Table:
         "interquartile mean, the mean of the middle half; CVaR: mean of the worst tenth; P: share of scenarios in "
         f"which the cost is below that of {TUNED_LAW}, a tie counts half. {_position_only(found)}"
     )
-    return Table(f"{_words(place)}: all contenders", head, rows, note)
+    return Table(f"{_words(place)}: all contenders by {_cost(found)}", head, rows, note)
 
 
 def by_suite(found: Content) -> Table:
@@ -87,7 +91,7 @@ def by_suite(found: Content) -> Table:
     rows = []
     for place, results in found["results"].items():
         ratios, best = _to_eq6(results), found["constants"]["best"][place.split("/")[0]]
-        constant = f"{_tension(best)}: {number(ratios[best]['mean'])}"
+        constant = f"{label(found, best).removeprefix('constant ')}: {number(ratios[best]['mean'])}"
         rows.append([_words(place), constant, *(with_interval(ratios.get(name)) for name in names)])
     head = ("", "best constant on this suite", *(label(found, name) for name in names))
     note = (
@@ -114,12 +118,13 @@ def scores(found: Content) -> Table:
 def physical(found: Content) -> Table:
     """Return physical metrics on the headline suite, held-out, and their ratios to eq. 6's."""
     keys = (
-        *("position_ise", "isav_biceps", "isav_triceps", "effort", "contact_ise", "contact_peak", "push_deflection"),
-        "resting_stiffness",
+        *("position_ise", "isav_biceps", "isav_triceps", EFFORT_OF[found["track"]], "contact_ise", "contact_peak"),
+        *("push_deflection", "resting_stiffness"),
     )
+    effort = METRICS[EFFORT_OF[found["track"]]]
     note = (
-        "Means over all episodes; in parentheses the ratio to eq. 6's. Effort is the ISAV of both drives without the "
-        "setpoint's jump. Stiffness is not better or worse by itself."
+        f"Means over all episodes; in parentheses the ratio to eq. 6's. {effort.name.capitalize()}: {effort.meaning}. "
+        "Stiffness is not better or worse by itself."
     )
     place = _headline(found)
     head = ("", *(METRICS[key].heading for key in keys))
@@ -202,6 +207,11 @@ def references(found: Content) -> Table:
                     f"{goal['cost_more_than_an_entry']} of {goal['scenarios']}",
                 ]
             )
+    solved = found["references"].get("optimal")
+    if solved is not None:
+        shares = with_interval(solved["ratio_to_eq6"]), with_interval(solved["share_from_hand"].get(best))
+        title = f"optimal control, {found['description']['headline']} ({solved['scenarios']})"
+        rows.append([title, number(solved["cost"], 4), *shares, *"-----"])
     for name, goal in found["references"]["causal"].items():
         shares = with_interval(goal["ratio_to_eq6"]), with_interval(goal["share_from_hand"].get(best))
         rows.append([f"causal ({name})", number(goal["cost"], 4), *shares, *"-----"])
@@ -225,6 +235,12 @@ def references(found: Content) -> Table:
         "Or the search did not converge. Or, for foresight, the contender reacts to the actual noise, which a "
         "schedule cannot."
     )
+    if solved is not None:
+        note += (
+            " Optimal control: both drives are commanded directly within their limits, with the true device, pushes "
+            "and contacts known, but no setpoint jump before it happens; local optima, no proven bound. Solved: "
+            f"{solved['solved']} of {solved['scenarios']}."
+        )
     return Table("References", head, rows, note)
 
 
@@ -365,17 +381,29 @@ def _tension(constant: str) -> str:
 
 
 def is_main(found: Content, name: str) -> bool:
-    """Return whether an entry is shown everywhere: all but ablations, and but constants other than the best overall."""
-    kind = found["entries"][name]["kind"]
-    return kind not in ("constant", "ablation") or name == found["constants"]["overall"]
+    """Return whether an entry is shown everywhere.
+
+    These are all but ablations, and but constants other than the best overall. On *full control*, with its many laws,
+    they are eq. 6 in the paper's loop, the best constant of each loop, and what was learned or is the user's own.
+    """
+    kind, best = found["entries"][name]["kind"], [found["constants"]["overall"]]
+    if found["track"] == FULL_CONTROL:
+        best = [YARDSTICK, *found["constants"]["best_by_loop"][found["description"]["headline"]]]
+    left_out = ("constant", "ablation", *(["law"] if found["track"] == FULL_CONTROL else []))
+    return kind not in left_out or name in best
 
 
 def label(found: Content, name: str) -> str:
     """Return an entry's label: constants by their tension, trained entries with the number of their seeds."""
-    if name.startswith(CONSTANT):
-        return f"constant {_tension(name)}"
+    loop, law = split_loop(name)
+    if law.startswith(CONSTANT):
+        return f"{loop}, constant {_tension(law)}".removeprefix(", ")
     count = len(found["entries"][name]["seeds"])
     return f"{name} ({count} seeds)" if count > 1 else name
+
+
+def _cost(found: Content) -> str:
+    return METRICS[COST_OF[found["track"]]].name
 
 
 def _position_only(found: Content) -> str:

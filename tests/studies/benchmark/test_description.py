@@ -6,16 +6,20 @@ import pytest
 import yaml
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.studies.benchmark.description import (
     PAPER_STEP,
+    PAPERS,
     Benchmark,
     load_benchmark,
     quick,
     recipe_folder,
     training_recipe,
 )
+from amulett_gym.studies.benchmark.runs import required_runs
 
 ROOT = Path(__file__).parents[3]
+FULL = {"track": "full-control", "learned": {}, "ablations": []}
 
 
 def test_the_shipped_file_writes_out_the_defaults():
@@ -39,6 +43,47 @@ def test_every_recipe_that_is_named_can_be_read():
         assert config.seed == 7
         assert config.env.suite == "mixed"
         assert config.env.privileged == entry.reference
+
+
+def test_the_shipped_file_of_full_control_is_of_all_loops_and_laws():
+    path = ROOT / "configs" / "full_control.yaml"
+    description = load_benchmark(path)
+    assert description.loops == [PAPERS, *LOOPS] and description.law_names()[:2] == ["eq6", f"{LOOPS[0]}/eq6"]
+    assert {"constant:4", "co-rotation/constant:0"} <= set(description.constant_names())
+    assert "constant:0" not in description.constant_names()
+    runs = required_runs(description, path.parent, Path("runs"))
+    assert {(run.entry, run.config.env.control) for run in runs} == {
+        *((f"{loop}/ppo", loop) for loop in ("co-rotation", "cascade", "computed-torque")),
+        ("drives", "decentralized"),
+    }
+    assert runs[0].folder == Path("runs/co-rotation/ppo/seed-0")
+    small = quick(description)
+    assert small.loops == [PAPERS, "co-rotation", "equilibrium-point"] and small.track == "full-control"
+    assert set(small.tuned_budget) == set(description.tuned_budget) and 0 < small.optimal < description.optimal
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("cascaded", ["env.control=co-rotation"], "in the loop co-rotation; call it 'co-rotation/cascaded'"),
+        ("co-rotation/a", [], "in the loop decentralized; call it 'a'"),
+        ("equilibrium-point/a", ["env.control=co-rotation"], "call it 'co-rotation/a'"),
+        ("a", ["env.track=schedule"], "trained on the track schedule; set env.track=full-control"),
+    ],
+)
+def test_a_schedule_is_named_by_the_loop_in_which_it_is_trained(name, changes, message):
+    changes = ["env.track=full-control", "env.tension_range=[4.0, 15.0]", *changes]
+    learned = {"learned": {name: {"set": changes, "seeds": [0]}}, "best_learned": name, "ablations": []}
+    with pytest.raises(AmulettError, match=message):
+        required_runs(Benchmark(track="full-control", **learned), ROOT, Path("runs"))
+
+
+def test_schedules_are_trained_on_the_device_of_the_benchmark(tmp_path):
+    (tmp_path / "tuned.yaml").write_text("{name: tuned, base: testbed, loops: {co_rotation: {lead: 0.05}}}")
+    entry = {"set": ["env.control=co-rotation", "env.track=full-control"], "seeds": [0]}
+    learned = {"learned": {"co-rotation/ppo": entry}, "best_learned": "co-rotation/ppo", "ablations": []}
+    (run,) = required_runs(Benchmark(track="full-control", profile="tuned.yaml", **learned), tmp_path, Path("runs"))
+    assert run.config.env.profile["loops"]["co_rotation"]["lead"] == 0.05
 
 
 def test_the_quick_one_is_a_small_one_of_the_same_make():
@@ -71,6 +116,19 @@ def test_the_quick_one_is_a_small_one_of_the_same_make():
         ({"ablations": ["stiffness"]}, "unknown reward term 'stiffness'"),
         ({"clairvoyant": {"scenarios": {"mixed": 501}}}, "names 501 of mixed"),
         ({"clairvoyant": {"scenarios": {"mixed": 1}}}, "an interval needs at least 2"),
+        ({"loops": ["co-rotation"]}, "'loops' is of the track full-control; the track is schedule"),
+        ({"tuned_budget": {"parametric": 9}}, "'tuned_budget' is of the track full-control"),
+        ({"track": "full"}, "unknown track 'full'.*did you mean 'full-control'"),
+        ({**FULL, "loops": ["decentralized", "co-rotaton"]}, "did you mean 'co-rotation'"),
+        ({**FULL, "loops": ["co-rotation"]}, "'loops' has to hold decentralized"),
+        ({**FULL, "loops": ["decentralized", "position-only"]}, "none without a tension"),
+        ({**FULL, "loops": ["decentralized", "decentralized"]}, "'loops' names something twice"),
+        ({**FULL, "constants": [16.0]}, "16.0 N; the default actions reach from 0 to 15 N"),
+        ({**FULL, "loops": ["decentralized"], "constants": [1.0]}, "'constants' holds 1.0 N"),
+        ({**FULL, "contenders": ["eq6"], "tuned_budget": {"eq6": 9}}, "unknown law that can be tuned 'eq6'"),
+        ({**FULL, "tuned_budget": {"eq6-tuned": 9}}, "'eq6-tuned' is tuned in each loop"),
+        ({**FULL, "optimal": 1}, "optimal is 1; it has to be 0, or from 2 to episodes, 500"),
+        ({"learned": {"co-rotation/x": {"seeds": [0]}}, "best_learned": "co-rotation/x"}, "the track is schedule"),
         ({"bootstrap": {"resamples": 1}}, "'bootstrap.resamples' is 1"),
     ],
 )

@@ -240,9 +240,22 @@ def test_another_description_is_refused_in_the_same_folder(done):
         run_benchmark(description, done, done.parent)
 
 
+def test_a_folder_that_is_older_than_a_key_is_continued(done):
+    path = done / "description.json"
+    stored = json.loads(path.read_text())
+    for key in ("track", "loops", "tuned_budget", "optimal"):
+        del stored["description"][key]
+    path.write_text(json.dumps(stored))
+    run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+    path.write_text(json.dumps({**stored, "description": {**stored["description"], "duration": 3.0}}))
+    with pytest.raises(AmulettError, match="duration"):
+        run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+    path.write_text(json.dumps(stored))
+
+
 def test_changed_hashes_are_refused_in_the_same_folder(done, monkeypatch):
     changed = {**json.loads((done / "description.json").read_text())["hashes"], "prices": "0" * 64}
-    monkeypatch.setattr(stages, "hashes", lambda profile, suites: changed)
+    monkeypatch.setattr(stages, "hashes", lambda *given: changed)
     with pytest.raises(AmulettError, match=r"hashes\.prices was .* and is '000"):
         run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
 

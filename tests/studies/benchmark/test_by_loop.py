@@ -1,0 +1,190 @@
+"""The track *full control*, end to end on a tiny description: loops and laws by the full-control cost."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from amulett_gym.cli import main
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.evaluation.search import laws as tuning
+from amulett_gym.studies.benchmark.by_loop import BEST, by_loop
+from amulett_gym.studies.benchmark.claims import check_claims
+from amulett_gym.studies.benchmark.description import load_benchmark
+from amulett_gym.studies.benchmark.document import MARKS
+from amulett_gym.studies.benchmark.results import content
+from amulett_gym.studies.benchmark.stages import run_benchmark
+
+SHORT = [
+    *("env.track=full-control", "env.tension_range=[0.0, 15.0]", "env.suite=mixed"),
+    *("env.max_episode_steps=100", "network.hidden=[8]", "num_envs=8", "total_steps=256", "ppo.n_steps=16"),
+    *("ppo.batch_size=64", "validation.every_steps=256", "validation.episodes=4"),
+]
+TINY = {
+    "track": "full-control",
+    "loops": ["decentralized", "co-rotation"],
+    "suites": ["mixed", "paper-step", "contact"],
+    "splits": ["held-out", "shifted"],
+    "episodes": 5,
+    "seed": 0,
+    "duration": 2.0,
+    "contenders": ["eq6", "position-only"],
+    "tuned_budget": {"eq6-tuned": 168},
+    "constants": [1.0, 8.0],
+    "learned": {
+        "co-rotation/ppo": {"set": [*SHORT, "env.control=co-rotation"], "seeds": [3]},
+        "drives": {"set": [*SHORT, "env.id=Amulett/Drives-v0"], "seeds": [4]},
+    },
+    "best_learned": "co-rotation/ppo",
+    "ablations": [],
+    "clairvoyant": {"scenarios": {"mixed": 3}, "check": 0, "draws": 0, "effort": 0.03, "starts": ["eq6-tuned"]},
+    "bootstrap": {"resamples": 100},
+}
+STAGES = ((1, 2), (2, 1))
+LAWS = ("eq6", "eq6-tuned")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """Run the benchmark, and return its folder."""
+    folder = tmp_path_factory.mktemp("full-control")
+    (folder / "tiny.yaml").write_text(yaml.safe_dump(TINY))
+    (folder / "doc.md").write_text(f"{MARKS[0]}\n{MARKS[1]}\n")
+    words = ["--config", str(folder / "tiny.yaml"), "--out", str(folder / "out"), "--doc", str(folder / "doc.md")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tuning, "STAGES", STAGES)
+        assert main(["benchmark", *words]) == 0
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def found(done):
+    return json.loads((done / "benchmark.json").read_text())
+
+
+def test_every_law_plays_in_every_loop(found):
+    assert found["track"] == "full-control"
+    kinds = {name: (entry["kind"], entry["loop"]) for name, entry in found["entries"].items()}
+    other = {f"co-rotation/{law}": ("law", "co-rotation") for law in LAWS}
+    constants = {f"co-rotation/constant:{tension}": ("constant", "co-rotation") for tension in (1, 8)}
+    assert kinds == {
+        **dict.fromkeys(LAWS, ("law", "decentralized")),
+        "position-only": ("law", "position-only"),
+        "constant:8": ("constant", "decentralized"),  # 1 N is below the paper's range
+        **other,
+        **constants,
+        "co-rotation/ppo": ("learned", "co-rotation"),
+        "drives": ("learned", "drives"),
+    }
+
+
+def test_costs_are_the_full_control_costs(done, found):
+    names = ["eq6", "co-rotation/constant:1", "co-rotation/eq6"]
+    tuned = str(done / "laws" / "co-rotation" / "co-rotation-eq6-tuned-mixed.json")
+    results = found["results"]["mixed/held-out"]
+    values = evaluate([*names, f"co-rotation/{tuned}"], suite="mixed", episodes=5, duration=2.0).values
+    costs = {name: each["control_cost"] for name, each in values.items()}
+    for name in names:
+        assert results[name]["cost"]["mean"] == pytest.approx(costs[name].mean(), rel=1e-12)
+        assert results[name]["ratio"]["eq6"]["mean"] == pytest.approx(costs[name].sum() / costs["eq6"].sum(), rel=1e-12)
+    mine = results["co-rotation/eq6-tuned"]
+    assert mine["cost"]["mean"] == pytest.approx(costs[f"co-rotation/{tuned}"].mean(), rel=1e-12)
+    bundle = f"co-rotation/{done / 'runs' / 'co-rotation' / 'ppo' / 'seed-3'}"
+    learned = evaluate([bundle], suite="mixed", episodes=5, duration=2.0).values[bundle]["control_cost"]
+    assert results["co-rotation/ppo"]["cost"]["mean"] == pytest.approx(learned.mean(), rel=1e-12)
+    commands = [values[name]["cost"] - values[name]["cost_tension"] for name in ("co-rotation/eq6", "eq6")]
+    assert results["co-rotation/eq6"]["ratio_of_commands"]["mean"] == pytest.approx(
+        commands[0].sum() / commands[1].sum(), rel=1e-12
+    )
+
+
+def test_laws_are_tuned_in_their_loop_by_the_full_control_cost(done, found):
+    paper = json.loads((done / "laws" / "decentralized" / "eq6-tuned-mixed.json").read_text())
+    other = json.loads((done / "laws" / "co-rotation" / "co-rotation-eq6-tuned-mixed.json").read_text())
+    assert paper["cost"] == other["cost"] == "control_cost"
+    assert paper["training_episodes"] == other["training_episodes"] <= TINY["tuned_budget"]["eq6-tuned"]
+    budgets = found["training"]
+    assert budgets["eq6-tuned"]["tuned_episodes"] == budgets["co-rotation/eq6-tuned"]["tuned_episodes"] == 168
+    assert not any("tuned in the paper's loop" in remark for remark in found["remarks"])
+
+
+def test_each_loop_has_its_best_constant_of_train(found):
+    chosen = found["constants"]
+    assert set(chosen["tried"]["mixed"]) == {"constant:8", "co-rotation/constant:1", "co-rotation/constant:8"}
+    for suite, tried in chosen["tried"].items():
+        others = {name: cost for name, cost in tried.items() if name != "constant:8"}
+        assert chosen["best_by_loop"][suite] == ["constant:8", min(others, key=lambda name: others[name])]
+        assert chosen["best"][suite] == min(tried, key=lambda name: tried[name])
+
+
+def test_tables_compare_loops(found):
+    tables = by_loop(found)
+    rows = {row[0]: dict(zip(tables["loops"].head, row, strict=True)) for row in tables["loops"].rows}
+    assert list(rows) == ["decentralized", "co-rotation", "position-only", "drives"]
+    assert rows["drives"]["drives"] != "-" == rows["drives"]["ppo"]
+    assert rows["decentralized"]["eq6"] == "1.00" and rows["decentralized"]["best constant"].startswith("8 N: ")
+    ratio = found["results"]["mixed/held-out"]["co-rotation/eq6-tuned"]["ratio"]["eq6"]["mean"]
+    assert float(rows["co-rotation"]["eq6-tuned"].split()[0]) == pytest.approx(ratio, rel=5e-3)
+    assert rows["position-only"]["best constant"] == rows["position-only"]["eq6"] == "-"
+    assert rows["co-rotation"]["ppo"] != "-" == rows["decentralized"]["ppo"]
+    assert len(tables["loops_shifted"].rows) == 4
+    best = tables["best_at"]
+    assert best.head[-1] == "cost, ratio to eq6: mixed, shifted"
+    for column in list(zip(*best.rows, strict=True))[1:]:
+        numbers = [cell.removesuffix(BEST) for cell in column]
+        if any(number != "-" for number in numbers):
+            least = min(numbers, key=lambda number: np.inf if number == "-" else float(number))
+            assert f"{least}{BEST}" in column
+    assert [row[0] for row in tables["constants"].rows] == ["decentralized", "co-rotation"]
+
+
+def test_a_schedule_is_compared_with_the_constant_of_its_loop(found):
+    top = found["constants"]["overall"]
+    for family in found["families"].values():
+        assert all(
+            family["ratio_to_constant"][name]["mean"] == 1.0 for name in found["constants"]["best_by_loop"]["mixed"]
+        )
+    goal = found["references"]["clairvoyant"]["mixed"]
+    assert goal["score"][top]["mean"] == 0.0 and 0.0 < goal["cost"] <= goal["best_start"]
+    assert any("clairvoyant" in family for family in found["families"].values())
+
+
+def test_the_document_and_the_page_show_the_loops(done):
+    text = (done.parent / "doc.md").read_text()
+    assert "### Loops and laws: mixed, held-out" in text and "images/full_control_pareto.png" in text
+    assert (done.parent / "images" / "full_control_constants.png").exists()
+    assert 'id="loops"' in (done / "benchmark.html").read_text()
+
+
+def test_the_claims_are_judged_by_the_measured_numbers(found):
+    claims = {claim["claim"]: claim for claim in found["claims"]}
+    text = "the best loop with its best constant has at most 0.5 of eq. 6's full-control cost"
+    ratio = found["results"]["paper-step/held-out"][found["constants"]["best"]["paper-step"]]["ratio"]["eq6"]["mean"]
+    assert claims[text]["measured"] == ratio and claims[text]["holds"] is (ratio <= 0.5)
+    alone = {name: entry for name, entry in found["entries"].items() if entry["kind"] != "learned"}
+    (claim,) = [claim for claim in check_claims({**found, "entries": alone}) if "at least 3" in claim.claim]
+    assert claim.holds is None and claim.note == "nothing learned there"
+    loop, top = found["entries"][found["constants"]["overall"]]["loop"], "mine"
+    found = {**found, "entries": {**alone, top: {"kind": "learned", "loop": loop}}}
+    for low, high, holds in ((0.8, 0.9, True), (0.9, 1.0, False)):
+        for family in found["families"].values():
+            family["ratio_to_constant"][top] = {"mean": 0.9, "low": low, "high": high}
+        named = {f"family {k}": next(iter(found["families"].values())) for k in range(3)}
+        (claim,) = [claim for claim in check_claims({**found, "families": named}) if "at least 3" in claim.claim]
+        assert claim.holds is holds and claim.measured == (3.0 if holds else 0.0)
+    assert check_claims({**found, "quick": True}) == []
+
+
+def test_finished_laws_and_searches_are_kept(done, monkeypatch):
+    monkeypatch.setattr(tuning, "STAGES", STAGES)
+    before = {path: path.stat().st_mtime_ns for path in done.rglob("*.npz")}
+
+    def refuse(*given, **more):
+        raise AssertionError("this was done already")
+
+    monkeypatch.setattr(tuning, "search", refuse)
+    monkeypatch.setattr("amulett_gym.evaluation.search.clairvoyant.improve", refuse)
+    evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
+    assert content(evidence)["track"] == "full-control"
+    assert before == {path: path.stat().st_mtime_ns for path in done.rglob("*.npz")}
