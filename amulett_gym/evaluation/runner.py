@@ -230,9 +230,11 @@ class Results:
 
     @property
     def track(self) -> Track:
-        """*Full control* if a contender acts in another loop than the paper's, else *schedule*."""
-        loops = (contender.env_keywords.get("control") for contender in self.contenders.values())
-        return FULL_CONTROL if any(loop in LOOPS for loop in loops) else SCHEDULE
+        """*Full control* if a contender acts in another loop than the paper's or on the drives, else *schedule*."""
+        contenders = self.contenders.values()
+        loops = [contender.env_keywords.get("control") for contender in contenders]
+        drives = DRIVES_ID in [self.protocol.env_of(contender) for contender in contenders]
+        return FULL_CONTROL if drives or any(loop in LOOPS for loop in loops) else SCHEDULE
 
     def contender(self, name: str) -> Contender:
         """Return a contender by its name."""

@@ -127,6 +127,7 @@ def test_a_policy_for_drives_is_compared_with_eq_6_in_the_papers_loop(folder):
     apart = evaluate(["eq6", "constant:10"], **keywords)
     own = Own("mine", {"mean_angle_range": 258.66}, act=follow_setpoint, env_id=DRIVES)
     mixed = evaluate([str(folder), "constant:10", own], **keywords)
+    assert (apart.track, mixed.track) == ("schedule", "full-control")
     for name in ("eq6", "constant:10"):
         np.testing.assert_array_equal(mixed.values[name]["cost"], apart.values[name]["cost"])
     np.testing.assert_allclose(mixed.values[str(folder)]["cost"], mixed.values["mine"]["cost"], rtol=1e-4)
