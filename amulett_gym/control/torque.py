@@ -12,7 +12,8 @@ and damper about the reference motion (impedance control), and compensates the b
 
 tau_0 is the torque at rest at the start, such as a payload's or the estimate's error: like a force sensor, the estimate
 is tared there. With K_v = D_v = 0 the arm follows whatever pushes it. What the push still feels is the arm's inertia,
-the strings' friction, and what the drives' delay leaves.
+the strings' friction, and what the drives' delay leaves. Without a spring nothing holds the arm either: an error of the
+estimate moves it like a push. The sliders' noise alone moves the testbed's arm by up to 9 deg in 3 s.
 
 The loop estimates string forces itself, without the floor of 5 N (`control.force_estimate`): with it, a string below
 5 N reads as 5 N, and the torque estimate is off by up to R_2 5 N = 0.2 N m on the testbed, half of what the strings can
