@@ -33,8 +33,8 @@ def nearest_pair(
     With positions y in the force table, half the squared distance is least on the curve ``f(y_g) - f(y_a) = |dF|`` of
     agonist and antagonist where the slope of ``((y_a - y_a0)^2 + (y_g - y_g0)^2)/2 + mu (f(y_g) - f(y_a) - |dF|)`` is
     zero. Three of Newton's steps for both positions and mu find it to 1e-8 of the table's range if the pair moves by a
-    hundredth of that, and to a hundredth if drives that lag far behind have let a string go slack. The antagonist's
-    force, limited, and the difference then give the pair, so that the torque is exact in any case.
+    hundredth of that, and to about a hundredth if drives that lag far behind have let a string go slack. The
+    antagonist's force, limited, and the difference then give the pair, so that the torque is exact in any case.
 
     Parameters
     ----------
@@ -51,10 +51,14 @@ def nearest_pair(
     """
     apart = min(abs(difference), max_force - least)
     flexes = difference >= 0.0
-    near_agonist, near_antagonist = (biceps, triceps) if flexes else (triceps, biceps)
-    middle = min(max(0.5 * (near_agonist + near_antagonist), 0.0), 1.0)  # nearer to the curve than slack or far beyond
-    within = min(near_agonist, near_antagonist) >= 0.0 and max(near_agonist, near_antagonist) <= 1.0
-    agonist, antagonist = (near_agonist, near_antagonist) if within else (middle, middle)
+    near_agonist = biceps if flexes else triceps
+    near_antagonist = triceps if flexes else biceps
+    # From slack or far beyond the table the middle is nearer to the curve. A branch would prevent vectorisation.
+    middle = 0.5 * (near_agonist + near_antagonist)
+    outside = max(abs(near_agonist - 0.5), abs(near_antagonist - 0.5)) - 0.5
+    share = min(max(20.0 * outside, 0.0), 1.0)
+    antagonist = min(max(near_antagonist + share * (middle - near_antagonist), 0.0), 1.0)
+    agonist = min(max(near_agonist + share * (middle - near_agonist), 0.0), 1.0)
     multiplier = 0.0
     for _ in range(STEPS):
         pull, slope, bend = look_up_curve(force_table, antagonist)
@@ -70,4 +74,4 @@ def nearest_pair(
     tension = min(max(look_up(force_table, antagonist), least), max_force - apart)
     antagonist = find_position(force_table, position_table, tension)
     agonist = find_position(force_table, position_table, tension + apart)
-    return (agonist, antagonist) if flexes else (antagonist, agonist)
+    return agonist if flexes else antagonist, antagonist if flexes else agonist

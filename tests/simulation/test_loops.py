@@ -47,7 +47,7 @@ def scenario(**changes) -> Scenario:
 def tolerance(control) -> float:
     """Return by how much a command [rad] may differ from the independent model's: an iteration ends early."""
     if control == "minimal-motion":
-        return 1e-2
+        return 1e-3
     return 2e-4 if control in BY_STIFFNESS else 1e-7
 
 
