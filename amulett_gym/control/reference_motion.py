@@ -41,18 +41,36 @@ def remaining_offset(
         [s].
     """
     if shape == FIRST_ORDER:
-        pace = _TIME_CONSTANTS / duration
-        left = offset * math.exp(-pace * time)
-        return left, -pace * left, pace * pace * left
+        return first_order_offset(offset, time, duration)
     if shape == CRITICALLY_DAMPED:
-        pace = _DOUBLE_TIME_CONSTANTS / duration
-        slope, decay = rate + pace * offset, math.exp(-pace * time)
-        left = (offset + slope * time) * decay
-        speed = slope * decay - pace * left
-        return left, speed, -pace * (slope * decay + speed)
-    if time >= duration:
-        return 0.0, 0.0, 0.0
-    t = time / duration
+        return critically_damped_offset(offset, rate, time, duration)
+    return minimum_jerk_offset(offset, rate, acceleration, time, duration)
+
+
+@compiled
+def first_order_offset(offset: float, time: float, duration: float) -> tuple[float, float, float]:
+    """Return what a first-order filter leaves of an offset; see `remaining_offset`."""
+    pace = _TIME_CONSTANTS / duration
+    left = offset * math.exp(-pace * time)
+    return left, -pace * left, pace * pace * left
+
+
+@compiled
+def critically_damped_offset(offset: float, rate: float, time: float, duration: float) -> tuple[float, float, float]:
+    """Return what a critically damped filter leaves of an offset; see `remaining_offset`."""
+    pace = _DOUBLE_TIME_CONSTANTS / duration
+    slope, decay = rate + pace * offset, math.exp(-pace * time)
+    left = (offset + slope * time) * decay
+    speed = slope * decay - pace * left
+    return left, speed, -pace * (slope * decay + speed)
+
+
+@compiled
+def minimum_jerk_offset(
+    offset: float, rate: float, acceleration: float, time: float, duration: float
+) -> tuple[float, float, float]:
+    """Return what is left of an offset on its minimum-jerk way to zero; see `remaining_offset`."""
+    t = min(time / duration, 1.0)
     a, b, c = offset, rate * duration, acceleration * duration * duration
     c3 = -10.0 * a - 6.0 * b - 1.5 * c
     c4 = 15.0 * a + 8.0 * b + 1.5 * c
@@ -60,7 +78,8 @@ def remaining_offset(
     value = a + t * (b + t * (0.5 * c + t * (c3 + t * (c4 + t * c5))))
     slope = b + t * (c + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5)))
     curvature = c + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5))
-    return value, slope / duration, curvature / (duration * duration)
+    left = 0.0 if t >= 1.0 else 1.0  # as a factor: a branch would prevent vectorisation
+    return left * value, left * slope / duration, left * curvature / (duration * duration)
 
 
 @compiled

@@ -24,7 +24,7 @@ from amulett_gym.control.inverse_statics import affordable_tension, drive_angles
 from amulett_gym.control.joint_observer import observe
 from amulett_gym.control.minimal_motion import nearest_pair
 from amulett_gym.control.pid import filtered_derivative, integrate
-from amulett_gym.control.reference_motion import remaining_jerk, remaining_offset
+from amulett_gym.control.reference_motion import MINIMUM_JERK, minimum_jerk_offset, remaining_jerk, remaining_offset
 from amulett_gym.control.torque import common_rate, desired_torque
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
@@ -45,6 +45,7 @@ FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 def run_loop(p, g, s, q, m, first, end):
     """Command the drives of the lanes from `first` to before `end`."""
     prepare(p, g, s, q, m, first, end)
+    move_reference(g, q, first, end)
     if g.loop == FEEDBACK_LINEARISATION or g.loop == TORQUE:
         observe_device(p, g, s, q, first, end)
     want(p, g, s, q, first, end)
@@ -92,12 +93,12 @@ def prepare(p, g, s, q, m, first, end):
         s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
         s.agonist[i] = agonist
         s.tension_setpoint[i] = choose_tension(p, s, i, error)
-        move_reference(p, g, s, q, i)
+        note_jump(p, g, s, q, i)
 
 
 @compiled
-def move_reference(p, g, s, q, i):
-    """Set the reference motion for this tick, and the joint's estimated rate."""
+def note_jump(p, g, s, q, i):
+    """Read the setpoint and the joint angle; a jump of the setpoint begins a motion of the reference."""
     time = s.tick[i] * p.control_period
     elapsed = max(time - q.last_time[i], p.control_period)  # more than a period after late ticks
     jump = s.setpoint_jump[i]
@@ -106,15 +107,14 @@ def move_reference(p, g, s, q, i):
         jump += moved
         moved = 0.0
     if jump != 0.0:
-        offset, rate, acceleration = offset_now(g, q, i, time)
+        begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
+        offset, rate, acceleration = remaining_offset(
+            g.reference_shape, *begun, time - q.jump_time[i], g.reference_time
+        )
         q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - jump, rate, acceleration
         q.jump_time[i] = time
-    offset, rate, acceleration = offset_now(g, q, i, time)
     setpoint_rate = moved / elapsed
-    q.reference[i] = s.setpoint[i] + offset
-    q.reference_rate[i] = setpoint_rate + rate
     q.setpoint_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed
-    q.reference_acceleration[i] = q.setpoint_acceleration[i] + acceleration
     q.velocity[i] = filtered_derivative(
         q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
     )
@@ -125,11 +125,42 @@ def move_reference(p, g, s, q, i):
 
 
 @compiled
-def offset_now(g, q, i, time):
-    """Return what is left of the setpoint's jumps, its rate and its acceleration."""
-    elapsed = time - q.jump_time[i]
-    begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
-    return remaining_offset(g.reference_shape, *begun, elapsed, g.reference_time)
+def move_reference(g, q, first, end):
+    """Set the reference motion for this tick: the setpoint with what is left of its jumps."""
+    if g.reference_shape == MINIMUM_JERK:
+        move_by_minimum_jerk(g, q, first, end)
+    else:
+        move_by_filter(g, q, first, end)
+
+
+@compiled_lanes
+def move_by_minimum_jerk(g, q, first, end):
+    """Set a minimum-jerk reference."""
+    for i in range(first, end):
+        since = q.last_time[i] - q.jump_time[i]
+        offset, rate, acceleration = minimum_jerk_offset(
+            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i], since, g.reference_time
+        )
+        add_offset(q, i, offset, rate, acceleration)
+
+
+@compiled_lanes
+def move_by_filter(g, q, first, end):
+    """Set a reference behind a filter."""
+    for i in range(first, end):
+        since = q.last_time[i] - q.jump_time[i]
+        offset, rate, acceleration = remaining_offset(
+            g.reference_shape, q.jump_offset[i], q.jump_rate[i], 0.0, since, g.reference_time
+        )
+        add_offset(q, i, offset, rate, acceleration)
+
+
+@compiled
+def add_offset(q, i, offset, rate, acceleration):
+    """Set the reference to the setpoint plus an offset."""
+    q.reference[i] = q.last_setpoint[i] + offset
+    q.reference_rate[i] = q.last_rate[i] + rate
+    q.reference_acceleration[i] = q.setpoint_acceleration[i] + acceleration
 
 
 @compiled_lanes
