@@ -63,6 +63,17 @@ def test_a_bundle_acts_as_its_own_network(folder):
     assert policy(np.stack([observation] * 3)).shape == (3, 2)
 
 
+def test_a_network_can_act_relative_to_the_setpoint(tmp_path):
+    env = gym.make(DRIVES, mean_angle_range=258.66)
+    policy = load_policy(keep(tmp_path / "relative", setpoint_gain=-2.5), env)
+    for setpoint, mean in ((0.2, 0.2 * (150.0 / 90.0 - 2.5)), (0.6, 1.0 - 1.5), (-1.0, 1.0)):  # each step is limited
+        observation = np.zeros(len(OBSERVATIONS), dtype=np.float32)
+        observation[SETPOINT] = setpoint
+        assert policy(observation) == pytest.approx([mean, 0.2], abs=1e-6)
+    with pytest.raises(ValueError, match="setpoint_gain needs mean_angle_range"):
+        keep_network(tmp_path / "wrong", [(np.zeros((1, 13)), np.zeros(1))], setpoint_gain=1.0)
+
+
 def test_a_low_pass_holds_for_both_entries(tmp_path):
     env = gym.make(DRIVES, mean_angle_range=258.66)
     policy = load_policy(keep(tmp_path / "slow", follow=0.25), env)
