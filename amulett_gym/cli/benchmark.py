@@ -11,6 +11,7 @@ from amulett_gym.cli.output import print_json, printer
 HELP = "run the benchmark: train missing policies, compare all on all suites, and check the claims; resumes by itself"
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
   amulett benchmark --config configs/benchmark.yaml --out runs/benchmark
+  amulett benchmark --config configs/full_control.yaml --out runs/full-control
   amulett benchmark --config configs/benchmark.yaml --runs runs/stored --out runs/benchmark --doc docs/benchmark.md
 """
 

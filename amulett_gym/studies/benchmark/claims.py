@@ -9,7 +9,7 @@ from typing import Any
 from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
-from amulett_gym.studies.benchmark.description import PAPER_STEP
+from amulett_gym.studies.benchmark.description import PAPER_STEP, named
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, SEARCHED, TUNED_EQ6, TUNED_LAW, Content
 
 COST_SHARE = 0.65
@@ -209,6 +209,11 @@ def _on_full_control(found: Content) -> list[Claim]:
         note = f"families with an interval below 1: {', '.join(lower) or 'none'}" if name else "nothing learned there"
         text = f"{text} {FEWEST_FAMILIES} families"
         claims.append(_claim(about, text, number, lambda mean, low, high: mean >= FEWEST_FAMILIES, note))
+        law = named(loop, TUNED_LAW)
+        if name and law in found["entries"]:
+            mine = found["results"][f"{headline}/held-out"][name]["ratio"].get(law)
+            text = f"cost of {name} relative to {law}, tuned in that loop"
+            claims.append(_claim(about, text, mine, None, "ratio of costs; reported only"))
     goal = found["references"]["clairvoyant"].get(headline)
     for key, family in found["families"].items() if goal is not None else ():
         text = f"clairvoyant schedules in {loop}, relative to {overall}: {key}"

@@ -36,7 +36,7 @@ from amulett_gym.evaluation.statistics import (
 from amulett_gym.laws.parametric import LAWS, tuned_content
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.writing import write_json
-from amulett_gym.studies.benchmark.description import loop_of
+from amulett_gym.studies.benchmark.description import loop_of, named
 from amulett_gym.studies.benchmark.episodes import Played
 from amulett_gym.studies.benchmark.frozen import PRICES_OF
 from amulett_gym.studies.benchmark.reference import Searched
@@ -145,7 +145,8 @@ def best_by_hand(evidence: Evidence) -> str:
 def opponents(evidence: Evidence, suite: str) -> list[str]:
     """Return the names of the entries with which all others are compared on a suite."""
     constants = *evidence.best_constants(), evidence.best_constant(), evidence.best_constant(suite)
-    asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, POSITION_ONLY)
+    tuned = (named(loop_of(evidence.best_constant()), law) for law in (TUNED_EQ6, TUNED_LAW))
+    asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, *tuned, POSITION_ONLY)
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
 
 

@@ -1,6 +1,7 @@
 """The track *full control*, end to end on a tiny description: loops and laws by the full-control cost."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ import yaml
 from amulett_gym.cli import main
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.evaluation.search import laws as tuning
+from amulett_gym.evaluation.search.optimal import OptimalCosts
 from amulett_gym.studies.benchmark.by_loop import BEST, by_loop
 from amulett_gym.studies.benchmark.claims import check_claims
 from amulett_gym.studies.benchmark.description import load_benchmark
 from amulett_gym.studies.benchmark.document import MARKS
 from amulett_gym.studies.benchmark.results import content
 from amulett_gym.studies.benchmark.stages import run_benchmark
+from amulett_gym.studies.benchmark.tables import references
 
 SHORT = [
     *("env.track=full-control", "env.tension_range=[0.0, 15.0]", "env.suite=mixed"),
@@ -167,6 +170,13 @@ def test_the_claims_are_judged_by_the_measured_numbers(found):
     assert claim.holds is None and claim.note == "nothing learned there"
     loop, top = found["entries"][found["constants"]["overall"]]["loop"], "mine"
     found = {**found, "entries": {**alone, top: {"kind": "learned", "loop": loop}}}
+    law = "parametric" if loop == "decentralized" else f"{loop}/parametric"
+    found["entries"][law] = {"kind": "law", "loop": loop}
+    there = found["results"]["mixed/held-out"]
+    there = {**there, top: {"ratio": {law: {"mean": 0.95, "low": 0.9, "high": 0.99}}}}
+    found["results"] = {**found["results"], "mixed/held-out": there}
+    (beside,) = [claim for claim in check_claims(found) if f"{top} relative to {law}" in claim.claim]
+    assert beside.measured == 0.95 and beside.holds is None
     for low, high, holds in ((0.8, 0.9, True), (0.9, 1.0, False)):
         for family in found["families"].values():
             family["ratio_to_constant"][top] = {"mean": 0.9, "low": low, "high": high}
@@ -186,5 +196,11 @@ def test_finished_laws_and_searches_are_kept(done, monkeypatch):
     monkeypatch.setattr(tuning, "search", refuse)
     monkeypatch.setattr("amulett_gym.evaluation.search.clairvoyant.improve", refuse)
     evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
-    assert content(evidence)["track"] == "full-control"
+    optimal = OptimalCosts(np.arange(2), np.full(2, 0.05), np.full(2, 0.04), {}, np.array([True, False]))
+    found = content(replace(evidence, optimal=optimal))
+    goal, eq6 = found["references"]["optimal"], evidence.headline()["eq6"].values["control_cost"][0, :2]
+    assert goal["cost"] == 0.05 and goal["ratio_to_eq6"]["mean"] == pytest.approx(0.1 / eq6.sum())
+    assert goal["entries_to_eq6"]["eq6"]["mean"] == 1.0
+    row = references(found).rows[-1]
+    assert row[0] == "optimal control, mixed (2)" and "Solved: 1 of 2." in references(found).note
     assert before == {path: path.stat().st_mtime_ns for path in done.rglob("*.npz")}

@@ -268,7 +268,7 @@ def test_changed_suites_are_refused(tmp_path, monkeypatch):
 
 def test_changed_prices_are_refused(tmp_path, monkeypatch):
     weights = {"position": 0.6, "effort": 0.35, "tension": 0.05, "contact": 0.0}
-    monkeypatch.setattr(frozen, "default_weights", lambda suite: weights)
+    monkeypatch.setattr(frozen, "default_weights", lambda *given: weights)
     with pytest.raises(AmulettError, match="divisors or weights"):
         bench(tmp_path, LAWS)
 
