@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.spring import find_position, look_up_curve
 
-STEPS = 4
+STEPS = 3
 """Newton steps of `stiff_pair`: to 1e-3 N for the shipped springs, to 0.03 N for springs with another geometry."""
 
 

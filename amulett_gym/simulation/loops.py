@@ -346,10 +346,8 @@ def run_co_rotation(p, g, s, q, first, end):
     for i in range(first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
         error = q.reference[i] - s.measured_angle[i]
-        highest, lowest = max(s.command_biceps[i], s.command_triceps[i]), min(s.command_biceps[i], s.command_triceps[i])
-        q.integral[i] = integrate(
-            q.integral[i], error, g.ki, p.control_period, highest < p.command_limit, lowest > -p.command_limit
-        )
+        rise, fall = room_to_turn(p, s, i)
+        q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
         turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
         q.biceps[i], q.triceps[i] = biceps + turn, triceps + turn
 
@@ -417,10 +415,11 @@ def run_feedforward_feedback(p, g, s, q, first, end):
     for i in range(first, end):
         torque = needed_torque(p, g, s, q, i, q.reference[i])
         biceps, triceps, stiffness, antagonist = hold_stiff(p, g, s, i, q.reference[i], torque)
-        rise, fall = headroom(p, s, i)
+        rise, fall = room_to_turn(p, s, i)
         error = q.reference[i] - s.measured_angle[i]
         q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
         turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
+        rise, fall = headroom(p, s, i)
         apart = control_stiffness(p, g, s, q, i, stiffness, antagonist >= g.floor_position, rise and fall)
         move_drives(p, g, q, i, biceps + turn + apart, triceps + turn - apart, q.reference_rate[i])
 

@@ -329,7 +329,7 @@ class _EquilibriumPoint(Loop):
 class _CoRotation(Loop):
     def wants(self, now: Reading) -> Pair:
         error, gains = now.reference - now.measured_angle, self.gains
-        turn = gains.kp * error + self.integrate(now, error, gains.ki)
+        turn = gains.kp * error + self.integrate_torque(now, error, gains.ki)
         turn += gains.kd * (now.reference_rate - now.velocity)
         biceps, triceps = self.equilibrium(now)
         return biceps + turn, triceps + turn
@@ -358,7 +358,7 @@ class _FeedforwardFeedback(Loop):
 
     def wants(self, now: Reading) -> Pair:
         gains, error = self.gains, now.reference - now.measured_angle
-        turn = gains.kp * error + self.integrate(now, error, gains.ki)
+        turn = gains.kp * error + self.integrate_torque(now, error, gains.ki)
         turn += gains.kd * (now.reference_rate - now.velocity)
         torque = self.device.torque(now, now.reference)
         biceps, triceps, stiffness, slackest = self.device.hold_stiff(now.reference, torque, now.tension)

@@ -307,7 +307,9 @@ def test_without_a_torque_setpoint_the_arm_follows_a_slow_push():
     assert felt["torque"] < 0.5 * torque < felt["decentralized"]
 
 
-@pytest.mark.parametrize("control", ["cascade", "computed-torque", "minimal-motion"])
+@pytest.mark.parametrize(
+    "control", ["co-rotation", "feedforward-feedback", "cascade", "computed-torque", "minimal-motion"]
+)
 def test_an_integral_does_not_wind_up_against_a_wall(control):
     wall = {"angle_deg": 30.0, "stiffness": 20.0, "damping": 0.05}
     moves = [{"time": 0.1, "angle_deg": 90.0, "duration": 0.0}, {"time": 6.0, "angle_deg": 0.0, "duration": 0.0}]
