@@ -212,15 +212,16 @@ def constants_figure(found: Content) -> Figure:
     On *full control*: in each loop on the headline suite.
     """
     tried = found["constants"]["tried"]
-    curves, what = tried, "suite"
+    curves, what, loops = tried, "suite", dict[str, str]()
     if found["track"] == FULL_CONTROL:
         overall, what, curves = tried[found["description"]["headline"]], "control loop", {}
+        loops = loop_colours(found)
         for name, cost in overall.items():
             curves.setdefault(loop_of(name), {})[name] = cost
     figure, panel = style.one_panel(3.7)
     for k, (suite, costs) in enumerate(curves.items()):
         tensions, means = [_newtons(name) for name in costs], np.array(list(costs.values()))
-        colour, best = _SUITES[k % len(_SUITES)], int(means.argmin())
+        colour, best = loops.get(suite, _SUITES[k % len(_SUITES)]), int(means.argmin())
         dashes = "-" if k < len(_SUITES) else "--"
         panel.plot(
             tensions, means / means[best], color=colour, linestyle=dashes, label=f"{suite}: {tensions[best]:g} N"
