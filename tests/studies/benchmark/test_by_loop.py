@@ -1,6 +1,7 @@
 """The track *full control*, end to end on a tiny description: loops and laws by the full-control cost."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import yaml
 
 from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.optimal import OptimalCosts
@@ -184,6 +186,21 @@ def test_the_claims_are_judged_by_the_measured_numbers(found):
         (claim,) = [claim for claim in check_claims({**found, "families": named}) if "at least 3" in claim.claim]
         assert claim.holds is holds and claim.measured == (3.0 if holds else 0.0)
     assert check_claims({**found, "quick": True}) == []
+
+
+def test_without_casadi_nothing_begins(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump({**TINY, "tuned_budget": {}, "optimal": 2}))
+    with pytest.raises(AmulettError, match="optimal control needs CasADi"):
+        run_benchmark(load_benchmark(tmp_path / "tiny.yaml"), tmp_path / "out", tmp_path)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_budget_that_is_too_small_is_refused_before_anything_begins(tmp_path):
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump({**TINY, "learned": {}, "tuned_budget": {"parametric": 500}}))
+    with pytest.raises(AmulettError, match="a budget of 500 simulated episodes is too small"):
+        run_benchmark(load_benchmark(tmp_path / "tiny.yaml"), tmp_path / "out", tmp_path)
+    assert not (tmp_path / "out").exists()
 
 
 def test_finished_laws_and_searches_are_kept(done, monkeypatch):
