@@ -546,7 +546,8 @@ def _switched_smoothly(configuration: str) -> list[_Part]:
     return [
         (
             NAMES[configuration],
-            "the agonist switches, and position ISE is less than 5 % larger than if the biceps is always the agonist",
+            "in the movements of Figure 9 the agonist switches, and position ISE is less than 5 % larger than if the "
+            "biceps is always the agonist",
             [switched, Within(_ise_by_switching(configuration, "position ISE"), high=1.05)],
         ),
         (
