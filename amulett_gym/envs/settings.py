@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
-from amulett_gym.envs.reward import SCHEDULE, TRACKS, RewardFunction, Track, check_weights
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, RewardFunction, Track, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
@@ -153,6 +153,15 @@ class Settings(Group):
             raise AmulettError(
                 f"tension_range is {self.tension_range} N; the loop '{self.control}' needs a range above 0 N; slack "
                 "strings need a loop that feeds the co-contraction forward"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _check_weights_of_track(self) -> Self:
+        tension = (self.reward_weights or {}).get("tension", 0.0)
+        if self.track == FULL_CONTROL and tension > 0.0:
+            raise AmulettError(
+                f"reward_weights gives the tension {tension:g}; the track full-control has no such term: it has to be 0"
             )
         return self
 

@@ -100,14 +100,14 @@ def split_loop(name: str) -> tuple[str, str]:
 
 
 def in_loop(contender: C, loop: str) -> C:
-    """Return a contender in a control loop, under the name ``loop/law``; as it is if `loop` is empty.
+    """Return a contender in a control loop, under the name ``loop/law``; as it is if that is the paper's.
 
     Raises
     ------
     AmulettError
         If the contender needs another loop, or the loop controls no tension.
     """
-    if not loop:
+    if loop in ("", CONTROLS[0]):
         return contender
     name = f"{loop}/{contender.name}"
     if loop == "position-only" or contender.env_keywords.get("control", loop) != loop:

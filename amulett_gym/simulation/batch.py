@@ -14,6 +14,7 @@ from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
 from amulett_gym.simulation import kernel, layout
 from amulett_gym.simulation.layout import (
+    CONTROLS,
     DRIVES,
     LANES,
     LOOPS,
@@ -62,6 +63,7 @@ class Simulation:
             raise AmulettError(f"num_devices is {num_devices}; at least 1 is needed")
         self.profile = profile
         self.num_devices = num_devices
+        self.control = control
         self.parameters = pack_parameters(profile, control, tension_law)
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
@@ -170,7 +172,7 @@ class Simulation:
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""
-        memory = {} if self.loop is None else {"loop": self.loop[1].copy()}
+        memory = {} if self.loop is None else {"loop": self.loop[1].copy(), "control": self.control}
         return {
             "scenarios": self.scenarios.copy(),
             "states": self.states.copy(),
@@ -179,11 +181,13 @@ class Simulation:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Restore a snapshot taken by `get_state` from a simulation of the same size."""
+        """Restore a snapshot taken by `get_state` from a simulation of the same size and loop; else AmulettError."""
         if state["states"].shape != self.states.shape:
             raise AmulettError(
                 f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self.states.size}"
             )
+        if (found := state.get("control", CONTROLS[0])) != (self.control if self.loop is not None else CONTROLS[0]):
+            raise AmulettError(f"the snapshot is of the loop '{found}'; this simulation has '{self.control}'")
         self.scenarios[...] = state["scenarios"]
         self.states[...] = state["states"]
         self.paths = deepcopy(state["paths"])

@@ -312,3 +312,9 @@ def test_slack_strings_need_a_loop_that_feeds_the_co_contraction_forward():
         Settings.read({"tension_range": (0.0, 15.0)})
     with pytest.raises(AmulettError, match="did you mean 'co-rotation'"):
         Settings.read({"control": "co-rotatoin"})
+
+
+def test_the_track_full_control_has_no_weight_of_the_tension():
+    with pytest.raises(AmulettError, match="gives the tension 1; the track full-control has no such term"):
+        Settings.read({"track": "full-control", "reward_weights": {"tension": 1.0}})
+    assert Settings.read({"track": "full-control", "reward_weights": {"tension": 0.0}}).track == "full-control"

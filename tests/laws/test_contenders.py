@@ -76,3 +76,8 @@ def test_results_say_in_which_loop_a_policy_was_trained():
     results = evaluate(["co-rotation/pretrained", "co-rotation/parametric"], "mixed", episodes=1, duration=0.1)
     assert "co-rotation/pretrained was trained in the loop decentralized, not co-rotation" in results.remarks
     assert "co-rotation/parametric acts with the parameters tuned in the paper's loop" in results.remarks
+
+
+def test_a_law_in_the_papers_loop_is_the_law_itself():
+    assert parse_contender("decentralized/eq6") == parse_contender("eq6")
+    assert list(evaluate(["decentralized/eq6"], "paper-step", episodes=1, duration=0.1).values) == ["eq6"]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
@@ -392,3 +393,12 @@ def test_a_device_far_from_its_profile_does_not_run_away_in_the_torque_loop():
     simulation.command_tension(8.0)
     simulation.advance(1100)
     assert not simulation.read("failure").any()
+
+
+@pytest.mark.parametrize(
+    ("there", "here"), [("cascade", "torque"), ("cascade", "decentralized"), ("decentralized", "cascade")]
+)
+def test_a_snapshot_of_another_loop_is_refused(there, here):
+    snapshot = start(there).get_state()
+    with pytest.raises(AmulettError, match=f"of the loop '{there}'; this simulation has '{here}'"):
+        start(here).set_state(snapshot)
