@@ -6,6 +6,8 @@ from amulett_gym.control.variable_stiffness import scaling_factor, scaling_facto
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.simulation import layout
 
+FARTHEST = 1e100  # [rad], [rad/s]; beyond, the square in a metric could overflow
+
 
 @compiled
 def choose(condition, yes, no):

@@ -26,7 +26,7 @@ from amulett_gym.model.plant import contact_torque, deflection_biceps, deflectio
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import estimate_force, inverse_look_up, look_up, look_up_slope
 from amulett_gym.simulation import layout
-from amulett_gym.simulation.commands import choose, choose_tension, command_drives, low_pass
+from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
 from amulett_gym.simulation.loops import begin_loop, predict_drives, run_loop
 from amulett_gym.simulation.random import noise, random_bits
 
@@ -35,7 +35,6 @@ ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), n
 SHAKE_STREAM = np.uint64(0x5A4E)
 TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
 # scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
-FARTHEST = 1e100  # [rad], [rad/s]; beyond, the square in a metric could overflow
 
 
 @compiled

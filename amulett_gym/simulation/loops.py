@@ -30,7 +30,7 @@ from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration
 from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve, look_up_slope
-from amulett_gym.simulation.commands import choose, choose_tension, command_drives, low_pass
+from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
 from amulett_gym.simulation.layout import LOOPS
 
 EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
@@ -167,7 +167,11 @@ def add_offset(q, i, offset, rate, acceleration):
 def command(p, s, q, m, first, end):
     """Command the drives. A reference has no jump, so that the effort is the whole ISAV."""
     for i in range(first, end):
-        command_drives(p, s, m, i, q.biceps[i] + q.trim_biceps[i], q.triceps[i] + q.trim_triceps[i], 0.0, 0.0)
+        biceps, triceps = q.biceps[i] + q.trim_biceps[i], q.triceps[i] + q.trim_triceps[i]
+        # A number that overflows, on a device without any force for example, must not reach the drives.
+        sound = abs(biceps) <= FARTHEST and abs(triceps) <= FARTHEST
+        biceps, triceps = choose(sound, biceps, s.command_biceps[i]), choose(sound, triceps, s.command_triceps[i])
+        command_drives(p, s, m, i, biceps, triceps, 0.0, 0.0)
 
 
 @compiled_lanes

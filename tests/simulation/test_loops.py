@@ -402,3 +402,17 @@ def test_a_snapshot_of_another_loop_is_refused(there, here):
     snapshot = start(there).get_state()
     with pytest.raises(AmulettError, match=f"of the loop '{there}'; this simulation has '{here}'"):
         start(here).set_state(snapshot)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize("number", [np.nan, np.inf, -1e300])
+def test_a_number_that_overflows_in_a_loop_does_not_reach_the_drives(control, number):
+    simulation = start(control)
+    simulation.advance(20)
+    held = simulation.read("command_biceps")[0]
+    simulation.loop[1]["trim_triceps"][0, 0] = number
+    simulation.advance(200)
+    assert simulation.read("command_biceps")[0] == held
+    assert np.isfinite(
+        [simulation.read(name)[0] for name in ("command_triceps", "isav_triceps", "drive_triceps")]
+    ).all()
