@@ -405,7 +405,7 @@ def test_a_snapshot_of_another_loop_is_refused(there, here):
 
 
 @pytest.mark.parametrize("control", LOOPS)
-@pytest.mark.parametrize("number", [np.nan, np.inf, -1e300])
+@pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_a_number_that_overflows_in_a_loop_does_not_reach_the_drives(control, number):
     simulation = start(control)
     simulation.advance(20)
