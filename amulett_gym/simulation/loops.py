@@ -46,10 +46,16 @@ def run_loop(p, g, s, q, m, first, end):
     """Command the drives of the lanes from `first` to before `end`."""
     prepare(p, g, s, q, m, first, end)
     move_reference(g, q, first, end)
-    if g.loop == FEEDBACK_LINEARISATION or g.loop == TORQUE:
+    if observes(g):
         observe_device(p, g, s, q, first, end)
     want(p, g, s, q, first, end)
     command(p, s, q, m, first, end)
+
+
+@compiled
+def observes(g):
+    """Return whether the loop observes the joint's motion and the string forces (`observe_device`)."""
+    return g.loop == FEEDBACK_LINEARISATION or g.loop == TORQUE
 
 
 @compiled
@@ -81,7 +87,7 @@ def want(p, g, s, q, first, end):
 
 @compiled_lanes
 def prepare(p, g, s, q, m, first, end):
-    """Choose the tension setpoint, move the reference, and estimate the joint's rate."""
+    """Choose agonist and tension setpoint, read setpoint and joint angle, and estimate the joint's rate."""
     for i in range(first, end):
         error = s.setpoint[i] - s.measured_angle[i]
         agonist = p.fixed_agonist
@@ -194,7 +200,8 @@ def begin_loop(p, g, c, s, q, i):
     q.integral[i] = q.stiffness_integral[i] = q.stiffness_error[i] = 0.0
     q.stiffness_reference[i] = -1.0
     begin_drives(p, g, s, q, i)
-    begin_estimates(p, g, c, s, q, i)
+    if observes(g):
+        begin_estimates(p, g, c, s, q, i)
     if g.loop == FEEDBACK_LINEARISATION:
         q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)  # its trim is that of the feed-forward
     else:
@@ -208,22 +215,18 @@ def begin_loop(p, g, c, s, q, i):
 
 
 @compiled
-def hold(p, g, s, q, i, angle, torque):
-    """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at the tension setpoint."""
-    return hold_at(p, g, angle, torque, s.tension_setpoint[i])
-
-
-@compiled
 def hold_at(p, g, angle, torque, tension):
     """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at a tension [N]."""
     biceps, triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
-    return drive_angles(
-        angle,
-        find_position(p.force_table, g.position_table, biceps) / p.inverse_max_deflection,
-        find_position(p.force_table, g.position_table, triceps) / p.inverse_max_deflection,
-        p.drive_radius,
-        p.joint_radius,
-    )
+    at_biceps = find_position(p.force_table, g.position_table, biceps)
+    return drives_at(p, angle, at_biceps, find_position(p.force_table, g.position_table, triceps))
+
+
+@compiled
+def drives_at(p, angle, biceps, triceps):
+    """Return the drive angles [rad] at a joint angle [rad] for the strings' positions in the force table."""
+    end = p.inverse_max_deflection
+    return drive_angles(angle, biceps / end, triceps / end, p.drive_radius, p.joint_radius)
 
 
 @compiled
@@ -242,13 +245,13 @@ def weight_slope_at(g, angle):
 def hold_reference(p, g, s, q, i):
     """Return the drive angles [rad] of equilibrium-point control."""
     angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
-    return hold(p, g, s, q, i, angle, weight_at(g, q.reference[i]))
+    return hold_at(p, g, angle, weight_at(g, q.reference[i]), s.tension_setpoint[i])
 
 
 @compiled
-def predict_positions(p, q, i):
-    """Return both strings' positions in the force table by drive model and joint angle."""
-    angle, scale = q.observed_angle[i], p.inverse_max_deflection
+def predict_positions(p, q, i, angle):
+    """Return both strings' positions in the force table by the drives' model and a joint angle [rad]."""
+    scale = p.inverse_max_deflection
     return (
         deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * scale,
         deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * scale,
@@ -284,7 +287,7 @@ def begin_estimates(p, g, c, s, q, i):
     slider_triceps = look_up(p.spring_table, triceps * p.inverse_max_deflection) + c.slider_bias_triceps[i]
     q.force_biceps[i] = estimate_force(p.estimate_table, slider_biceps, p.max_spring_deflection)
     q.force_triceps[i] = estimate_force(p.estimate_table, slider_triceps, p.max_spring_deflection)
-    at_biceps, at_triceps = predict_positions(p, q, i)
+    at_biceps, at_triceps = predict_positions(p, q, i, q.observed_angle[i])
     q.correction_biceps[i] = find_position(p.force_table, g.position_table, q.force_biceps[i]) - at_biceps
     q.correction_triceps[i] = find_position(p.force_table, g.position_table, q.force_triceps[i]) - at_triceps
     q.slope_biceps[i] = slope_at(p, g, at_biceps + q.correction_biceps[i]) * p.inverse_max_deflection
@@ -310,7 +313,7 @@ def observe_device(p, g, s, q, first, end):
         )
         q.observed_angle[i], q.observed_velocity[i] = angle, velocity
         q.disturbance[i] += change
-        at_biceps, at_triceps = predict_positions(p, q, i)
+        at_biceps, at_triceps = predict_positions(p, q, i, q.observed_angle[i])
         at_biceps += q.correction_biceps[i]
         at_triceps += q.correction_triceps[i]
         biceps, triceps = look_up(p.force_table, at_biceps), look_up(p.force_table, at_triceps)
@@ -349,11 +352,24 @@ def run_co_rotation(p, g, s, q, first, end):
     """Run `control.co_rotation`."""
     for i in range(first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
-        error = q.reference[i] - s.measured_angle[i]
-        rise, fall = room_to_turn(p, s, i)
-        q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
-        turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
-        q.biceps[i], q.triceps[i] = biceps + turn, triceps + turn
+        both = correct_position(p, g, s, q, i)
+        q.biceps[i], q.triceps[i] = biceps + both, triceps + both
+
+
+@compiled
+def correct_position(p, g, s, q, i):
+    """Return by how much the PID of the position turns both drives [rad]."""
+    error = integrate_position(p, g, s, q, i)
+    return correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
+
+
+@compiled
+def integrate_position(p, g, s, q, i):
+    """Integrate the position error, as far as turning both drives changes the torque, and return it [rad]."""
+    error = q.reference[i] - s.measured_angle[i]
+    rise, fall = room_to_turn(p, s, i)
+    q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
+    return error
 
 
 @compiled
@@ -384,8 +400,8 @@ def hold_stiff(p, g, s, i, angle, torque):
     by_slope = p.inverse_max_deflection * p.joint_radius * p.joint_radius
     s.stiffness_setpoint[i] = 2.0 * slope * by_slope
     biceps, triceps, slopes = stiff_pair(p.force_table, g.position_table, torque / p.joint_radius, start, g.max_force)
-    antagonist, end = min(biceps, triceps), 1.0 / p.inverse_max_deflection
-    biceps, triceps = drive_angles(angle, biceps * end, triceps * end, p.drive_radius, p.joint_radius)
+    antagonist = min(biceps, triceps)
+    biceps, triceps = drives_at(p, angle, biceps, triceps)
     return biceps, triceps, slopes * by_slope, antagonist
 
 
@@ -419,13 +435,10 @@ def run_feedforward_feedback(p, g, s, q, first, end):
     for i in range(first, end):
         torque = needed_torque(p, g, s, q, i, q.reference[i])
         biceps, triceps, stiffness, antagonist = hold_stiff(p, g, s, i, q.reference[i], torque)
-        rise, fall = room_to_turn(p, s, i)
-        error = q.reference[i] - s.measured_angle[i]
-        q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
-        turn = correction(error, q.reference_rate[i] - q.velocity[i], q.integral[i], g.kp, g.kd)
+        both = correct_position(p, g, s, q, i)
         rise, fall = headroom(p, s, i)
         apart = control_stiffness(p, g, s, q, i, stiffness, antagonist >= g.floor_position, rise and fall)
-        move_drives(p, g, q, i, biceps + turn + apart, triceps + turn - apart, q.reference_rate[i])
+        move_drives(p, g, q, i, biceps + both + apart, triceps + both - apart, q.reference_rate[i])
 
 
 @compiled
@@ -562,9 +575,7 @@ def run_cascade(p, g, s, q, first, end):
     """Run `control.cascade`."""
     for i in range(first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
-        error = q.reference[i] - s.measured_angle[i]
-        rise, fall = room_to_turn(p, s, i)
-        q.integral[i] = integrate(q.integral[i], error, g.ki, p.control_period, rise, fall)
+        error = integrate_position(p, g, s, q, i)
         torque = weight_at(g, q.reference[i]) + p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
         want_biceps, want_triceps = string_forces(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         q.biceps[i] = biceps + q.integral[i] + winding(want_biceps, s.estimate_biceps[i], s.untrusted_biceps[i], g.kf)
@@ -609,23 +620,15 @@ def run_computed_torque(p, g, s, q, first, end):
 @compiled_lanes
 def run_minimal_motion(p, g, s, q, first, end):
     """Run `control.minimal_motion`."""
-    end_of_table = 1.0 / p.inverse_max_deflection
     for i in range(first, end):
         tension = taut(g, s, i)
         torque, rate = find_torque(p, g, s, q, i, tension)
         angle = s.measured_angle[i]
+        at_biceps, at_triceps = predict_positions(p, q, i, angle)
         biceps, triceps = nearest_pair(
-            p.force_table,
-            g.position_table,
-            torque / p.joint_radius,
-            tension,
-            g.max_force,
-            deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection,
-            deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * p.inverse_max_deflection,
+            p.force_table, g.position_table, torque / p.joint_radius, tension, g.max_force, at_biceps, at_triceps
         )
-        biceps, triceps = drive_angles(
-            angle, biceps * end_of_table, triceps * end_of_table, p.drive_radius, p.joint_radius
-        )
+        biceps, triceps = drives_at(p, angle, biceps, triceps)
         move_drives(p, g, q, i, biceps, triceps, rate)
 
 
