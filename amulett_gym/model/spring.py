@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,9 +44,6 @@ class SpringTables:
         The force over the *square root* of the linear spring's deflection: the microcontroller's table.
     estimated_slope : ndarray
         The slope of the force by the string deflection [N/m] over the same square root.
-    position : ndarray
-        The inverse of `force`: the position in it, 0 to 1, over the *fourth root* of the force as a share of the
-        largest one. Near rest a force may grow with the third power of the deflection.
     max_deflection, max_spring_deflection : float
         String deflection and linear spring's deflection at the tables' end [m].
     """
@@ -55,7 +52,6 @@ class SpringTables:
     spring_deflection: NDArray[np.float64]
     estimated_force: NDArray[np.float64]
     estimated_slope: NDArray[np.float64]
-    position: NDArray[np.float64]
     max_deflection: float
     max_spring_deflection: float
 
@@ -63,6 +59,18 @@ class SpringTables:
     def max_force(self) -> float:
         """Force at which the assembly saturates [N]."""
         return float(look_up(self.force, 1.0))
+
+    @cached_property
+    def position(self) -> NDArray[np.float64]:
+        """Coefficients of the inverse of `force`: the position in it, 0 to 1, shape (256, 4).
+
+        It is over the *fourth root* of the force as a share of the largest one: near rest a force may grow with the
+        third power of the deflection. Computed when first asked for: the paper's loop does not need it.
+        """
+        rising = np.linspace(0.0, 1.0, CELLS + 1) ** 4 * look_up(self.force, 1.0)
+        table = _coefficients(np.array([0.0, *(inverse_look_up(self.force, value) for value in rising[1:])]))
+        table.flags.writeable = False
+        return table
 
     @property
     def max_stiffness(self) -> float:
@@ -131,23 +139,15 @@ def _tables(
     uniform_root = np.linspace(0.0, root[-1], CELLS + 1)
     forces = _coefficients(force)
     slope = np.append(forces[:, 1], forces[-1] @ [0.0, 1.0, 2.0, 3.0]) * CELLS / deflection[-1]
-    rising = np.linspace(0.0, 1.0, CELLS + 1) ** 4 * look_up(forces, 1.0)
     tables = SpringTables(
         force=forces,
         spring_deflection=_coefficients(spring_deflection),
         estimated_force=_coefficients(PchipInterpolator(root, force)(uniform_root)),
         estimated_slope=_coefficients(PchipInterpolator(root, slope)(uniform_root)),
-        position=_coefficients(np.array([0.0, *(inverse_look_up(forces, value) for value in rising[1:])])),
         max_deflection=float(deflection[-1]),
         max_spring_deflection=float(spring_deflection[-1]),
     )
-    for table in (
-        tables.force,
-        tables.spring_deflection,
-        tables.estimated_force,
-        tables.estimated_slope,
-        tables.position,
-    ):
+    for table in (tables.force, tables.spring_deflection, tables.estimated_force, tables.estimated_slope):
         table.flags.writeable = False  # shared by all devices with this spring
     return tables
 
