@@ -137,6 +137,11 @@ class MinimalMotion(ComputedTorque):
     """Gains of `control.minimal_motion`, which differs from computed torque in the drive angles that it chooses."""
 
 
+def group_name(control: str) -> str:
+    """Return the name of a loop's group in `Loops`."""
+    return control.replace("-", "_")
+
+
 class Loops(Group):
     """Gains of all loops but the paper's, which are in `loop`."""
 

@@ -29,10 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
     from amulett_gym import DRIVES_ID, ENV_IDS
-    from amulett_gym.gains import Loops
+    from amulett_gym.gains import Loops, group_name
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.reporting.table import Table
+    from amulett_gym.simulation.layout import LOOPS
     from amulett_gym.tasks.suites import SPLITS, SUITES
 
     names: dict[str, dict[str, str]] = {
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         "control loops": {
             "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",
             "position-only": "the paper's without tension controller: a fixed co-contraction",
-            **{key.replace("_", "-"): str(field.description) for key, field in Loops.model_fields.items()},
+            **{loop: str(Loops.model_fields[group_name(loop)].description) for loop in LOOPS},
         },
         "suites": dict(SUITES),
         "splits": dict(zip(SPLITS, _USES, strict=True)),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from amulett_gym.control import reference_motion
 from amulett_gym.control.torque_stiffness import regulator_gains
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.gains import Loops
+from amulett_gym.gains import Loops, group_name
 from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, SpringTables, build_tables
@@ -368,7 +368,7 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     packed["floor_position"] = tables.deflection_at(floor) / tables.max_deflection if floor > 0.0 else 0.0
     if control == DRIVES:  # it has no gains
         return packed
-    gains = getattr(profile.loops, control.replace("-", "_"))
+    gains = getattr(profile.loops, group_name(control))
     for name in _GAINS:
         packed[name] = getattr(gains, name, 0.0)
     packed["reference_shape"] = _REFERENCES[gains.reference]

@@ -19,6 +19,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.linalg import expm, solve_continuous_are
 from scipy.optimize import brentq
 
+from amulett_gym.gains import group_name
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import Control, slider_end
@@ -50,7 +51,7 @@ def replay_loop(
     dict of str to ndarray, shape (ticks + 1,)
         ``command_biceps``, ``command_triceps`` [rad].
     """
-    period, gains = profile.loop.control_period, getattr(profile.loops, control.replace("-", "_"))
+    period, gains = profile.loop.control_period, getattr(profile.loops, group_name(control))
     limit = math.inf if profile.drives.command_limit_deg is None else math.radians(profile.drives.command_limit_deg)
     device = Device(profile)
     command = float(trajectory["command_biceps"][0]), float(trajectory["command_triceps"][0])

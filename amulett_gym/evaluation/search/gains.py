@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.errors import AmulettError
-from amulett_gym.gains import Loops
+from amulett_gym.gains import Loops, group_name
 from amulett_gym.laws.parametric import Parameter, Space
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.settings import Group, merge
@@ -96,11 +96,6 @@ def gains_of(control: str, profile: Profile) -> Gains:
     tensions = FEED_FORWARD_RANGE if control in LOOPS else TENSION_RANGE
     constant = Parameter(TENSION, "N", *tensions, 10.0, "constant tension with which the gains are tuned")
     return Gains(GAINS, f"gains of {control}", (*parameters, constant), control, tuple(places))
-
-
-def group_name(control: str) -> str:
-    """Return the name of a loop's group in `profile.loops`."""
-    return control.replace("-", "_")
 
 
 def profile_text(profile: Profile, changes: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate, play_alone
+from amulett_gym.gains import group_name
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
@@ -149,7 +150,7 @@ def _means(protocol: Protocol, profile: Profile, name: str) -> dict[str, float]:
 
 
 def _with_reference(profile: Profile, loop: str, shape: str, time: float) -> Profile:
-    gains = {loop.replace("-", "_"): {"reference": shape, "reference_time": time}}
+    gains = {group_name(loop): {"reference": shape, "reference_time": time}}
     return load_profile(merge(profile.model_dump(), {"loops": gains}))
 
 
