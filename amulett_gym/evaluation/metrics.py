@@ -158,8 +158,14 @@ def control_cost(raw: Mapping[str, Values], charge: Values, prices: Values) -> V
     prices : ndarray, shape (N, len(CONTROL_TERMS))
         Of each scenario: `control_prices` of its family.
     """
-    terms = [prices[:, k] * raw[metric] for k, metric in enumerate(CONTROL_TERMS.values())]
-    return np.sum([*terms, charge], axis=0)
+    return np.asarray(np.sum([*_control_shares(raw, prices).values(), charge], axis=0))
+
+
+def _control_shares(raw: Mapping[str, Values], prices: Values) -> dict[str, Values]:
+    """Return the terms of the full-control cost but that of failure, by the metrics' keys."""
+    return {
+        f"control_cost_{term}": prices[:, k] * raw[metric] for k, (term, metric) in enumerate(CONTROL_TERMS.items())
+    }
 
 
 def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_prices: Values) -> dict[str, Values]:
@@ -185,8 +191,7 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_pr
     costs["cost_failure"] = charge
     failed = np.asarray(charge > 0.0, dtype=np.float64)
     cost, control = np.sum(list(costs.values()), axis=0), control_cost(raw, charge, control_prices)
-    for k, (term, metric) in enumerate(CONTROL_TERMS.items()):
-        costs[f"control_cost_{term}"] = control_prices[:, k] * raw[metric]
+    costs |= _control_shares(raw, control_prices)
     return {"cost": cost, **costs, "control_cost": control, "failed": failed, "effort": effort, **raw}
 
 
