@@ -44,30 +44,25 @@ def run(arguments: argparse.Namespace) -> int:
         check_document(arguments.doc, [own], images=True)
     profile = load_profile(arguments.profile if arguments.resolved is None else arguments.resolved["profile"])
     words = ["amulett", "loops", *command_words(arguments, "profile", "episodes", "seed")]
-    with (
-        nullcontext(False)
-        if arguments.out is None
-        else output_folder(arguments.out, "comparison of loops", [["loops.json"]])
-    ):
+    out, marked = arguments.out, [["loops.json"]]
+    with nullcontext() if out is None else output_folder(out, "comparison of loops", marked):
         with Progress(parts(), "loops", "parts") as progress:
             study = measure(profile, arguments.episodes, arguments.seed, lambda part: progress.update(note=part))
-        if arguments.out is not None:
-            write_json(Path(arguments.out) / "loops.json", study.content())
-            config = {
-                "profile": profile.model_dump(mode="json"),
-                "episodes": arguments.episodes,
-                "seed": arguments.seed,
-            }
-            write_provenance(arguments.out, "loops", config, [arguments.seed], words)
-            save_figures(draw(study), Path(arguments.out))
-    found = table(study)
+        found, figures = study.content(), {} if out is None and arguments.doc is None else draw(study)
+        if out is not None:
+            write_json(Path(out) / "loops.json", found)
+            config = {key: getattr(arguments, key) for key in ("episodes", "seed")}
+            config = {"profile": profile.model_dump(mode="json"), **config}
+            write_provenance(out, "loops", config, [arguments.seed], words)
+            save_figures(figures, Path(out))
+    shown = table(study)
     if arguments.doc is not None:
-        text = f"`{' '.join(words)}` on {machine()}\n\n{found.markdown()}"
-        update_document(arguments.doc, {own: text}, draw(study))
+        text = f"`{' '.join(words)}` on {machine()}\n\n{shown.markdown()}"
+        update_document(arguments.doc, {own: text}, figures)
     if arguments.json:
-        print_json(study.content())
+        print_json(found)
     show = printer(arguments)
-    show(found.text(), wrap=False)
+    show(shown.text(), wrap=False)
     for option in ("out", "doc"):
         if getattr(arguments, option) is not None:
             show(f"Written to {getattr(arguments, option)}.")
