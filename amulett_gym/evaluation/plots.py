@@ -16,7 +16,7 @@ from amulett_gym.envs.reward import SCHEDULE
 from amulett_gym.evaluation.metrics import CONTROL_TERMS, COST_OF, COSTS, EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Schedule, is_bundle, labels
 from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, switch_rows
-from amulett_gym.laws.contenders import PRETRAINED
+from amulett_gym.laws.contenders import PRETRAINED, split_loop
 from amulett_gym.profile import VariableStiffness
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, Line2D, MaxNLocator, Patch
@@ -46,7 +46,7 @@ _FAINT = "#b5b5b5"
 
 def colours(names: Sequence[str]) -> dict[str, str]:
     """Return a colour for each contender: eq. 6 is black, learned policies are red."""
-    learned = [name for name in names if is_bundle(name) or name in PRETRAINED]
+    learned = [name for name in names if is_bundle(name) or split_loop(name)[1] in PRETRAINED]
     laws = [name for name in names if name not in learned and name not in _FIXED_COLOURS]
     return {
         **_FIXED_COLOURS,

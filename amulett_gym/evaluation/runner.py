@@ -340,7 +340,8 @@ def acts_from_outside(contender: Contender) -> bool:
 
 
 def is_bundle(name: str) -> bool:
-    """Return whether a contender's name is that of a learned policy's folder."""
+    """Return whether a contender's name, in any loop, is that of a learned policy's folder."""
+    _, name = split_loop(name)
     known = name in contender_names() or name.startswith(CONSTANT) or is_tuned(name)
     return not known and python_file(name) is None
 

@@ -202,3 +202,10 @@ def test_eq6_is_black_and_neighbours_differ():
     colours = plots.colours(POLICIES)
     assert colours["eq6"] == style.BLACK
     assert len({colours[name] for name in POLICIES}) == len(POLICIES)
+
+
+def test_laws_in_another_loop_are_coloured_as_laws():
+    laws, learned = ["co-rotation/constant:10", "cascade/eq6"], ["cascade/pretrained", "cascade/runs/mine"]
+    found = plots.colours([*laws, *learned])
+    assert {found[name] for name in laws}.isdisjoint(plots._LEARNED_COLOURS)
+    assert {found[name] for name in learned} <= set(plots._LEARNED_COLOURS)
