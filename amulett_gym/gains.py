@@ -1,6 +1,7 @@
 """Gains of the control loops of the literature: one group for each loop of `amulett_gym.control`.
 
-A loop that is left out of a profile has the defaults, which hold for the testbed.
+A loop that is left out of a profile has the defaults, which hold for the testbed. `lead` and `factor` are relative to
+the drives' lag, so that they also hold for drives with another lag; without lag they have no effect.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from pydantic import Field
 
 from amulett_gym.settings import Group, Sourced
 
-Lead = Annotated[float, Field(ge=0, le=1)]
+Lead = Annotated[
+    float, Field(ge=0, le=5, description="time by which the drives lead the reference, as a share of drives.lag [1]")
+]
 Factor = Annotated[float, Field(ge=1, le=1000)]
 Filter = Annotated[float, Field(ge=0, le=1)]
 Bandwidth = Annotated[float, Field(gt=0, le=1000)]
@@ -37,7 +40,7 @@ class Following(Sourced):
 class EquilibriumPoint(Following):
     """Gains of `control.equilibrium_point`."""
 
-    lead: Lead = Field(default=0.135, description="time by which the drives lead the reference, against their lag [s]")
+    lead: Lead = 1.0
 
 
 class CoRotation(EquilibriumPoint):
@@ -59,14 +62,13 @@ class TorqueStiffness(Following):
     rate_weight: float = Field(default=0.0, ge=0, le=1e9, description="q_2, weight of the error's rate [s2/rad2]")
     torque_weight: float = Field(default=1.0, gt=0, le=1e9, description="r, weight of the torque [1/(N m)2]")
     factor: Factor = Field(default=2.0, description="lambda, by which a drive is faster than its lag [1]")
-    lead: Lead = Field(default=0.141, description="lag of the drives, by which they lead the reference [s]")
+    lead: Lead = 1.0
     velocity_filter: Filter = Field(default=0.01, description="time constant of the measured joint rate [s]; 0: none")
 
 
 class FeedforwardFeedback(CoRotation):
     """Gains of `control.feedforward_feedback`."""
 
-    lead: Lead = Field(default=0.141, description="lag of the drives, by which they lead the reference [s]")
     kp: float = Field(default=0.1, ge=0, le=100, description="drive angle by position error [1]")
     kd: float = Field(default=0.02, ge=0, le=10, description="drive angle by rate of the position error [s]")
     velocity_filter: Filter = Field(default=0.004, description="time constant of the measured joint rate [s]; 0: none")
@@ -82,7 +84,9 @@ class FeedforwardFeedback(CoRotation):
 class FeedbackLinearisation(Following):
     """Gains of `control.feedback_linearisation`."""
 
-    lead: Lead = Field(default=0.135, description="lead of the feed-forward where a string comes near slack [s]")
+    lead: Lead = Field(
+        default=1.0, description="lead of the feed-forward near slack strings, as a share of drives.lag [1]"
+    )
     bandwidth: Bandwidth = Field(default=25.0, description="triple pole of the position error [rad/s]")
     tension_bandwidth: float = Field(default=8.0, ge=0, le=1000, description="pole of the tension error [rad/s]")
     observer_bandwidth: Bandwidth = Field(default=80.0, description="of the joint's rate and its disturbance [rad/s]")

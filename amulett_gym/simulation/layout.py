@@ -371,6 +371,7 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     gains = getattr(profile.loops, group_name(control))
     for name in _GAINS:
         packed[name] = getattr(gains, name, 0.0)
+    packed["lead"] *= drives.lag  # a profile's is a share of the lag
     packed["reference_shape"] = _REFERENCES[gains.reference]
     if control == "torque-stiffness":
         weights = gains.integral_weight, gains.angle_weight, gains.rate_weight, gains.torque_weight

@@ -283,6 +283,7 @@ class Loop:
 
     def __init__(self, device: Device, gains: Any) -> None:
         self.device, self.gains = device, gains
+        self.lead = getattr(gains, "lead", 0.0) * device.profile.drives.lag
         self.integral = 0.0
 
     def begin(self, now: Reading) -> Pair:
@@ -296,7 +297,7 @@ class Loop:
 
     def equilibrium(self, now: Reading) -> Pair:
         """Return the drive angles [rad] that hold the led reference against the bare arm's weight."""
-        angle = now.reference + self.gains.lead * now.reference_rate
+        angle = now.reference + self.lead * now.reference_rate
         return self.device.hold(angle, self.device.weight * math.sin(now.reference), now.tension)
 
     def move(self, now: Reading, biceps: float, triceps: float, joint_rate: float | None = None) -> Pair:
@@ -307,7 +308,7 @@ class Loop:
             / self.device.drive_radius
         )
         own, factor = np.array(now.drives), min(self.gains.factor, 1.0 / self.device.share)
-        led = own + factor * (np.array([biceps, triceps]) - own) + self.gains.lead * rate
+        led = own + factor * (np.array([biceps, triceps]) - own) + self.lead * rate
         return float(led[0]), float(led[1])
 
     def integrate(self, now: Reading, error: float, gain: float) -> float:
@@ -371,7 +372,7 @@ class _FeedforwardFeedback(Loop):
         if math.isnan(self.reference):
             self.reference = stiffness
         else:
-            self.reference += (stiffness - self.reference) * now.period / (now.period + gains.lead)
+            self.reference += (stiffness - self.reference) * now.period / (now.period + self.lead)
         error = self.reference - self.device.stiffness(now) if measurable else 0.0
         self.error += (error - self.error) * now.period / (now.period + gains.stiffness_filter)
         seen = max(now.measured_biceps, now.measured_triceps) < self.device.slider_end

@@ -103,6 +103,20 @@ def test_one_integration_step_in_a_tick_is_enough(control):
 
 
 @pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize("share", [0.0, 0.5, 2.0])
+def test_the_gains_suit_drives_with_another_lag(control, share):
+    profile = load_profile({"name": "own", "base": "testbed", "drives": {"lag": share * TESTBED.drives.lag}})
+    keys = episode_keys(np.arange(8, dtype=np.uint64), np.zeros(8, dtype=np.uint64), "held-out")
+    simulation = Simulation(profile, 8, control)
+    simulation.reset(sample("paper-step", keys, profile))
+    simulation.command_tension(10.0)
+    simulation.advance(2000)
+    assert not simulation.read("failure").any()
+    assert (simulation.read("inside_since") - simulation.read("step_start")).max() < 0.35
+    assert np.degrees(simulation.read("overshoot")).max() < 5.0
+
+
+@pytest.mark.parametrize("control", LOOPS)
 def test_late_ticks_hold_the_commands(control):
     simulation = start(control, device={"late_probability": 0.3})
     key = simulation.read_scenarios(np.array([0]))["noise_key"][0]
@@ -217,14 +231,7 @@ def test_feedback_of_the_stiffness_corrects_pulleys_that_differ_from_the_model(p
 @pytest.mark.parametrize("control", BY_STIFFNESS)
 def test_an_ideal_drive_is_not_commanded_beyond_its_angle(control):
     # With lag, the testbed's factor brings a drive nearer; without, it would oscillate.
-    ideal = load_profile(
-        {
-            "name": "ideal",
-            "base": "testbed",
-            "drives": {"lag": 0.0},
-            "loops": {"torque_stiffness": {"lead": 0.0}, "feedforward_feedback": {"lead": 0.0}},
-        }
-    )
+    ideal = load_profile({"name": "ideal", "base": "testbed", "drives": {"lag": 0.0}})
     simulation = start(control, ideal)
     simulation.advance(800)
     assert simulation.read("failure")[0] == 0
@@ -251,7 +258,7 @@ def test_noise_does_not_make_drives_and_joint_chatter(control, tension):
 def test_the_regulator_is_stable_up_to_what_the_drives_leave(share):
     # Routh: k_1 < K + k_2 lambda/T without friction, with k_2^2 = 2 J k_1.
     plain = {"fit": "printed", "a": 0.0, "b": -1.0, "c": 0.0, "d": 0.0}
-    gains = {"integral_weight": 0.0, "rate_weight": 0.0, "velocity_filter": 0.0, "factor": 2.0, "lead": 0.14069}
+    gains = {"integral_weight": 0.0, "rate_weight": 0.0, "velocity_filter": 0.0, "factor": 2.0, "lead": 1.0}
     inertia, stiffness, ratio = 0.26063 * 0.13**2 * 13.0 / 12.0, 16.3555, 2.0 / 0.14069
     root = brentq(lambda k: stiffness + ratio * np.sqrt(2.0 * inertia * k) - k, 1.0, 100.0)
     changes = {"damping": plain, "loops": {"torque_stiffness": {**gains, "angle_weight": (share * root) ** 2}}}
@@ -333,7 +340,7 @@ def test_the_cascade_does_not_slacken_strings_for_readings_below_the_force_floor
 
 def test_the_feed_forward_of_computed_torque_is_the_inverse_of_joint_and_drives():
     # Without feedback, noise and a limit of the drives' rate, the joint follows a smooth motion.
-    gains = {"kp": 0.0, "kd": 0.0, "ki": 0.0, "factor": 50.0, "lead": 0.14069}
+    gains = {"kp": 0.0, "kd": 0.0, "ki": 0.0, "factor": 50.0, "lead": 1.0}
     groups = {
         "sensors": QUIET.sensors.model_dump(),
         "drives": {"rate_limit_deg": None},
