@@ -34,7 +34,9 @@ def nearest(name: str, choices: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the choice nearest to `name`, or an empty string."""
     if len(name) > _LONGEST:
         return ""
-    matches = difflib.get_close_matches(name, list(choices), n=1, cutoff=0.5)
+    choices = list(choices)
+    same = [choice for choice in choices if choice.lower() == name.lower()]
+    matches = same or difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
     return f"; did you mean '{matches[0]}'?" if matches else ""
 
 

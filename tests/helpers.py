@@ -109,10 +109,10 @@ def keep_network(
     return write_bundle(folder, layers, PolicyDescription(**(description | about)), env, {})
 
 
-def make_bundle(folder: Path) -> Path:
-    """Write a bundle of random weights."""
+def make_bundle(folder: Path, **about: Any) -> Path:
+    """Write a bundle of random weights; `about`: see `keep_network`."""
     random = np.random.default_rng(0)
     layers = [
         (random.normal(size=(o, i)).astype("f4"), random.normal(size=o).astype("f4")) for i, o in [(13, 4), (4, 1)]
     ]
-    return keep_network(folder, layers, keywords={"suite": "steps"})
+    return keep_network(folder, layers, **{"keywords": {"suite": "steps"}, **about})

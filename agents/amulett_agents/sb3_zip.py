@@ -15,10 +15,10 @@ from stable_baselines3.common.save_util import load_from_zip_file
 
 from amulett_agents.config import load_train_config
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.settings import MeanAngle
+from amulett_gym.envs.settings import ControlLoop, MeanAngle
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.laws.contenders import Own
+from amulett_gym.laws.contenders import Own, own_loop
 from amulett_gym.profile import Profile
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import read_json, user_path
@@ -33,6 +33,7 @@ class About(Group):
     mean_angle_range: MeanAngle | None = Field(
         default=None, description="mean drive angle at action +1, in Amulett/Drives-v0 only [deg]"
     )
+    control: ControlLoop = Field(default="decentralized", description="control loop that it was trained in")
 
     @field_validator("env_id")
     @classmethod
@@ -66,7 +67,8 @@ def load_sb3_zip(
     trust_pickle : bool
         Whether the zip's author is trusted: loading a zip can run any code in it.
     about : mapping, optional
-        ``env_id``, ``agent_period`` [s], ``tension_range`` [N] and ``mean_angle_range`` [deg] of the training.
+        ``env_id``, ``agent_period`` [s], ``tension_range`` [N], ``mean_angle_range`` [deg] and ``control`` of the
+        training.
 
     Raises
     ------
@@ -84,7 +86,7 @@ def load_sb3_zip(
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
     found = _about(path, about)
     drives = found.env_id == DRIVES_ID
-    keywords = found.model_dump(exclude={"env_id"}, exclude_none=True)
+    keywords = found.model_dump(exclude={"env_id", "control"}, exclude_none=True) | own_loop(found.control)
     return Own(str(path), keywords, act=_Acting(_load(path, 2 if drives else 1)), env_id=DRIVES_ID if drives else None)
 
 

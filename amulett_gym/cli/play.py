@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.envs.rendering.video import write_video
     from amulett_gym.envs.rendering.window import Renderer
-    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
     names = list(dict.fromkeys(arguments.policy))
     contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
-    remarks = device_remarks(protocol.profile, names)
+    remarks = device_remarks(protocol.profile, names) + loop_remarks(contenders)
     print_remarks(remarks)
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
     mode = "human" if arguments.video is None else "rgb_array"

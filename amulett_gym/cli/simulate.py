@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
             check_writable(getattr(arguments, option))
 
     from amulett_gym.evaluation.episode import record_episode
-    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
@@ -62,9 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
         profile, arguments.suite, arguments.split, episodes=1, seed=arguments.seed, duration=arguments.duration
     )
     names = list(dict.fromkeys(arguments.law))
-    remarks = device_remarks(profile, names)
-    print_remarks(remarks)
     contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
+    remarks = device_remarks(profile, names) + loop_remarks(contenders)
+    print_remarks(remarks)
     with Progress(math.ceil(arguments.duration) * len(contenders), "simulate", "s") as bar:
         played = [record_episode(each, protocol, arguments.scenario, bar.update) for each in contenders]
     label = labels(names)

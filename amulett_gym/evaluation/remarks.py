@@ -8,9 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
-from amulett_gym.laws.contenders import split_loop
+from amulett_gym.laws.contenders import Contender, split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
 from amulett_gym.profile import Profile, is_shipped
+from amulett_gym.simulation.layout import LOOPS
 
 
 def device_remarks(
@@ -27,8 +28,7 @@ def device_remarks(
     """
     contenders = list(contenders)
     files = {name: (places or {}).get(name) or split_loop(name)[1] for name in contenders if is_tuned_file(name)}
-    loops = {name: split_loop(name)[0] or "decentralized" for name in files}
-    elsewhere = [(name, tuning_differs(file, profile, loops[name])) for name, file in files.items()]
+    elsewhere = [(name, tuning_differs(file, profile, split_loop(name)[0])) for name, file in files.items()]
     remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
     moved = [name for name in contenders if split_loop(name)[0] and split_loop(name)[1] in tuned_names()]
     remarks += [f"{name} acts with the parameters tuned in the paper's loop" for name in moved]
@@ -44,6 +44,15 @@ def device_remarks(
         act = "act" if len(tuned) > 1 else "acts"
         remarks.append(f"{', '.join(tuned)} {act} with the parameters tuned on the {owner}, not on the {profile.name}")
     return remarks + [f"on the {profile.name}, {finding.text}" for finding in diagnose(profile, tension_range)]
+
+
+def loop_remarks(contenders: Iterable[Contender]) -> list[str]:
+    """Return in which loop contenders act that do so by themselves: bundles and tuned laws of a loop, without `loop/`.
+
+    The remarks are sentences without a full stop.
+    """
+    loops = [(each.name, each.env_keywords.get("control")) for each in contenders if not split_loop(each.name)[0]]
+    return [f"{name} acts in its own loop, {loop}, as {loop}/{name} would" for name, loop in loops if loop in LOOPS]
 
 
 def print_remarks(remarks: Sequence[str]) -> None:

@@ -19,7 +19,7 @@ from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE, Track, p
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
-from amulett_gym.evaluation.remarks import device_remarks
+from amulett_gym.evaluation.remarks import device_remarks, loop_remarks
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -291,6 +291,7 @@ def evaluate(
     label = labels([contender.name for contender in contenders])
     differences = ((label[contender.name], training_differs(contender, protocol)) for contender in contenders)
     remarks += [f"{name} {difference}" for name, difference in differences if difference]
+    remarks += loop_remarks(replace(contender, name=label[contender.name]) for contender in contenders)
     places = {contender.name: contender.policy_name for contender in contenders}
     remarks += device_remarks(protocol.profile, label, places=places)
 

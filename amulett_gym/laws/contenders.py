@@ -2,14 +2,14 @@
 
 Some contenders act inside the loop (eq. 6 at control rate, position control alone) and are chosen by a keyword of the
 environment; the others act from outside, through :func:`amulett_gym.laws.policies.load_policy`. A name ``loop/law`` is
-that of a law in another control loop than the paper's, such as ``co-rotation/constant:10``.
+that of a law in another control loop than the paper's, such as ``co-rotation/constant:10``. Without a loop, a law acts
+in the paper's; a bundle or a tuned law's file in the loop that it was trained or tuned in.
 """
 
 from __future__ import annotations
 
 import ast
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
-from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_names
+from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_loop, tuned_names
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS
 from amulett_gym.storage.reading import read_text, user_path
 
@@ -94,25 +94,50 @@ def contender_names() -> dict[str, str]:
 
 
 def split_loop(name: str) -> tuple[str, str]:
-    """Return the control loop, empty if none is named, and the law in a name like ``co-rotation/constant:10``."""
+    """Return the control loop, empty if none is named, and the law in a name like ``co-rotation/constant:10``.
+
+    Raises
+    ------
+    AmulettError
+        If a loop is named without a law, or two are.
+    """
     loop, slash, law = name.partition("/")
-    return (loop, law) if slash and loop in CONTROLS else ("", name)
+    if not slash or loop not in CONTROLS:
+        return "", name
+    if not law.strip("/"):
+        raise AmulettError(
+            f"'{name}' names a loop and no law; write {loop}/<law>, for example {loop}/constant:10; "
+            f"a folder of this name is ./{name}"
+        )
+    second = law.partition("/")[0]
+    if second in CONTROLS and law != second:
+        raise AmulettError(f"'{name}' names two loops; write {law}, or for a law in a folder {loop}/./{law}")
+    return loop, law
 
 
 def in_loop(contender: C, loop: str) -> C:
-    """Return a contender in a control loop, under the name ``loop/law``; as it is if that is the paper's.
+    """Return a contender in a control loop, under the name ``loop/law``; as it is where it acts in that loop anyway.
 
     Raises
     ------
     AmulettError
         If the contender needs another loop, or the loop controls no tension.
     """
-    if loop in ("", CONTROLS[0]):
+    own = DRIVES if contender.env_id == DRIVES_ID else contender.env_keywords.get("control", CONTROLS[0])
+    if not loop or loop == own == CONTROLS[0]:
         return contender
     name = f"{loop}/{contender.name}"
-    if loop == "position-only" or contender.env_keywords.get("control", loop) != loop:
-        other = contender.env_keywords.get("control", "a loop that controls a tension")
-        raise AmulettError(f"'{name}' is no contender: '{contender.name}' needs {other}, not the loop '{loop}'")
+    if own == DRIVES:
+        raise AmulettError(
+            f"'{name}' is no contender: '{contender.name}' acts in {DRIVES_ID} alone, on both drives; write it without "
+            "a loop"
+        )
+    if "position-only" in (loop, own):
+        other = "" if loop == "position-only" else f", or a law in the loop '{loop}', for example {loop}/constant:10"
+        raise AmulettError(
+            f"'{name}' is no contender: 'position-only' is a loop with a fixed co-contraction, which no law sets; "
+            f"write position-only{other}"
+        )
     return replace(contender, name=name, env_keywords={**contender.env_keywords, "control": loop})
 
 
@@ -133,6 +158,7 @@ def parse_contender(name: str) -> Contender:
         constant_tension(name)
     elif is_tuned_file(name):
         read_tuned(name)
+        return Contender(name, own_loop(tuned_loop(name)), name)
     elif name not in ("eq6-held", "eq6-held-printed") and name not in tuned_names():
         folder = bundle_folder(name)
         bundle = read_bundle(folder)
@@ -143,8 +169,14 @@ def parse_contender(name: str) -> Contender:
         if bundle.env.id == DRIVES_ID:
             keywords |= {"control": DRIVES, "mean_angle_range": policy.mean_angle_range}
             return Contender(name, keywords, str(folder), env_id=DRIVES_ID)
+        keywords |= own_loop(bundle.env.keywords.get("control"))
         return Contender(name, keywords, str(folder))
     return Contender(name, policy_name=name)
+
+
+def own_loop(control: Any) -> dict[str, Any]:
+    """Return the keyword of the loop that a policy was made for; none if that is the paper's."""
+    return {"control": control} if control in LOOPS else {}
 
 
 def python_file(name: str) -> Path | None:
@@ -221,7 +253,23 @@ def bundle_folder(name: str) -> Path:
     if folder.exists():
         hint = "; a zip of Stable-Baselines3 is loaded by amulett_agents.load_sb3_zip" if name.endswith(".zip") else ""
         raise AmulettError(f"'{name}' is a file; a policy bundle is a folder that holds manifest.json{hint}")
-    if os.sep in name:
-        hint = nearest(name.partition("/")[0], LOOPS) if len(folder.parts) == 2 else ""
+    loop, slash, law = name.partition("/")
+    if slash and _is_law(law):
+        if loop == DRIVES:
+            raise AmulettError(
+                f"'{name}': no law of a tension acts in '{DRIVES}', the loop of {DRIVES_ID}, where a policy trained "
+                f"there acts, written without a loop; other loops are {', '.join(sorted(CONTROLS))}"
+            )
+        raise unknown("control loop", loop, CONTROLS)
+    if loop == DRIVES and (user_path(law) / MANIFEST).is_file() | (user_path(law) / "best" / MANIFEST).is_file():
+        raise AmulettError(f"'{name}' is no contender: write '{law}'; a policy trained in {DRIVES_ID} acts there")
+    if slash:
+        hint = nearest(loop, LOOPS) if len(folder.parts) == 2 else ""
         raise AmulettError(f"there is no policy bundle '{name}': the folder does not exist{hint}")
+    if name in LOOPS:
+        raise AmulettError(f"'{name}' is a control loop, not a law; write {name}/<law>, for example {name}/constant:10")
     raise unknown("policy", name, contender_names())
+
+
+def _is_law(name: str) -> bool:
+    return name in contender_names() or name.startswith(CONSTANT) or is_tuned_file(name)

@@ -392,14 +392,26 @@ def read_tuned(path: str) -> tuple[Law, Values]:
     return law, law.vector(values)
 
 
-def tuning_differs(path: str, profile: Profile, loop: str = "decentralized") -> str:
+def tuned_loop(path: str) -> str:
+    """Return the control loop in which a file's law was tuned.
+
+    Raises
+    ------
+    AmulettError
+        If it cannot be read or is not such a file.
+    """
+    recipe = _tuned_file(path).get("recipe")
+    return str((recipe if isinstance(recipe, dict) else {}).get("control", "decentralized"))
+
+
+def tuning_differs(path: str, profile: Profile, loop: str = "") -> str:
     """Return in which other loop, and on which other device, a file's law was tuned, as the end of a sentence.
 
-    It is an empty string if the law was tuned in `loop`, on this device.
+    It is an empty string if the law was tuned in `loop`, on this device; an empty `loop` is that of the tuning.
     """
     recipe = _tuned_file(path).get("recipe")
     recipe = recipe if isinstance(recipe, dict) else {}
-    there, in_loop, device = recipe.get("profile"), str(recipe.get("control", "decentralized")), ""
+    there, in_loop, device = recipe.get("profile"), tuned_loop(path), ""
     try:
         tuned = load_profile(there if isinstance(there, str | dict) else "")
         if tuned != profile:
@@ -407,7 +419,7 @@ def tuning_differs(path: str, profile: Profile, loop: str = "decentralized") -> 
             device = f"on {other}{tuned.name}, not on the {profile.name}"
     except AmulettError:
         device = f"on a device that cannot be read, not on the {profile.name}"
-    differences = [device, f"in {in_loop}, not in {loop}" if in_loop != loop else ""]
+    differences = [device, f"in {in_loop}, not in {loop}" if loop not in ("", in_loop) else ""]
     return f"was tuned {', '.join(filter(None, differences))}" if any(differences) else ""
 
 

@@ -18,9 +18,10 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
-from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension
-from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, tuned_vector
+from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension, split_loop
+from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, is_tuned_file, tuned_loop, tuned_vector
 from amulett_gym.profile import Profile
+from amulett_gym.simulation.layout import LOOPS
 
 Policy = Callable[[ArrayLike], NDArray[np.float32]]
 """Maps an observation, shape (13,), to an action, shape (1,); or a batch (N, 13) to (N, 1). In `Amulett/Drives-v0`
@@ -40,7 +41,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     name_or_folder : str, Path or callable
         ``"constant:<N>"``, ``"eq6-held"``, ``"eq6-held-printed"``, a tuned law (`parametric.tuned_names`),
         ``"pretrained"``, or a policy bundle's folder (or a training run's, for its best policy); or a function of your
-        own, see `contenders.Own.act`.
+        own, see `contenders.Own.act`. A name with a loop, ``"cascade/constant:10"``, is for an environment with it.
     env : gymnasium.Env or VectorEnv
         An AMULETT environment, wrapped or not. Its profile has eq. 6's parameters, its action range scales actions. The
         policy is for this environment only: one with a history (`laws.history`) reads its clock.
@@ -62,7 +63,13 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
     if callable(name_or_folder):
         return own_policy(name_or_folder, env)
-    name, tension_range = str(name_or_folder), base.tension_range
+    loop, name = split_loop(str(name_or_folder))
+    tension_range, control = base.tension_range, base.episodes.settings.control
+    if loop and loop != control:
+        raise AmulettError(
+            f"'{name_or_folder}' acts in the loop '{loop}', and this environment's is '{control}'; make one with "
+            f"control='{loop}', or load '{name}' for this one"
+        )
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
         raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
@@ -146,7 +153,7 @@ def _tuned(name: str, profile: Profile, tension_range: tuple[float, float], agen
     law, vector = tuned_vector(name, profile)
     if law.name == BEST_CONSTANT.name:
         return _constant(float(vector[0]), tension_range)
-    _check_reach(f"'{name}'", *law.range, tension_range)
+    _check_reach(f"'{name}'", *law.range, tension_range, tuned_loop(name) if is_tuned_file(name) else None)
     device = Device.of(profile, agent_period)
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -194,7 +201,7 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
     actor = Actor(bundle.layers, bundle.policy, env)
     if own_range == tuple(tension_range):
         return actor
-    _check_reach(f"policy bundle '{bundle.folder}'", low, high, tension_range)
+    _check_reach(f"policy bundle '{bundle.folder}'", low, high, tension_range, bundle.env.keywords.get("control"))
 
     def act(batch: NDArray[np.float64]) -> NDArray[np.float32]:
         converted = batch[:, :size].copy()
@@ -208,11 +215,20 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
     return act
 
 
-def _check_reach(what: str, lowest: float, highest: float, tension_range: tuple[float, float]) -> None:
+def _check_reach(
+    what: str, lowest: float, highest: float, tension_range: tuple[float, float], loop: str | None = None
+) -> None:
+    """Raise an AmulettError if an environment's actions do not reach a policy's tensions; `loop`: that it is made for.
+
+    All in N.
+    """
     low, high = tension_range
     if lowest < low - 1e-9 or highest > high + 1e-9:
         needed = f"{lowest:g} N" if lowest == highest else f"{lowest:g} to {highest:g} N"
-        raise AmulettError(f"{what} needs {needed}; the actions of this environment reach from {low:g} to {high:g} N")
+        made = f"; it was made for the loop '{loop}': make one with control='{loop}'" if loop in LOOPS else ""
+        raise AmulettError(
+            f"{what} needs {needed}; the actions of this environment reach from {low:g} to {high:g} N{made}"
+        )
 
 
 def _for_one_or_many(act: Act, size: int) -> Policy:

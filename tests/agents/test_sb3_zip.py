@@ -21,6 +21,7 @@ from amulett_gym import ENV_IDS
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.laws.contenders import in_loop
 from amulett_gym.laws.copies import FOLDER
 from amulett_gym.profile import load_profile
 
@@ -129,6 +130,9 @@ def test_what_its_actions_mean_is_asked_for_and_used(tmp_path):
     assert env.tension_range == (5.0, 12.0) and env.error.size == 10  # agent steps of 0.1 s
     given = load_sb3_zip(path, TESTBED, trust_pickle=True, about={**ABOUT, "agent_period": 0.05})
     assert given.env_keywords["agent_period"] == 0.05
+    looped = load_sb3_zip(path, TESTBED, trust_pickle=True, about={**ABOUT, "control": "cascade"})
+    assert looped.env_keywords["control"] == "cascade"
+    assert in_loop(looped, "co-rotation").env_keywords["control"] == "co-rotation"
     path.with_suffix(".json").unlink()
     with pytest.raises(
         AmulettError, match=r"holds neither the time between actions .*PPO\.json', for example .*agent_period"

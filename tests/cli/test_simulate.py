@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from helpers import make_bundle
 
 from amulett_gym.cli import Parser
 from amulett_gym.cli.simulate import add_arguments, run
@@ -171,3 +172,14 @@ def test_a_long_episode_shows_how_much_of_it_is_simulated(monkeypatch, capsys):
     assert json.loads(output)["duration"] == 4
     shown = [line for line in lines.splitlines() if line.startswith("simulate: ")]
     assert [line.split(" (")[0] for line in shown] == [f"simulate: {k} of 4 s" for k in (1, 2, 3)]
+
+
+def test_a_policy_acts_in_its_own_loop_and_the_command_says_so(tmp_path, capsys):
+    mine = make_bundle(tmp_path / "mine", keywords={"control": "cascade"}, tension_range=[0.0, 15.0])
+    metrics = []
+    for name in (str(mine), f"cascade/{mine}"):
+        assert simulate("--law", name, "--duration", "0.5", "--json") == 0
+        out, err = capsys.readouterr()
+        metrics.append(json.loads(out)["metrics"])
+        assert ("acts in its own loop, cascade, as cascade/" in err) == (name == str(mine))
+    assert metrics[0] == metrics[1]

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
-import pytest
+import json
 
+import numpy as np
+import pytest
+from helpers import keep_network, make_bundle
+
+from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import evaluate, labels
 from amulett_gym.laws.contenders import Own, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import policy_file
@@ -47,16 +53,87 @@ def test_files_of_a_law_in_a_loop_are_found(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("co-rotatoin/eq6", "did you mean 'co-rotation'"),
-        ("position-only/eq6", "'eq6' needs a loop that controls a tension"),
-        ("co-rotation/position-only", "'position-only' needs position-only, not the loop 'co-rotation'"),
-        ("co-rotation/nothing", "unknown policy 'nothing'"),
+        ("co-rotatoin/eq6", "unknown control loop 'co-rotatoin'; choose from cascade, .*; did you mean 'co-rotation'"),
+        ("x/eq6", "unknown control loop 'x'; choose from cascade, co-rotation, computed-torque, "),
+        ("Cascade/eq6", "unknown control loop 'Cascade'; choose from .*; did you mean 'cascade'"),
+        ("x/constant:10", "unknown control loop 'x'"),
+        ("cascde/runs/mine", "no policy bundle 'cascde/runs/mine': the folder does not exist$"),
+        ("cascde/mine", "the folder does not exist; did you mean 'cascade'"),
+        ("cascade/", "'cascade/' names a loop and no law; write cascade/<law>, for example cascade/constant:10"),
+        ("cascade//", "names a loop and no law"),
+        ("cascade", "'cascade' is a control loop, not a law; write cascade/<law>"),
+        ("cascade/cascade", "'cascade' is a control loop, not a law"),
+        ("drives/eq6", "no law of a tension acts in 'drives', the loop of Amulett/Drives-v0, .* loops are cascade,"),
+        ("cascade/cascade/eq6", "names two loops; write cascade/eq6, or for a law in a folder cascade/./cascade/eq6"),
+        ("co-rotation/cascade/eq6", "names two loops; write cascade/eq6"),
+        ("co-rotation/decentralized/eq6", "names two loops; write decentralized/eq6"),
+        ("position-only/eq6", "a fixed co-contraction, which no law sets; write position-only$"),
+        ("position-only/position-only", "a fixed co-contraction, which no law sets; write position-only$"),
+        ("co-rotation/position-only", "write position-only, or a law in the loop 'co-rotation', for example co-"),
+        ("decentralized/position-only", "write position-only, or a law in the loop 'decentralized'"),
+        ("co-rotation/nothing", "unknown policy 'nothing'; choose from"),
+        ("co-rotation/eq7", "unknown policy 'eq7'; choose from .*; did you mean 'eq6'"),
         ("constant:-1", "at least 0"),
     ],
 )
 def test_wrong_names_are_refused(name, words):
     with pytest.raises(AmulettError, match=words):
         parse_contender(name)
+
+
+@pytest.fixture
+def in_cascade(tmp_path):
+    """Return a policy trained in the loop cascade."""
+    return make_bundle(tmp_path / "mine", keywords={"control": "cascade"}, tension_range=[0.0, 15.0])
+
+
+def test_a_bundle_acts_in_the_loop_that_it_was_trained_in(in_cascade):
+    name = str(in_cascade)
+    contender = parse_contender(name)
+    assert (contender.name, contender.env_keywords["control"]) == (name, "cascade")
+    named = parse_contender(f"cascade/{name}")
+    assert (named.name, named.env_keywords) == (f"cascade/{name}", contender.env_keywords)
+    results = evaluate([name, f"cascade/{name}"], "paper-step", episodes=1, duration=0.1)
+    assert results.track == "full-control"
+    assert [*results.values] == ["eq6", name]
+    assert f"cascade/{name} is the same as {name}, and ran once" in results.remarks
+    assert "mine acts in its own loop, cascade, as cascade/mine would" in results.remarks
+    assert not any("in the loop" in remark for remark in results.remarks)
+    assert record_episode(name, results.protocol).metrics["cost"] == results.values[name]["cost"][0]
+
+
+def test_a_bundle_of_a_loop_can_act_in_another(in_cascade):
+    other = f"co-rotation/{in_cascade}"
+    results = evaluate([other], "paper-step", episodes=1, duration=0.1)
+    assert any("was trained in the loop cascade, not co-rotation" in remark for remark in results.remarks)
+    papers = parse_contender(f"decentralized/{in_cascade}")
+    assert (papers.name, papers.env_keywords["control"]) == (f"decentralized/{in_cascade}", "decentralized")
+
+
+def test_a_bundle_of_the_drives_acts_there_alone(tmp_path):
+    about = {"env_id": DRIVES_ID, "mean_angle_range": 258.66, "tension_range": [0.0, 15.0]}
+    folder = keep_network(tmp_path / "mine", [(np.zeros((2, 13), "f4"), np.zeros(2, "f4"))], **about)
+    results = evaluate([str(folder)], "paper-step", episodes=1, duration=0.1)
+    assert (results.track, [*results.values]) == ("full-control", ["eq6", str(folder)])
+    for loop in ("cascade", "decentralized"):
+        with pytest.raises(AmulettError, match="acts in Amulett/Drives-v0 alone, .*; write it without a loop"):
+            parse_contender(f"{loop}/{folder}")
+    with pytest.raises(AmulettError, match=f"write '{folder}'; a policy trained in Amulett/Drives-v0 acts there"):
+        parse_contender(f"drives/{folder}")
+
+
+def test_a_tuned_law_acts_in_the_loop_that_it_was_tuned_in(tmp_path):
+    def keep(name, tension, **recipe):
+        content = {"format": "amulett-tuned-law", "recipe": {"law": "constant", "profile": "testbed", **recipe}}
+        (tmp_path / name).write_text(json.dumps({**content, "parameters": {"tension": {"value": tension}}}))
+        return str(tmp_path / name)
+
+    name = keep("cascade.json", 2.0, control="cascade")
+    assert parse_contender(name).env_keywords == {"control": "cascade"}
+    assert parse_contender(keep("papers.json", 5.0)).env_keywords == {}
+    results = evaluate([name, f"co-rotation/{name}"], "paper-step", episodes=1, duration=0.1)
+    assert not any("cascade.json was tuned" in remark for remark in results.remarks if "co-rotation" not in remark)
+    assert any("was tuned in cascade, not in co-rotation" in remark for remark in results.remarks)
 
 
 def test_own_laws_act_in_a_loop():

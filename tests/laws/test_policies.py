@@ -3,10 +3,12 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers import make_bundle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import amulett_gym
+from amulett_gym import load_policy
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import contender_names, parse_contender
@@ -163,3 +165,17 @@ def test_other_environments_and_shapes_are_refused():
     for wrong in (np.zeros(12), np.zeros((2, 3, 13)), 1.0):
         with pytest.raises(AmulettError, match="shape"):
             policy(wrong)
+
+
+def test_a_policy_of_a_loop_is_for_an_environment_with_it(tmp_path):
+    env, papers = gym.make(SCALING, control="cascade"), gym.make(SCALING)
+    observation, _ = env.reset(seed=0)
+    assert load_policy("cascade/constant:10", env)(observation) == load_policy("constant:10", env)(observation)
+    with pytest.raises(AmulettError, match="acts in the loop 'cascade', and this environment's is 'decentralized'"):
+        load_policy("cascade/constant:10", papers)
+    with pytest.raises(AmulettError, match="acts in the loop 'decentralized', and this environment's is 'cascade'"):
+        load_policy("decentralized/constant:10", env)
+    folder = make_bundle(tmp_path / "mine", keywords={"control": "cascade"}, tension_range=[0.0, 15.0])
+    assert load_policy(folder, env)(observation).shape == (1,)
+    with pytest.raises(AmulettError, match="made for the loop 'cascade': make one with control='cascade'"):
+        load_policy(folder, papers)

@@ -23,6 +23,7 @@ from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import find_config
+from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_text, user_path
@@ -296,6 +297,12 @@ def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
     """Return the entries without training: laws, constants, the caller's contenders."""
     names = list(dict.fromkeys([YARDSTICK, *description.law_names()]))
     contenders = [parse_contender(name) for name in names]
+    for contender in contenders:
+        if (control := contender.env_keywords.get("control")) in LOOPS and control != loop_of(contender.name):
+            raise AmulettError(
+                f"contender '{contender.name}' acts in the loop {control}; write {named(control, contender.name)}, on "
+                f"the track {FULL_CONTROL}"
+            )
     label = labels([contender.name for contender in contenders])
     entries = [Entry(label[contender.name], "law", (contender,)) for contender in contenders]
     entries += [Entry(name, "constant", (parse_contender(name),)) for name in description.constant_names()]

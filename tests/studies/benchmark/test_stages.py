@@ -446,3 +446,11 @@ def test_further_policies_are_kept_and_benchmarked_again(tmp_path, capsys):
     assert "numbers are the same" in capsys.readouterr().out
     results = json.loads((tmp_path / "again" / "benchmark.json").read_text())
     assert str(mine) in json.dumps(results)
+
+
+def test_a_policy_of_a_loop_is_named_with_it(tmp_path):
+    mine = str(make_bundle(tmp_path / "mine", keywords={"control": "cascade"}, tension_range=[0.0, 15.0]))
+    with pytest.raises(
+        AmulettError, match=f"acts in the loop cascade; write cascade/{mine}, on the track full-control"
+    ):
+        bench(tmp_path, {**LAWS, "contenders": [mine]})
