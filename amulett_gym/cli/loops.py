@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     words = ["amulett", "loops", *command_words(arguments, "profile", "episodes", "seed")]
     out, marked = arguments.out, [["loops.json"]]
     with nullcontext() if out is None else output_folder(out, "comparison of loops", marked):
-        with Progress(parts(), "loops", "parts") as progress:
+        with Progress(parts(profile), "loops", "parts") as progress:
             study = measure(profile, arguments.episodes, arguments.seed, lambda part: progress.update(note=part))
         found, figures = study.content(), {} if out is None and arguments.doc is None else draw(study)
         if out is not None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate, play_alone
@@ -16,7 +17,7 @@ from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
 from amulett_gym.settings import merge
-from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.simulation.layout import LOOPS, Control, pack_loop
 from amulett_gym.simulation.trajectory import Trajectory
 
 SUITE = "paper-step"
@@ -41,9 +42,20 @@ COLUMNS = (
 """Metrics of the table: those of the paper's Tables 2 to 5, and those in which loops differ most."""
 
 
-def contenders() -> list[str]:
+def unfit_loops(profile: Profile) -> dict[Control, str]:
+    """Return the loops whose needs a device does not meet, each with the reason."""
+    found = {}
+    for loop in LOOPS:
+        try:
+            pack_loop(profile, loop)
+        except AmulettError as error:
+            found[loop] = str(error)
+    return found
+
+
+def contenders(loops: Iterable[str] = LOOPS) -> list[str]:
     """Return the compared contenders: eq. 6 and a constant in the paper's loop, and the same constant in the others."""
-    return ["eq6", f"constant:{TENSION:g}", *(f"{loop}/constant:{TENSION:g}" for loop in LOOPS)]
+    return ["eq6", f"constant:{TENSION:g}", *(f"{loop}/constant:{TENSION:g}" for loop in loops)]
 
 
 @dataclass(frozen=True)
@@ -58,21 +70,29 @@ class Study:
         The first scenario under each of them.
     fronts : dict of str to list of dict
         Loop -> means for each of `REFERENCES` and `TIMES`; ``"decentralized"`` -> means for each of `CONSTANTS`.
+    skipped : dict of str to str
+        Loop that the device does not fit -> the reason (`unfit_loops`).
     """
 
     results: Results
     steps: dict[str, Trajectory]
     fronts: dict[str, list[dict[str, Any]]]
+    skipped: dict[Control, str] = field(default_factory=dict)
 
     def content(self) -> dict[str, Any]:
-        """Return the numbers as plain data."""
-        means = {
-            name: {key: _mean(values[key]) for key in METRICS if key in values}
-            for name, values in self.results.values.items()
-        }
+        """Return the numbers as plain data.
+
+        ``means`` are over the repetitions that have a value; ``counted`` is their number.
+        """
+        every = self.results.values.items()
+        means = {name: {key: _mean(values[key]) for key in METRICS if key in values} for name, values in every}
+        counted = {name: {key: _counted(values[key]) for key in METRICS if key in values} for name, values in every}
         protocol = self.results.protocol
         described = {key: getattr(protocol, key) for key in ("suite", "split", "seed", "episodes", "duration")}
-        return {"profile": protocol.profile.name, **described, "means": means, "fronts": self.fronts}
+        return {"profile": protocol.profile.name, **described, "means": means, "counted": counted} | {
+            "fronts": self.fronts,
+            "skipped": dict(self.skipped),
+        }
 
 
 def measure(
@@ -81,7 +101,7 @@ def measure(
     seed: int = 0,
     report: Callable[[str], object] = lambda part: None,
 ) -> Study:
-    """Play the paper's step in each loop, and each trade-off.
+    """Play the paper's step in each loop that the device fits, and each trade-off.
 
     Parameters
     ----------
@@ -95,10 +115,12 @@ def measure(
     Raises
     ------
     AmulettError
-        If a name is unknown, or the device cannot do what a loop needs.
+        If a name is unknown.
     """
     device = load_profile(profile)
-    names = contenders()
+    skipped = unfit_loops(device)
+    loops = [loop for loop in LOOPS if loop not in skipped]
+    names = contenders(loops)
     results = evaluate(names, SUITE, device, episodes, seed, duration=DURATION)
     report("comparison")
     steps = {}
@@ -108,7 +130,7 @@ def measure(
     fronts: dict[str, list[dict[str, Any]]] = {}
     fronts["decentralized"] = [_means(results.protocol, device, f"constant:{tension:g}") for tension in CONSTANTS]
     report("trade-off of decentralized")
-    for loop in LOOPS:
+    for loop in loops:
         fronts[loop] = [
             {"reference": shape, "reference_time": time}
             | _means(results.protocol, _with_reference(device, loop, shape, time), f"{loop}/constant:{TENSION:g}")
@@ -116,27 +138,44 @@ def measure(
             for time in TIMES
         ]
         report(f"trade-off of {loop}")
-    return Study(results, steps, fronts)
+    return Study(results, steps, fronts, skipped)
 
 
-def parts() -> int:
-    """Return the number of parts of `measure`."""
-    return 1 + len(contenders()) + 1 + len(LOOPS)
+def parts(profile: Profile) -> int:
+    """Return the number of parts of `measure` with a device."""
+    loops = [loop for loop in LOOPS if loop not in unfit_loops(profile)]
+    return 1 + len(contenders(loops)) + 1 + len(loops)
 
 
 def table(study: Study) -> Table:
-    """Return the means of `COLUMNS` for each contender."""
-    protocol = study.results.protocol
+    """Return the means of `COLUMNS` for each contender; the note names the loops that were skipped."""
+    protocol, some_missing = study.results.protocol, False
     shown = [METRICS[key] for key in COLUMNS]
-    rows = [
-        [name, *(metric.text(_mean(values[metric.key])) for metric in shown)]
-        for name, values in study.results.values.items()
-    ]
+    rows = []
+    for name, values in study.results.values.items():
+        row = [name]
+        for metric in shown:
+            count = _counted(values[metric.key])
+            missing = count < protocol.episodes
+            some_missing |= missing
+            row.append(metric.text(_mean(values[metric.key])) + (f" ({count}/{protocol.episodes})" if missing else ""))
+        rows.append(row)
     note = (
         f"Means of {protocol.episodes} repetitions of {protocol.suite} ({protocol.split}, from seed {protocol.seed}, "
         f"{protocol.duration:g} s) on the {protocol.profile.name}. Push deflection: on {study.results.push_suite}."
     )
+    if some_missing:
+        note += (
+            f" (n/{protocol.episodes}): the mean of n repetitions; the others have no such value, for example because "
+            "they did not settle."
+        )
+    for loop, reason in study.skipped.items():
+        note += f" Without {loop}, which does not fit this device: {reason.rstrip('.')}."
     return Table("", ("contender", *(metric.heading for metric in shown)), rows, note)
+
+
+def _counted(values: Any) -> int:
+    return int((~np.isnan(values)).sum())
 
 
 def _mean(values: Any) -> float | None:

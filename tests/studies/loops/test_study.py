@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from amulett_gym.cli import main
+from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.profile import load_profile
+from amulett_gym.reporting.document import marks
 from amulett_gym.settings import configs_folder
 from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.studies.loops import study
@@ -21,7 +26,7 @@ def found():
         patch.setattr(study, "CONSTANTS", (6.0,))
         done = []
         result = study.measure("testbed", episodes=2, report=done.append)
-        assert len(done) == study.parts()
+        assert len(done) == study.parts(load_profile("testbed"))
         return result
 
 
@@ -87,3 +92,42 @@ def test_a_damped_reference_has_less_than_half_of_the_rewards_cost_of_eq6():
     values = evaluate([contender], "paper-step", profile, episodes=4, duration=5.0).values
     assert values[contender]["cost"].mean() / values["eq6"]["cost"].mean() == pytest.approx(0.416, abs=0.02)
     assert values[contender]["control_cost"].mean() > values["eq6"]["control_cost"].mean()
+
+
+LINEAR = {"name": "linear", "base": "testbed", "spring": {"free_length": 0.0}}
+
+
+def test_loops_that_do_not_fit_the_device_are_skipped_with_the_reason(monkeypatch, tmp_path, capsys):
+    for name, value in (("TIMES", (1.0,)), ("CONSTANTS", (6.0,)), ("LOOPS", ("equilibrium-point", "torque-stiffness"))):
+        monkeypatch.setattr(study, name, value)
+    path = tmp_path / "linear.yaml"
+    path.write_text(json.dumps(LINEAR))
+    (tmp_path / "images").mkdir()
+    (tmp_path / "loops.md").write_text("\n".join(marks("amulett loops")) + "\n")
+    words = ["loops", "--profile", str(path), "--episodes", "2", "--doc", str(tmp_path / "loops.md")]
+    assert main([*words, "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert [*content["means"]] == ["eq6", "constant:10", "equilibrium-point/constant:10"]
+    assert [*content["fronts"]] == ["decentralized", "equilibrium-point"]
+    assert "the slope of the springs has to rise" in content["skipped"]["torque-stiffness"]
+    document = (tmp_path / "loops.md").read_text()
+    assert "Without torque-stiffness, which does not fit this device: control 'torque-stiffness' sets" in document
+    assert main(words) == 0
+    assert "Without torque-stiffness, which does not fit this device" in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_table_says_how_many_repetitions_have_a_value(found):
+    some = {name: values.copy() for name, values in found.results.values["eq6"].items()}
+    some["settling_time"] = np.array([0.4, np.nan])
+    some["rise_time"] = np.array([np.nan, np.nan])
+    other = replace(found, results=replace(found.results, values={"eq6": some}))
+    table = study.table(other)
+    cells = dict(zip([*study.COLUMNS], table.rows[0][1:], strict=True))
+    assert cells["settling_time"] == f"{METRICS['settling_time'].text(0.4)} (1/2)"
+    assert cells["rise_time"].endswith("(0/2)") and "(" not in cells["overshoot"]
+    assert "(n/2): the mean of n repetitions" in table.note
+    content = other.content()
+    assert content["counted"]["eq6"] | {"settling_time": 1, "rise_time": 0} == content["counted"]["eq6"]
+    assert content["counted"]["eq6"]["overshoot"] == content["episodes"] == 2
+    assert content["means"]["eq6"]["rise_time"] is None
+    assert "(n/2)" not in study.table(found).note and "skipped" in found.content()
