@@ -18,4 +18,5 @@ def joint_torque(acceleration: float, rate: float, angle: float, inertia: float,
     inertia, decay, weight : float
         J [kg m2], delta [1/s], M_m [N m].
     """
-    return inertia * (acceleration + 2.0 * decay * rate) + weight * math.sin(angle)
+    held = weight * math.sin(angle) if weight != 0.0 else 0.0  # a sine takes long
+    return inertia * (acceleration + 2.0 * decay * rate) + held

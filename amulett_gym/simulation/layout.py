@@ -229,7 +229,7 @@ LOOP_BLOCK = _block(
     # what the loop knows of joint and drives
     + _fields("velocity last_angle model_biceps model_triceps")
     + _fields("integral stiffness_integral stiffness_reference stiffness_error")
-    + _fields("elapsed load tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
+    + _fields("elapsed load torque tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
     + _fields("correction_biceps correction_triceps saturated_biceps saturated_triceps")
     + _fields("observed_angle observed_velocity observed_acceleration disturbance")
     # mean drive angle asked for by the agent, which moves by `mean_rate` [rad] a tick

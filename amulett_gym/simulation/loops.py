@@ -45,6 +45,7 @@ FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 def run_loop(p, g, s, q, m, first, end):
     """Command the drives of the lanes from `first` to before `end`."""
     prepare(p, g, s, q, m, first, end)
+    begin_motions(g, s, q, first, end)
     move_reference(g, q, first, end)
     if observes(g):
         observe_device(p, g, s, q, first, end)
@@ -66,8 +67,10 @@ def want(p, g, s, q, first, end):
     elif g.loop == CO_ROTATION:
         run_co_rotation(p, g, s, q, first, end)
     elif g.loop == TORQUE_STIFFNESS:
+        find_needed_torque(p, g, s, q, first, end)
         run_torque_stiffness(p, g, s, q, first, end)
     elif g.loop == FEEDFORWARD_FEEDBACK:
+        find_needed_torque(p, g, s, q, first, end)
         run_feedforward_feedback(p, g, s, q, first, end)
     elif g.loop == FEEDBACK_LINEARISATION:
         find_jump_jerk(g, q, first, end)
@@ -99,27 +102,18 @@ def prepare(p, g, s, q, m, first, end):
         s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
         s.agonist[i] = agonist
         s.tension_setpoint[i] = choose_tension(p, s, i, error)
-        note_jump(p, g, s, q, i)
+        note_setpoint(p, g, s, q, i)
 
 
 @compiled
-def note_jump(p, g, s, q, i):
-    """Read the setpoint and the joint angle; a jump of the setpoint begins a motion of the reference."""
+def note_setpoint(p, g, s, q, i):
+    """Read the setpoint and the joint angle, and add to the setpoint's jump what is too fast for a motion."""
     time = s.tick[i] * p.control_period
     elapsed = max(time - q.last_time[i], p.control_period)  # more than a period after late ticks
-    jump = s.setpoint_jump[i]
-    moved = s.setpoint[i] - q.last_setpoint[i] - jump
-    if abs(moved) > FASTEST * elapsed:
-        jump += moved
-        moved = 0.0
-    if jump != 0.0:
-        begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
-        offset, rate, acceleration = remaining_offset(
-            g.reference_shape, *begun, time - q.jump_time[i], g.reference_time
-        )
-        q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - jump, rate, acceleration
-        q.jump_time[i] = time
-    setpoint_rate = moved / elapsed
+    moved = s.setpoint[i] - q.last_setpoint[i] - s.setpoint_jump[i]
+    jumps = abs(moved) > FASTEST * elapsed
+    s.setpoint_jump[i] += choose(jumps, moved, 0.0)
+    setpoint_rate = choose(jumps, 0.0, moved) / elapsed
     q.setpoint_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed
     q.velocity[i] = filtered_derivative(
         q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
@@ -127,7 +121,19 @@ def note_jump(p, g, s, q, i):
     q.elapsed[i] = elapsed
     q.last_setpoint[i], q.last_rate[i], q.last_time[i] = s.setpoint[i], setpoint_rate, time
     q.last_angle[i] = s.measured_angle[i]
-    s.setpoint_jump[i] = 0.0
+
+
+@compiled_lanes
+def begin_motions(g, s, q, first, end):
+    """Begin a motion of the reference where the setpoint has jumped: rarely, so that a branch is faster."""
+    for i in range(first, end):
+        if s.setpoint_jump[i] != 0.0:
+            begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
+            since = q.last_time[i] - q.jump_time[i]
+            offset, rate, acceleration = remaining_offset(g.reference_shape, *begun, since, g.reference_time)
+            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - s.setpoint_jump[i], rate, acceleration
+            q.jump_time[i] = q.last_time[i]
+            s.setpoint_jump[i] = 0.0
 
 
 @compiled
@@ -380,11 +386,13 @@ def headroom(p, s, i):
     return highest < p.command_limit, lowest > -p.command_limit
 
 
-@compiled
-def needed_torque(p, g, s, q, i, angle):
-    """Return the torque [N m] that the reference motion needs at a joint angle [rad], with the bare arm."""
-    decay = decay_rate(s.tension_setpoint[i], p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    return joint_torque(q.reference_acceleration[i], q.reference_rate[i], angle, g.inertia, decay, g.weight)
+@compiled_lanes
+def find_needed_torque(p, g, s, q, first, end):
+    """Set the torque [N m] that the reference motion needs, with the bare arm: its `exp` slows a longer stage down."""
+    for i in range(first, end):
+        angle = choose(g.loop == TORQUE_STIFFNESS, s.measured_angle[i], q.reference[i])
+        decay = decay_rate(s.tension_setpoint[i], p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+        q.torque[i] = joint_torque(q.reference_acceleration[i], q.reference_rate[i], angle, g.inertia, decay, g.weight)
 
 
 @compiled
@@ -420,8 +428,7 @@ def run_torque_stiffness(p, g, s, q, first, end):
     most = g.max_force * p.joint_radius
     for i in range(first, end):
         error = q.reference[i] - s.measured_angle[i]
-        torque = needed_torque(p, g, s, q, i, s.measured_angle[i])
-        torque += g.torque_kp * error + g.torque_kd * (q.reference_rate[i] - q.velocity[i])
+        torque = q.torque[i] + (g.torque_kp * error + g.torque_kd * (q.reference_rate[i] - q.velocity[i]))
         rise, fall = headroom(p, s, i)
         rise, fall = rise and torque + q.integral[i] < most, fall and torque + q.integral[i] > -most
         q.integral[i] = integrate(q.integral[i], error, g.torque_ki, p.control_period, rise, fall)
@@ -433,8 +440,7 @@ def run_torque_stiffness(p, g, s, q, first, end):
 def run_feedforward_feedback(p, g, s, q, first, end):
     """Run `control.feedforward_feedback`."""
     for i in range(first, end):
-        torque = needed_torque(p, g, s, q, i, q.reference[i])
-        biceps, triceps, stiffness, antagonist = hold_stiff(p, g, s, i, q.reference[i], torque)
+        biceps, triceps, stiffness, antagonist = hold_stiff(p, g, s, i, q.reference[i], q.torque[i])
         both = correct_position(p, g, s, q, i)
         rise, fall = headroom(p, s, i)
         apart = control_stiffness(p, g, s, q, i, stiffness, antagonist >= g.floor_position, rise and fall)
