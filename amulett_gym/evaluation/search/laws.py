@@ -172,7 +172,9 @@ class Recipe:
     def trials(self) -> tuple[Trials, Trials]:
         """Return the training and the validation scenarios."""
         scenarios = (("train", self.scenarios), ("validation", self.validation))
-        train, validation = (Trials(self.protocol(split, count), self.control) for split, count in scenarios)
+        train, validation = (
+            Trials(self.protocol(split, count), self.control, track=self.cost_track) for split, count in scenarios
+        )
         return train, validation
 
     def protocol(self, split: str, episodes: int) -> Protocol:

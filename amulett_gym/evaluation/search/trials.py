@@ -49,7 +49,7 @@ class Trials:
     threads : int
         Threads that simulate; they do not change costs.
     track : str
-        Whose reward `play` returns.
+        Whose reward `play` returns, and whose prices are in the `digest`; of `control_costs` it has to be full control.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class Trials:
         return control_cost(dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True)), charge, prices)
 
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:
-        """Return a SHA-256 of all that the scenarios' costs depend on: device, rows, loop, rates, prices."""
+        """Return a SHA-256 of all that the track's costs depend on: device, rows, loop, rates, prices."""
         profile, suite = self.protocol.profile, self.protocol.suite
         costs = [prices(profile, suite, track=self.track).tolist(), COST_CAP]
         loop = [self._laws, self.steps, self.protocol.agent_period, self.tension_range]

@@ -11,14 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.reward import SCHEDULE, prices
-from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, prices
+from amulett_gym.evaluation.metrics import UNITS, control_prices
 from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
 from amulett_gym.jit.code_cache import fingerprint
 from amulett_gym.laws.bundle import MANIFEST
 from amulett_gym.laws.contenders import Contender, Own
 from amulett_gym.laws.parametric import is_tuned, tuned_vector
+from amulett_gym.profile import load_profile
 from amulett_gym.storage.kept import digest, kept
+from amulett_gym.studies.benchmark.frozen import PRICES_OF, price_hash
+from amulett_gym.tasks.hashes import PROFILE
 
 VERSION = 1
 """Version of the files' content; the fingerprint of the compiled code counts as well."""
@@ -65,6 +69,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
         *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
         prices(protocol.profile, protocol.suite, track=contender.env_keywords.get("track", SCHEDULE)),
+        *_unusual(protocol, contender),
     ]
     name = contender.policy_name or contender.name
     acting: list[Any] = [name]
@@ -74,6 +79,24 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
         law, vector = tuned_vector(name, protocol.profile)
         acting = [law.name, vector]
     return digest(protocol.profile.model_dump_json(), settings, *acting)
+
+
+def _unusual(protocol: Protocol, contender: Contender) -> list[Any]:
+    """Return what else a run depends on where it is not the usual, with which it is left out, as in older files."""
+    found: list[Any] = []
+    if not _prices_are_frozen():
+        found.append(control_prices(protocol.profile, protocol.suite))
+    if (env_id := protocol.env_of(contender)) not in (ENV_IDS[0], DRIVES_ID):  # the keyword control names that
+        found.append(env_id)
+    if protocol.scenarios:
+        found.append([scenario.model_dump(mode="json") for scenario in protocol.scenarios])
+    return found
+
+
+@cache
+def _prices_are_frozen() -> bool:
+    """Return whether the prices of the full-control cost, which is in each run, are those of `PRICES_OF`."""
+    return price_hash(load_profile(PROFILE), FULL_CONTROL) == PRICES_OF[FULL_CONTROL]
 
 
 @cache

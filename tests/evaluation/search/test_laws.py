@@ -1,5 +1,6 @@
 """Tuning: what is found is no worse than where it began, is found again, and never saw what is reported."""
 
+import copy
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from amulett_gym.envs import reward
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
 from amulett_gym.evaluation.search import laws as tuning
@@ -91,9 +93,9 @@ def test_the_episodes_that_were_simulated_are_those_of_the_recipe(tmp_path):
 def test_no_other_splits_than_train_and_validation_are_played(tmp_path, monkeypatch):
     seen = []
 
-    def watched(protocol, control):
+    def watched(protocol, *loop, **track):
         seen.append(protocol.split)
-        return Trials(protocol, control)
+        return Trials(protocol, *loop, **track)
 
     monkeypatch.setattr(tuning, "Trials", watched)
     tune(tmp_path, replace(SMALL, seeds=(1,)))
@@ -236,3 +238,13 @@ def test_a_damaged_stage_is_done_again(tmp_path):
 def test_wrong_recipes_are_refused(wrong, message):
     with pytest.raises(AmulettError, match=message):
         replace(SMALL, **wrong)
+
+
+def test_the_digest_holds_the_prices_of_the_track_that_is_tuned(monkeypatch):
+    other = copy.deepcopy(reward._frozen())
+    other["divisors"]["testbed"]["steps"]["drive_effort"] *= 2.0
+    recipes = SMALL, replace(SMALL, control="co-rotation"), replace(SMALL, track="full-control")
+    before = [recipe.trials()[0].digest() for recipe in recipes]
+    monkeypatch.setattr(reward, "_frozen", lambda: other)
+    after = [recipe.trials()[0].digest() for recipe in recipes]
+    assert [old == new for old, new in zip(before, after, strict=True)] == [True, False, False]

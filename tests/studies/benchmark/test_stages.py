@@ -1,5 +1,6 @@
 """The benchmark, end to end on a tiny description: what it writes, what it refuses, and that a kill costs nothing."""
 
+import copy
 import csv
 import json
 import os
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ import yaml
 from helpers import keep_network, make_bundle
 
 from amulett_gym.cli import build_parser, main
+from amulett_gym.envs import reward
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate, play_alone
@@ -454,3 +457,24 @@ def test_a_policy_of_a_loop_is_named_with_it(tmp_path):
         AmulettError, match=f"acts in the loop cascade; write cascade/{mine}, on the track full-control"
     ):
         bench(tmp_path, {**LAWS, "contenders": [mine]})
+
+
+def test_kept_episodes_know_what_they_depend_on(monkeypatch):
+    protocol, contender = Protocol(load_profile("testbed"), episodes=2), parse_contender("eq6")
+
+    def found(protocol=protocol):
+        episodes._prices_are_frozen.cache_clear()
+        return episodes._digest(protocol, contender, False)
+
+    usual = found()
+    assert episodes._unusual(protocol, contender) == []
+    own = load_scenario({"device": {"late_probability": 0.1}})
+    others = [replace(protocol, env_id="Amulett/Tension-v0"), replace(protocol, scenarios=(own,))]
+    frozen_divisors = copy.deepcopy(reward._frozen())
+    frozen_divisors["divisors"]["testbed"]["steps"]["drive_effort"] *= 2.0
+    digests = [usual, *map(found, others)]
+    with monkeypatch.context() as patch:
+        patch.setattr(reward, "_frozen", lambda: frozen_divisors)
+        digests.append(found())
+    assert len(set(digests)) == 4
+    assert found() == usual
