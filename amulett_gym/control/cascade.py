@@ -5,9 +5,10 @@ The outer loop asks the agonist for a force beyond the co-contraction ``sigma``:
     dF = K_o (r_x - x) - K_v v
     F_1d = sigma + max(dF + M_m sin(r_x) / R_2, 0),  F_2d = sigma + max(-dF - M_m sin(r_x) / R_2, 0)
 
-The inner loop winds each drive by the error of its estimated force, ``k_f (F_d - F^)``, on top of the feed-forward of
-equilibrium-point control. An integral of the position error turns both drives. The inner loop of [9] has a derivative
-as well; here the noise of the sliders and the low-pass of the force estimate leave it nothing to improve.
+with sigma lowered where the springs' largest force leaves too little for the difference. The inner loop winds each
+drive by the error of its estimated force, ``k_f (F_d - F^)``, on top of the feed-forward of equilibrium-point control.
+An integral of the position error turns both drives. The inner loop of [9] has a derivative as well; here the noise of
+the sliders and the low-pass of the force estimate leave it nothing to improve.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Equilibrium-point control ([13] Muralidharan et al.): feed-forward alone, no feedback.
 
 The drives turn together to where the strings hold the joint at its reference, and apart for the co-contraction. They
-lead the reference by about their lag. Without feedback, an error of the model stays.
+lead the reference by about their lag. Where the arm's weight leaves too little of the springs' force for the
+co-contraction, that is lowered. Without feedback, an error of the model stays.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
 With the torque fixed, the drive angles that give it are a curve: one pair for each co-contraction. Of the pairs with at
 least the co-contraction asked for, each drive goes to the pair nearest to where both are (according to their model).
-The torque, and the low level that moves the drives, are those of `control.computed_torque`. Strings once tight stay
-tight until the motion lets them go: softening alone is a motion that is not needed.
+The torque, the co-contraction that it leaves, and the low level that moves the drives, are those of
+`control.computed_torque`. Strings once tight stay tight until the motion lets them go: softening alone is a motion that
+is not needed.
 """
 
 from __future__ import annotations

@@ -250,8 +250,8 @@ def weight_slope_at(g, angle):
 @compiled
 def hold_reference(p, g, s, q, i):
     """Return the drive angles [rad] of equilibrium-point control."""
-    angle = equilibrium(q.reference[i], q.reference_rate[i], g.lead)
-    return hold_at(p, g, angle, weight_at(g, q.reference[i]), s.tension_setpoint[i])
+    angle, torque = equilibrium(q.reference[i], q.reference_rate[i], g.lead), weight_at(g, q.reference[i])
+    return hold_at(p, g, angle, torque, affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force))
 
 
 @compiled
@@ -583,7 +583,8 @@ def run_cascade(p, g, s, q, first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
         error = integrate_position(p, g, s, q, i)
         torque = weight_at(g, q.reference[i]) + p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
-        want_biceps, want_triceps = string_forces(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+        tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
+        want_biceps, want_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
         q.biceps[i] = biceps + q.integral[i] + winding(want_biceps, s.estimate_biceps[i], s.untrusted_biceps[i], g.kf)
         q.triceps[i] = (
             triceps + q.integral[i] - winding(want_triceps, s.estimate_triceps[i], s.untrusted_triceps[i], g.kf)
@@ -591,34 +592,33 @@ def run_cascade(p, g, s, q, first, end):
 
 
 @compiled
-def find_torque(p, g, s, q, i, tension):
-    """Return the torque [N m] that `control.computed_torque` asks for, and the rate [rad/s] that its drives follow."""
+def find_torque(p, g, s, q, i):
+    """Return the torque [N m] of `control.computed_torque`, the co-contraction [N] and the rate [rad/s] of its drives.
+
+    The co-contraction is that asked for, but at least the loop's smallest, and lowered as far as the torque needs it.
+    """
+    least = min(g.least_tension, g.max_force)
+    tension = min(max(s.tension_setpoint[i], least), g.max_force)
     error = q.reference[i] - s.measured_angle[i]
     wanted = wanted_acceleration(
         q.reference_acceleration[i], q.reference_rate[i] - q.velocity[i], error, q.integral[i], g.kd, g.kp
     )
     decay = decay_rate(tension, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     torque = joint_torque(wanted, q.reference_rate[i], s.measured_angle[i], g.inertia, decay, g.weight)
-    most = p.joint_radius * (g.max_force - tension)
-    rise, fall = room_to_turn(p, s, i)
+    most = p.joint_radius * (g.max_force - least)
+    rise, fall = headroom(p, s, i)  # a spring at its end is no limit: the other string can be let go
     q.integral[i] = integrate(
         q.integral[i], error, g.ki, p.control_period, rise and torque < most, fall and torque > -most
     )
-    return torque, followed_rate(q.reference_rate[i], q.velocity[i], g.inertia * g.kp * error, most)
-
-
-@compiled
-def taut(g, s, i):
-    """Return the tension setpoint [N], at least the loop's smallest and at most what the springs give."""
-    return min(max(s.tension_setpoint[i], g.least_tension), g.max_force)
+    rate = followed_rate(q.reference_rate[i], q.velocity[i], g.inertia * g.kp * error, most)
+    return torque, max(affordable_tension(torque, tension, p.joint_radius, g.max_force), least), rate
 
 
 @compiled_lanes
 def run_computed_torque(p, g, s, q, first, end):
     """Run `control.computed_torque`."""
     for i in range(first, end):
-        tension = taut(g, s, i)
-        torque, rate = find_torque(p, g, s, q, i, tension)
+        torque, tension, rate = find_torque(p, g, s, q, i)
         biceps, triceps = hold_at(p, g, s.measured_angle[i], torque, tension)
         move_drives(p, g, q, i, biceps, triceps, rate)
 
@@ -627,8 +627,7 @@ def run_computed_torque(p, g, s, q, first, end):
 def run_minimal_motion(p, g, s, q, first, end):
     """Run `control.minimal_motion`."""
     for i in range(first, end):
-        tension = taut(g, s, i)
-        torque, rate = find_torque(p, g, s, q, i, tension)
+        torque, tension, rate = find_torque(p, g, s, q, i)
         angle = s.measured_angle[i]
         at_biceps, at_triceps = predict_positions(p, q, i, angle)
         biceps, triceps = nearest_pair(

@@ -298,7 +298,8 @@ class Loop:
     def equilibrium(self, now: Reading) -> Pair:
         """Return the drive angles [rad] that hold the led reference against the bare arm's weight."""
         angle = now.reference + self.lead * now.reference_rate
-        return self.device.hold(angle, self.device.weight * math.sin(now.reference), now.tension)
+        torque = self.device.weight * math.sin(now.reference)
+        return self.device.hold(angle, torque, self.device.affordable(torque, now.tension))
 
     def move(self, now: Reading, biceps: float, triceps: float, joint_rate: float | None = None) -> Pair:
         """Return the commands that bring the drives to given angles [rad], which move with the reference, or a rate."""
@@ -523,12 +524,13 @@ class _Cascade(Loop):
         error, gains, device = now.reference - now.measured_angle, self.gains, self.device
         difference = gains.kp * error - gains.kd * now.velocity
         difference += device.weight * math.sin(now.reference) / device.joint_radius
+        tension = device.affordable(device.joint_radius * difference, now.tension)
         turn, wound = self.integrate_torque(now, error, gains.ki), []
         for sense, estimate, untrusted in (
             (1.0, now.estimate_biceps, now.untrusted_biceps),
             (-1.0, now.estimate_triceps, now.untrusted_triceps),
         ):
-            lack = min(now.tension + max(sense * difference, 0.0), device.max_force) - estimate
+            lack = min(tension + max(sense * difference, 0.0), device.max_force) - estimate
             wound.append(0.0 if untrusted and lack < 0.0 else sense * gains.kf * lack)
         biceps, triceps = self.equilibrium(now)
         return biceps + turn + wound[0], triceps + turn + wound[1]
@@ -538,29 +540,34 @@ class _ComputedTorque(Loop):
     def wants(self, now: Reading) -> Pair:
         error, gains, device = now.reference - now.measured_angle, self.gains, self.device
         feedback = gains.kd * (now.reference_rate - now.velocity) + gains.kp * error + self.integral
-        damping = 2.0 * decay_rate(device.profile, self.tension(now)) * now.reference_rate
+        asked = float(np.clip(now.tension, self.least, device.max_force))
+        damping = 2.0 * decay_rate(device.profile, asked) * now.reference_rate
         torque = device.inertia * (now.reference_acceleration + feedback + damping)
         torque += device.weight * math.sin(now.measured_angle)
-        most = device.joint_radius * (device.max_force - self.tension(now))
+        most = device.joint_radius * (device.max_force - self.least)
         if abs(torque) < most or torque * error < 0.0:
-            self.integrate_torque(now, error, gains.ki)
+            self.integrate(now, error, gains.ki)
         far = abs(device.inertia * gains.kp * error) / most if most > 0.0 else math.inf
         share = float(np.interp(far, [1.0, 2.0], [0.0, 1.0]))
-        return self.move(now, *self.pair(now, torque), (1.0 - share) * now.reference_rate + share * now.velocity)
+        tension = max(device.affordable(torque, asked), self.least)
+        return self.move(
+            now, *self.pair(now, torque, tension), (1.0 - share) * now.reference_rate + share * now.velocity
+        )
 
-    def tension(self, now: Reading) -> float:
-        """Return the co-contraction [N]."""
-        return min(max(now.tension, float(self.gains.least_tension)), self.device.max_force)
+    @property
+    def least(self) -> float:
+        """The smallest co-contraction [N]."""
+        return min(float(self.gains.least_tension), self.device.max_force)
 
-    def pair(self, now: Reading, torque: float) -> Pair:
-        """Return the drive angles [rad] that give a torque."""
-        return self.device.hold(now.measured_angle, torque, self.tension(now))
+    def pair(self, now: Reading, torque: float, tension: float) -> Pair:
+        """Return the drive angles [rad] that give a torque with a co-contraction [N]."""
+        return self.device.hold(now.measured_angle, torque, tension)
 
 
 class _MinimalMotion(_ComputedTorque):
-    def pair(self, now: Reading, torque: float) -> Pair:
+    def pair(self, now: Reading, torque: float, tension: float) -> Pair:
         device = self.device
-        pull = min(abs(torque) / device.joint_radius, device.max_force - self.tension(now))
+        pull = min(abs(torque) / device.joint_radius, device.max_force - tension)
         sign = 1.0 if torque >= 0.0 else -1.0
         wound = now.measured_angle * device.joint_radius
         own = now.drives[0] * device.drive_radius - wound, wound - now.drives[1] * device.drive_radius
@@ -571,7 +578,7 @@ class _MinimalMotion(_ComputedTorque):
             other = device.deflection(device.force(stretch) + pull)
             return float((stretch - antagonist) * device.slope(other) + (other - agonist) * device.slope(stretch))
 
-        low, high = device.deflection(self.tension(now)), device.deflection(device.max_force - pull)
+        low, high = device.deflection(tension), device.deflection(device.max_force - pull)
         best = low if slope(low) >= 0.0 else high
         if slope(low) < 0.0 < slope(high):
             best = float(brentq(slope, low, high, xtol=1e-15, rtol=1e-14))
