@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
-    from amulett_gym.studies.benchmark.description import load_benchmark, load_profile_of, quick, recipe_folder
+    from amulett_gym.studies.benchmark.description import PAPERS, load_benchmark, load_profile_of, quick, recipe_folder
     from amulett_gym.studies.benchmark.document import MARKS, write_document
     from amulett_gym.studies.benchmark.page import PAGE, in_words, judged, write_benchmark
     from amulett_gym.studies.benchmark.results import content
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     profile = load_profile_of(description, recipes)
     own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle, arguments.places)
     copies = copy_policies(arguments.policies, arguments.places)
-    print_remarks(device_remarks(profile))
+    print_remarks(device_remarks(profile, loops=description.loops or [PAPERS]))
     options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
     words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from amulett_gym.cli.options import add_json
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, unknown
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -37,6 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "action", choices=("validate",), help="validate: report the kind of a valid file, or its first errors"
     )
     parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or the folder of a bundle or a training run")
+    control = "loop in which a device of your own is diagnosed (default: decentralized, the paper's)"
+    parser.add_argument("--control", default="decentralized", metavar="LOOP", help=control)
     parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
     add_json(parser, "kind and resolved values")
 
@@ -45,9 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Validate; an error names the key."""
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import Profile
+    from amulett_gym.simulation.layout import CONTROLS
 
+    if arguments.control not in CONTROLS:
+        raise unknown("control", arguments.control, CONTROLS)
     found = validate(arguments.file)
-    remarks = device_remarks(found.content) if isinstance(found.content, Profile) else []
+    remarks = device_remarks(found.content, loops=(arguments.control,)) if isinstance(found.content, Profile) else []
     print_remarks(remarks)
     if arguments.json:
         content = {"kind": found.kind, "name": found.name, "remarks": remarks, "content": found.content}

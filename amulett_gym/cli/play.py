@@ -59,13 +59,14 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.envs.rendering.window import Renderer
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
+    from amulett_gym.laws.contenders import loops_of
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
 
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
     names = list(dict.fromkeys(arguments.policy))
     contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
-    remarks = device_remarks(protocol.profile, names) + loop_remarks(contenders)
+    remarks = device_remarks(protocol.profile, names, loops=loops_of(contenders)) + loop_remarks(contenders)
     print_remarks(remarks)
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
     mode = "human" if arguments.video is None else "rgb_array"

@@ -53,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
+    from amulett_gym.laws.contenders import loops_of
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.simulation.trajectory import write_csv
@@ -63,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     names = list(dict.fromkeys(arguments.law))
     contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
-    remarks = device_remarks(profile, names) + loop_remarks(contenders)
+    remarks = device_remarks(profile, names, loops=loops_of(contenders)) + loop_remarks(contenders)
     print_remarks(remarks)
     with Progress(math.ceil(arguments.duration) * len(contenders), "simulate", "s") as bar:
         played = [record_episode(each, protocol, arguments.scenario, bar.update) for each in contenders]

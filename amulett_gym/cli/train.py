@@ -57,9 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
-        # The remarks are about the paper's loop.
+        # Amulett/Drives-v0 has no loop; its default one is the paper's.
         tensions = TENSION_RANGE if config.env.id == DRIVES_ID else tuple(config.env.tension_range)
-        print_remarks(device_remarks(load_profile(config.env.profile), tension_range=tensions))
+        device, loops = load_profile(config.env.profile), (config.env.control,)
+        print_remarks(device_remarks(device, tension_range=tensions, loops=loops))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:

@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.write:
         check_shippable(recipe)
     show, words = printer(arguments), _command(arguments)
-    print_remarks(device_remarks(recipe.device()))
+    print_remarks(device_remarks(recipe.device(), loops=(recipe.control,)))
     try:
         content = tune_in(arguments.out, recipe, words, show)
     except KeyboardInterrupt:

@@ -11,7 +11,9 @@ from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.laws.contenders import Contender, split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
 from amulett_gym.profile import Profile, is_shipped
-from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.simulation.layout import LOOPS, Control
+
+PAPERS: Control = "decentralized"
 
 
 def device_remarks(
@@ -19,12 +21,13 @@ def device_remarks(
     contenders: Iterable[str] = (),
     tension_range: tuple[float, float] = TENSION_RANGE,
     places: Mapping[str, str | None] | None = None,
+    loops: Iterable[Control] = (PAPERS,),
 ) -> list[str]:
     """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
     On any device: laws from files that were tuned on another one, or in another loop. On the user's own device:
-    divisors and parameters of a shipped one, and the findings of `diagnose` for this tension range [N]. `places` maps
-    names of files that were moved to where they are.
+    divisors and parameters of a shipped one, and the findings of `diagnose` for this tension range [N] in each of the
+    `loops` in use. `places` maps names of files that were moved to where they are.
     """
     contenders = list(contenders)
     files = {name: (places or {}).get(name) or split_loop(name)[1] for name in contenders if is_tuned_file(name)}
@@ -43,7 +46,10 @@ def device_remarks(
     if tuned:
         act = "act" if len(tuned) > 1 else "acts"
         remarks.append(f"{', '.join(tuned)} {act} with the parameters tuned on the {owner}, not on the {profile.name}")
-    return remarks + [f"on the {profile.name}, {finding.text}" for finding in diagnose(profile, tension_range)]
+    for loop in dict.fromkeys(loops):
+        where = f"on the {profile.name}" + (f" in the loop {loop}" if loop != PAPERS else "")
+        remarks += [f"{where}, {finding.text}" for finding in diagnose(profile, tension_range, loop)]
+    return remarks
 
 
 def loop_remarks(contenders: Iterable[Contender]) -> list[str]:

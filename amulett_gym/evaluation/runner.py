@@ -27,6 +27,7 @@ from amulett_gym.laws.contenders import (
     Own,
     constant_tension,
     contender_names,
+    loops_of,
     parse_contender,
     python_file,
     split_loop,
@@ -293,7 +294,7 @@ def evaluate(
     remarks += [f"{name} {difference}" for name, difference in differences if difference]
     remarks += loop_remarks(replace(contender, name=label[contender.name]) for contender in contenders)
     places = {contender.name: contender.policy_name for contender in contenders}
-    remarks += device_remarks(protocol.profile, label, places=places)
+    remarks += device_remarks(protocol.profile, label, places=places, loops=loops_of(contenders))
 
     with ExitStack() as stack:
 

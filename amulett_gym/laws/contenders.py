@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -23,7 +23,7 @@ from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_loop, tuned_names
-from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS
+from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, Control
 from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
@@ -113,6 +113,12 @@ def split_loop(name: str) -> tuple[str, str]:
     if second in CONTROLS and law != second:
         raise AmulettError(f"'{name}' names two loops; write {law}, or for a law in a folder {loop}/./{law}")
     return loop, law
+
+
+def loops_of(contenders: Iterable[Contender]) -> tuple[Control, ...]:
+    """Return the loops in which contenders act; in `Amulett/Drives-v0`, which has none, the paper's."""
+    loops = [contender.env_keywords.get("control", CONTROLS[0]) for contender in contenders]
+    return tuple(dict.fromkeys(CONTROLS[0] if loop == DRIVES else loop for loop in loops))
 
 
 def in_loop(contender: C, loop: str) -> C:

@@ -8,17 +8,20 @@ import pytest
 from helpers import PROFILES, device
 
 from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation.layout import CONTROLS
 
 MY_DEVICE = Path(__file__).parents[2] / "configs" / "my_device.yaml"
 STIFF = {"name": "stiff", "base": "testbed", "spring": {"stiffness": 250_000.0}}
 
 
+@pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("profile", [*PROFILES, MY_DEVICE], ids=str)
-def test_a_sound_device_gives_no_finding(profile):
-    assert diagnose(load_profile(profile)) == []
+def test_a_sound_device_gives_no_finding_in_any_loop(profile, control):
+    assert diagnose(load_profile(profile), control=control) == []
 
 
 @pytest.mark.parametrize(
@@ -39,6 +42,35 @@ def test_each_fault_is_found_with_its_number(groups, kind, least, most, words):
     (finding,) = [finding for finding in diagnose(device("testbed", **groups)) if finding.kind == kind]
     assert least <= finding.number <= most
     assert re.search(words, finding.text)
+
+
+@pytest.mark.parametrize(
+    ("control", "groups", "kind", "least", "most"),
+    [
+        ("co-rotation", {"loops": {"co_rotation": {"lead": 3.0}}}, "overshoots", 30, 60),
+        ("cascade", {"loops": {"cascade": {"kf": 5.0}}}, "oscillates", 2, 20),
+        ("co-rotation", {"plant": {"velocity_limit_deg": 20.0}}, "fails", 0, 6),
+        ("torque-stiffness", {"loops": {"torque_stiffness": {"angle_weight": 5000.0}}}, "oscillates", 2, 50),
+        ("equilibrium-point", {"drives": {"command_limit_deg": 200.0}}, "drive limit", 0.9, 1),
+        ("equilibrium-point", {"plant": {"orientation": "vertical"}}, "tension", 13, 14),
+        ("computed-torque", {"plant": {"orientation": "vertical"}}, "cannot hold", 20, 50),
+        ("feedback-linearisation", {"spring": {"stiffness": 250_000.0}}, "oscillates", 10, 40),
+        ("co-rotation", {"drives": {"rate_limit_deg": 100.0}}, "cannot hold", 2, 10),
+    ],
+)
+def test_each_fault_of_another_loop_is_found_in_that_loop(control, groups, kind, least, most):
+    profile = device("testbed", **groups)
+    (finding,) = [finding for finding in diagnose(profile, control=control) if finding.kind == kind]
+    assert least <= finding.number <= most
+    if "loops" in groups:
+        assert diagnose(profile) == []
+
+
+def test_a_device_that_cannot_have_a_loop_is_an_error():
+    with pytest.raises(AmulettError, match="the slope of the springs has to rise"):
+        diagnose(device("testbed", spring={"free_length": 0.0}), control="torque-stiffness")
+    with pytest.raises(AmulettError, match="did you mean 'co-rotation'"):
+        diagnose(load_profile("testbed"), control="co-rotatoin")
 
 
 def test_the_end_of_the_tension_range_is_played():
@@ -75,6 +107,47 @@ def test_commands_warn_of_a_device_of_ones_own_once(command, tmp_path, capsys):
     names = [] if command[0] == "config" else ["eq6-tuned"]
     assert json.loads(out)["remarks"] == device_remarks(load_profile(path), names)
     assert err.count("the agonist of the resting arm switches") == 1
+
+
+LEADING = {"name": "leading", "base": "testbed", "loops": {"co_rotation": {"lead": 3.0}}}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["config", "validate", "{file}"],
+        ["simulate", "--law", "{law}", "--profile", "{file}", "--duration", "0.1"],
+        ["play", "{law}", "--profile", "{file}", "--steps", "1", "--video", "{folder}/a.png"],
+        ["evaluate", "--policies", "{law}", "--suite", "reach", "--profile", "{file}", "--episodes", "2"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_commands_warn_of_the_loop_in_use(command, tmp_path, capsys):
+    path = tmp_path / "leading.yaml"
+    path.write_text(json.dumps(LEADING))
+    for loop in ("co-rotation", "cascade"):
+        options = ["--control", loop] if command[0] == "config" else []
+        words = [word.format(file=path, folder=tmp_path, law=f"{loop}/constant:10") for word in command]
+        assert main([*words, *options]) == 0
+        printed = " ".join("".join(capsys.readouterr()).split())
+        assert ("on the leading in the loop co-rotation, in a step" in printed) == (loop == "co-rotation")
+
+
+@pytest.mark.parametrize(
+    "command", [["tune-law", "gains", "--control"], ["train", "--set"]], ids=lambda words: words[0]
+)
+def test_a_search_warns_of_its_loop(command, tmp_path, capsys):
+    path = tmp_path / "leading.yaml"
+    path.write_text(json.dumps(LEADING))
+    (tmp_path / "full" / "file").mkdir(parents=True)  # so that none begins
+    for loop in ("co-rotation", "cascade"):
+        if command[0] == "train":
+            words = [*command, f"env.profile={path}", f"env.control={loop}"]
+        else:
+            words = [*command, loop, "--profile", str(path)]
+        assert main([*words, "--out", str(tmp_path / "full")]) == 2
+        found = capsys.readouterr().err.count("on the leading in the loop co-rotation, in a step")
+        assert found == (loop == "co-rotation")
 
 
 def test_train_warns_by_the_recipes_own_device_and_tension_range(tmp_path, capsys):

@@ -33,6 +33,7 @@ from amulett_gym.evaluation.statistics import (
     probability_of_improvement,
     worst_mean,
 )
+from amulett_gym.laws.contenders import loops_of
 from amulett_gym.laws.parametric import LAWS, tuned_content
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.writing import write_json
@@ -105,6 +106,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
             evidence.profile,
             [name for name in evidence.entries if name not in evidence.tuned],
             places={name: entry.members[0].policy_name for name, entry in evidence.entries.items()},
+            loops=loops_of(member for entry in evidence.entries.values() for member in entry.members),
         ),
         "track": description.track,
         "units": {metric: UNITS[metric] for metric in reported(evidence)},
