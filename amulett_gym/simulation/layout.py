@@ -26,6 +26,7 @@ from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, SpringTables, build_tables
 from amulett_gym.profile import Pid, Profile
+from amulett_gym.settings import Group
 
 Control = Literal[
     "decentralized",
@@ -349,7 +350,13 @@ def pack_parameters(
 
 
 def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
-    """Return gains and device of one of `LOOPS`, or of `DRIVES`, as `LOOP_PARAMETERS` of shape (1,)."""
+    """Return gains and device of one of `LOOPS`, or of `DRIVES`, as `LOOP_PARAMETERS` of shape (1,).
+
+    Raises
+    ------
+    AmulettError
+        If the springs do not have what the loop needs.
+    """
     tables, loop, drives = build_tables(profile.spring), profile.loop, profile.drives
     if control in BY_STIFFNESS:
         _check_stiffening(tables, control)
@@ -369,6 +376,7 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     if control == DRIVES:  # it has no gains
         return packed
     gains = getattr(profile.loops, group_name(control))
+    _check_forces(gains, tables, control)
     for name in _GAINS:
         packed[name] = getattr(gains, name, 0.0)
     packed["lead"] *= drives.lag  # a profile's is a share of the lag
@@ -378,6 +386,18 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
         found = regulator_gains(*weights, float(packed["inertia"][0]))
         packed["torque_ki"], packed["torque_kp"], packed["torque_kd"] = found
     return packed
+
+
+def _check_forces(gains: Group, tables: SpringTables, control: Control) -> None:
+    """Raise an AmulettError if the springs do not reach a string force that a loop needs."""
+    for name in ("taut_force", "least_tension"):
+        force = getattr(gains, name, 0.0)
+        if force >= tables.max_force:
+            raise AmulettError(
+                f"control '{control}' needs strings with more than 'loops.{group_name(control)}.{name}', {force:g} N; "
+                f"the profile's springs give at most {tables.max_force:.4g} N. Set a smaller {name}, or choose another "
+                "control, such as 'co-rotation'"
+            )
 
 
 def _check_stiffening(tables: SpringTables, control: Control) -> None:

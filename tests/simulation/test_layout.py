@@ -10,6 +10,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
+from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import BY_STIFFNESS, LOOPS, pack_loop, pack_parameters
 from amulett_gym.tasks.scenario import empty_rows
 
@@ -45,6 +46,8 @@ def test_every_number_of_a_profile_reaches_the_kernel(base):
     profile = load_profile(base)
     before, met = packed(profile), 0
     for path, value in numbers(profile.model_dump()):
+        if path[-1] == "lead" and profile.drives.lag == 0.0:
+            continue  # a share of no lag
         others = {type(value)(other) for other in (value * 1.01, value * 0.99, value + 1, value - 1, 1e-4)} - {value}
         for other in others:
             try:
@@ -73,6 +76,33 @@ def test_a_stiffness_needs_springs_that_stiffen(control, spring, reason):
     with pytest.raises(AmulettError, match=f"control '{control}' sets the joint stiffness.*{reason}"):
         pack_loop(profile, control)
     pack_loop(profile, "co-rotation")
+
+
+def test_a_lead_is_a_share_of_the_lag():
+    profile = load_profile("testbed")
+    for share in (0.0, 1.0, 2.5):
+        own = changed(profile, ("loops", "cascade", "lead"), share)
+        assert pack_loop(own, "cascade")["lead"] == share * profile.drives.lag
+
+
+@pytest.mark.parametrize(
+    ("control", "name"),
+    [
+        ("feedback-linearisation", "taut_force"),
+        ("computed-torque", "least_tension"),
+        ("minimal-motion", "least_tension"),
+    ],
+)
+def test_springs_have_to_reach_the_force_that_a_loop_needs(control, name):
+    def soft(force):
+        gains = {control.replace("-", "_"): {name: force}}
+        return load_profile({"name": "soft", "base": "testbed", "spring": {"stiffness": 1500.0}, "loops": gains})
+
+    reason = rf"'{control}'.*'loops\.{control.replace('-', '_')}\.{name}', 3.5 N.* at most 3.366 N"
+    with pytest.raises(AmulettError, match=reason):
+        Simulation(soft(3.5), 1, control)
+    Simulation(soft(3.3), 1, control)
+    Simulation(soft(3.5), 1, "co-rotation")
 
 
 @pytest.mark.parametrize("control", BY_STIFFNESS)
