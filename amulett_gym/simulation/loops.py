@@ -75,7 +75,8 @@ def want(p, g, s, q, first, end):
     elif g.loop == FEEDBACK_LINEARISATION:
         find_jump_jerk(g, q, first, end)
         run_feedback_linearisation(p, g, s, q, first, end)
-        hand_over(p, g, s, q, first, end)
+        if lets_go(q, first, end):
+            hand_over(p, g, s, q, first, end)
     elif g.loop == TORQUE:
         run_torque(p, g, s, q, first, end)
     elif g.loop == CASCADE:
@@ -528,9 +529,18 @@ def run_feedback_linearisation(p, g, s, q, first, end):
         q.triceps[i] = q.model_triceps[i] + turn(p, g, rate_triceps) - q.trim_triceps[i]
 
 
+@compiled
+def lets_go(q, first, end):
+    """Return whether a string of any lane comes near slack: rarely, so that most ticks can do without `hand_over`."""
+    least = 1.0
+    for i in range(first, end):
+        least = min(least, q.tautness[i])
+    return least < 1.0
+
+
 @compiled_lanes
 def hand_over(p, g, s, q, first, end):
-    """Mix feed-forward into the commands where a string comes near slack: rarely, so that a branch is faster."""
+    """Mix feed-forward into the commands where a string comes near slack."""
     for i in range(first, end):
         if q.tautness[i] < 1.0:
             biceps, triceps = hold_reference(p, g, s, q, i)
