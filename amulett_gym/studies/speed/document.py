@@ -12,7 +12,7 @@ from typing import Any
 from amulett_gym.reporting.document import Marks, marks
 from amulett_gym.reporting.table import Table
 
-SECTIONS = ("speed", "c", "ppo", "time-to-beat", "scale", "peers")
+SECTIONS = ("speed", "loops", "c", "ppo", "time-to-beat", "scale", "peers")
 
 Data = Mapping[str, Any]
 
@@ -40,6 +40,16 @@ def _speed(data: Data) -> list[Table]:
         "between 1/1.3 and 1.3 counts as equal."
     )
     return [Table("Kernel and environments", head, rows, note)]
+
+
+def _loops(data: Data) -> list[Table]:
+    rows = [
+        [f"`{control}`", f"{row['ticks_per_s'] / 1e6:.2f}", _spread(**row["ratio"], digits=2)]
+        for control, row in data["loops"].items()
+    ]
+    note = "One core: medians of alternating turns. Ratio per turn to `decentralized`: median (minimum-maximum)."
+    title = f"Control loops, kernel of {data['loops_devices']:,}, testbed"
+    return [Table(title, ("loop", "million ticks/s", "speed / that of the paper's loop"), rows, note)]
 
 
 def _c(data: Data) -> list[Table]:
@@ -202,6 +212,7 @@ def _bytes(value: float | None) -> str:
 
 _TABLES = {
     "speed": ("environments", _speed),
+    "loops": ("loops", _loops),
     "c": ("ratio_to_c", _c),
     "ppo": ("ppo", _ppo),
     "time-to-beat": ("time_to_beat", _time_to_beat),

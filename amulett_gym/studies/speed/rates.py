@@ -16,6 +16,7 @@ import numpy as np
 
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import Control
 from amulett_gym.tasks.suites import sample
 
 PROFILES = ("testbed", "simulation")
@@ -102,10 +103,10 @@ def vector(profile: str, devices: int, seed: int = 0, threads: int = 1) -> Conte
     return Contestant(name, _step_vector(env, seed), devices, _ticks(profile))
 
 
-def kernel(profile: str, devices: int, seed: int = 0) -> Contestant:
-    """Return the kernel alone, an agent's period a call, eq. 6 inside the loop."""
+def kernel(profile: str, devices: int, seed: int = 0, control: Control = "decentralized") -> Contestant:
+    """Return the kernel alone with a control loop, an agent's period a call, eq. 6 inside the loop."""
     device = load_profile(profile)
-    simulation = Simulation(device, devices, tension_law="eq6")
+    simulation = Simulation(device, devices, control, tension_law="eq6")
     keys = np.random.default_rng(seed).integers(2**63, size=devices, dtype=np.uint64)
     simulation.reset(sample("steps", keys, device))
     start = simulation.get_state()
@@ -120,7 +121,8 @@ def kernel(profile: str, devices: int, seed: int = 0) -> Contestant:
             simulation.set_state(start)
             calls = 0
 
-    return Contestant(f"kernel of {devices}, {profile}", step, devices, ticks)
+    name = f"kernel of {devices}, {profile}" + (f", {control}" if control != "decentralized" else "")
+    return Contestant(name, step, devices, ticks)
 
 
 def race(
@@ -129,12 +131,12 @@ def race(
     """Return the speeds of all entrants, which step in turns of `seconds` [s]; `watch` is called after each turn."""
     for entrant in entrants:
         entrant.step()  # compile
-    rates: dict[str, list[float]] = {entrant.name: [] for entrant in entrants}
+    rates: list[list[float]] = [[] for _ in entrants]
     for _ in range(turns):
-        for entrant in entrants:
-            rates[entrant.name].append(_rate(entrant.step, seconds) * entrant.devices)
+        for entrant, found in zip(entrants, rates, strict=True):
+            found.append(_rate(entrant.step, seconds) * entrant.devices)
             watch()
-    return [Speed(entrant.name, tuple(rates[entrant.name]), entrant.ticks) for entrant in entrants]
+    return [Speed(entrant.name, tuple(found), entrant.ticks) for entrant, found in zip(entrants, rates, strict=True)]
 
 
 def spread(numbers: Sequence[float]) -> dict[str, float]:

@@ -13,6 +13,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.kernel import advance
+from amulett_gym.simulation.layout import CONTROLS
 from amulett_gym.studies.speed import peers, rates, scale, yardstick
 
 Data = dict[str, Any]
@@ -68,6 +69,17 @@ def _speed(settings: Settings, data: Data, recipe: Any) -> None:
     data["vector_steps_per_s"] = speeds[f"vector of {settings.devices}, testbed"].steps_per_second
     data["single_step_us"] = 1e6 / speeds["single, testbed"].steps_per_second
     data["environments"] = rows
+
+
+def _loops(settings: Settings, data: Data, recipe: Any) -> None:
+    entrants = [rates.kernel("testbed", settings.devices, settings.seed, control) for control in CONTROLS]
+    with Progress(settings.turns * len(entrants), "loops", "turns") as bar:
+        speeds = dict(zip(CONTROLS, rates.race(entrants, settings.turns, watch=bar.update), strict=True))
+    data["loops_devices"] = settings.devices
+    data["loops"] = {
+        control: {**speed.numbers(), "ratio": rates.spread(rates.ratios(speed, speeds["decentralized"]))}
+        for control, speed in speeds.items()
+    }
 
 
 def _c(settings: Settings, data: Data, recipe: Any) -> None:
@@ -136,6 +148,7 @@ def _peers(settings: Settings, data: Data, recipe: Any) -> None:
 
 MEASURE: dict[str, Callable[[Settings, Data, Any], None]] = {
     "speed": _speed,
+    "loops": _loops,
     "c": _c,
     "ppo": _ppo,
     "time-to-beat": _time_to_beat,

@@ -18,10 +18,12 @@ from amulett_gym.cli import bench, build_parser, main
 from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import update_document
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import CONTROLS
 from amulett_gym.studies.speed import document as performance
 from amulett_gym.studies.speed import peers, scale, sections
 from amulett_gym.studies.speed.document import SECTIONS, section_marks, tables
-from amulett_gym.studies.speed.rates import Speed, kernel, race, ratios
+from amulett_gym.studies.speed.rates import Contestant, Speed, kernel, race, ratios
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "performance.md"
 MEMORY = {"devices": 100, "simulation": 800.0, "arrays": 900.0, "resident": 1000.0}
@@ -63,6 +65,32 @@ def test_a_file_after_json_is_deprecated_and_still_written(monkeypatch, tmp_path
         output, note = capsys.readouterr()
         assert output.startswith(printed) and "--json FILE is deprecated" in note
     assert json.loads(path.read_text()) == {"devices": 3}
+
+
+def test_every_loop_is_compared_with_the_papers_in_the_same_turns(brief, tmp_path):
+    assert main([*QUICK, "--loops", "--turns", "3", "--json", str(tmp_path / "bench.json")]) == 0
+    data = json.loads((tmp_path / "bench.json").read_text())
+    assert tuple(data["loops"]) == CONTROLS
+    assert data["loops"]["decentralized"]["ratio"] == {"median": 1.0, "least": 1.0, "most": 1.0}
+    fastest = data["loops"]["decentralized"]["fastest"], data["loops"]["decentralized"]["slowest"]
+    for row in data["loops"].values():
+        assert row["slowest"] / fastest[0] <= row["ratio"]["median"] <= row["fastest"] / fastest[1]
+    assert len({row["ticks_per_s"] for row in data["loops"].values()}) == len(CONTROLS)  # each has its own turns
+    (table,) = tables("loops", data)
+    assert table.title == "Control loops, kernel of 4, testbed"
+    assert [row[0] for row in table.rows] == [f"`{control}`" for control in CONTROLS]
+
+
+def test_a_kernel_runs_the_loop_that_it_is_asked_for(monkeypatch):
+    made = []
+
+    def simulation(*words: Any, **keywords: Any) -> Simulation:
+        made.append(Simulation(*words, **keywords))
+        return made[-1]
+
+    monkeypatch.setattr("amulett_gym.studies.speed.rates.Simulation", simulation)
+    kernel("testbed", 4, control="co-rotation").step()
+    assert made[0].control == "co-rotation" and made[0].states["tick"].max() == 8
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -140,6 +168,11 @@ def test_a_kernel_alone_starts_its_scenarios_again():
         entrant.step()
     assert entrant.devices == 4
     assert entrant.ticks * load_profile("testbed").loop.control_period == pytest.approx(0.02)
+
+
+def test_contestants_of_one_name_have_turns_of_their_own():
+    speeds = race([Contestant("twin", int), Contestant("twin", int)], 2, 0.0)
+    assert [len(speed.rates) for speed in speeds] == [2, 2] and speeds[0].rates != speeds[1].rates
 
 
 def test_ratios_are_taken_turn_by_turn():
