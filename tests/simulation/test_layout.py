@@ -98,7 +98,7 @@ def test_springs_have_to_reach_the_force_that_a_loop_needs(control, name):
         gains = {control.replace("-", "_"): {name: force}}
         return load_profile({"name": "soft", "base": "testbed", "spring": {"stiffness": 1500.0}, "loops": gains})
 
-    reason = rf"'{control}'.*'loops\.{control.replace('-', '_')}\.{name}', 3.5 N.* at most 3.366 N"
+    reason = rf"'{control}'.*'loops\.{control.replace('-', '_')}\.{name}', 3.5 N.* at most 3.367 N"
     with pytest.raises(AmulettError, match=reason):
         Simulation(soft(3.5), 1, control)
     Simulation(soft(3.3), 1, control)
