@@ -10,23 +10,17 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import signal
-import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib import resources
-from multiprocessing import active_children, get_context
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import numpy as np
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.processes import in_processes
 from amulett_gym.identification.ensemble import DETERMINED, ensemble, spread
 from amulett_gym.identification.parameters import (
     CERTAIN,
@@ -327,46 +321,9 @@ def _run_stages(
             missing.append(name)
         else:
             yield name, done
-    if not missing:
-        return
-    workers = min(processes, len(missing))
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_with, initargs=(os.getpid(),)) as pool:
-        with _ctrl_c_later():  # inherited by the workers, which the parent ends
-            futures = {pool.submit(_do_stage, calls[name], asdict(readings)): name for name in missing}
-        try:
-            for future in as_completed(futures):
-                name = futures[future]
-                write_kept(folder / f"{name}.json", inputs[name], future.result())
-                yield name, future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in active_children():  # otherwise they finish their searches first
-                worker.terminate()
-            raise
-
-
-@contextmanager
-def _ctrl_c_later() -> Iterator[None]:
-    """Delay a Ctrl-C until the end of the block; processes that start in it never receive one."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_with(parent: int) -> None:
-    """End a worker when its parent ends: a parent that was killed cannot do that."""
-
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
-        os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
+    for name, result in in_processes(_do_stage, {name: (calls[name], asdict(readings)) for name in missing}, processes):
+        write_kept(folder / f"{name}.json", inputs[name], result)
+        yield name, result
 
 
 def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
