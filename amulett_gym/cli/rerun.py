@@ -7,6 +7,7 @@ import contextlib
 import csv
 import hashlib
 import io
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping
@@ -182,26 +183,26 @@ def _quickstart(folder: Path) -> Numbers:
 
 
 def _tune_law_again(note: Provenance, old: Path, new: Path) -> None:
-    from amulett_gym.cli.tune_law import tune_in
-    from amulett_gym.evaluation.search.laws import Recipe
+    from amulett_gym.cli.tune_law import read_recipes, tune_in
     from amulett_gym.reporting.progress import say
 
     try:
-        recipe = Recipe(**note.config)
+        recipes = read_recipes(note.config)
     except (TypeError, ValueError) as error:
         raise AmulettError(f"'{old / 'command.json'}' does not describe a tuning: {error}") from error
-    tune_in(str(new), recipe, note.command or ["amulett", "tune-law"], say)
+    tune_in(str(new), recipes, note.command or ["amulett", "tune-law"], say, os.cpu_count() or 1)
 
 
 def _tuned(folder: Path) -> Numbers:
-    """Return the content of a tuned law's file."""
+    """Return the content of a tuned law's file, or of those in several loops by their names."""
+    from amulett_gym.cli.tune_law import TUNING
     from amulett_gym.storage.reading import read_json, visible
 
-    paths = [path for path in visible(folder, "*-*.json") if path.is_file()]
-    if len(paths) != 1:
+    found = {path.name: read_json(path, "tuned law") for path in visible(folder, "*-*.json") if path.is_file()}
+    loops = read_json(folder / TUNING, "tuned law's folder").get("control") if found else None
+    if len(found) != (len(loops) if isinstance(loops, list) else 1):
         raise AmulettError(f"'{folder}' is not finished: repeat the command that began it")
-    content: Numbers = read_json(paths[0], "tuned law")
-    return content
+    return found if isinstance(loops, list) else next(iter(found.values()))
 
 
 def _command_again(note: Provenance, old: Path, new: Path) -> None:

@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.options import add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
-from amulett_gym.storage.writing import output_folder, write_json
+from amulett_gym.storage.writing import output_folder, write_json, write_text
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.search.laws import Recipe
+    from amulett_gym.reporting.table import Table
 
 HELP = "tune a law or a loop's gains for a device and a suite; the same command continues an interrupted search"
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
   amulett tune-law constant --suite reach --out runs/constant
   amulett tune-law parametric --suite mixed --budget 20000 --seeds 1 --out runs/short
   amulett tune-law gains --control co-rotation --profile configs/my_device.yaml --out runs/gains
+  amulett tune-law gains --control all --budget 100000 --out runs/gains-of-all-loops
 """
+
+COSTS = "costs.csv"
+"""File with the costs in each of several loops."""
 
 TUNING = "tuning.json"
 """File that marks a folder of this command, and names what is tuned there."""
@@ -33,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     laws = "constant (a tension), eq6-tuned (4 parameters), parametric (18), or gains: those of the loop in --control"
     parser.add_argument("law", metavar="LAW", help=laws)
-    control = "loop that plays (default: decentralized, the paper's)"
-    parser.add_argument("--control", default="decentralized", metavar="LOOP", help=control)
+    control = "loops that play, or all of them: tuned one by one, alike (default: decentralized, the paper's)"
+    parser.add_argument("--control", nargs="+", default=["decentralized"], metavar="LOOP", help=control)
     track = (
         "cost that is minimised: schedule or full-control (default: schedule for a law in the paper's loop, else "
         "full-control)"
@@ -43,12 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     suite = "suite of scenarios, searched on its split train, chosen on validation (default: mixed)"
     add_options(parser, "--suite", default="mixed", help=suite)
     add_options(parser, "--profile")
-    budget = "simulated training episodes of all starts (default: as for the shipped laws; equal for all loops)"
+    budget = "simulated training episodes of all starts, for each loop (default: as for the shipped laws)"
     parser.add_argument("--budget", type=int, metavar="N", help=budget)
     seeds = "seeds of the independent starts, of which the best is chosen (default: 1 2)"
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="N", help=seeds)
     validation = "validation scenarios that choose among the starts (default: 200)"
     parser.add_argument("--validation", type=int, default=200, metavar="N", help=validation)
+    cores = os.cpu_count() or 1
+    parser.add_argument("--processes", type=int, default=cores, metavar="N", help="parallel searches (default: cores)")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted search in it is continued")
     write = "also replace the package's parameters of this law, for a shipped device"
     parser.add_argument("--write", action="store_true", help=write)
@@ -58,84 +66,119 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Tune, print the result, and write it; return 130 if Ctrl-C ended it."""
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
-    from amulett_gym.evaluation.search.gains import GAINS, TENSION
-    from amulett_gym.evaluation.search.laws import Recipe, at_ends, check_shippable, profile_path, result_path, ship
+    from amulett_gym.evaluation.search.gains import GAINS
+    from amulett_gym.evaluation.search.laws import at_ends, check_shippable, profile_path, result_path, ship
+    from amulett_gym.simulation.layout import LOOPS
 
-    law, suite, profile = arguments.law, arguments.suite, arguments.profile
-    sizes = {"validation": arguments.validation, "control": arguments.control, "track": arguments.track}
-    recipe = Recipe(law, suite, profile, tuple(arguments.seeds), **sizes)
-    if arguments.budget is not None:
-        recipe = recipe.within(arguments.budget)
+    check_least(arguments, processes=1)
+    recipes, profile = _recipes(arguments), arguments.profile
     if arguments.write:
-        check_shippable(recipe)
+        for recipe in recipes:
+            check_shippable(recipe)
     show, words = printer(arguments), _command(arguments)
-    print_remarks(device_remarks(recipe.device(), loops=(recipe.control,)))
+    print_remarks(device_remarks(recipes[0].device(), loops=tuple(recipe.control for recipe in recipes)))
     try:
-        content = tune_in(arguments.out, recipe, words, show)
+        contents = tune_in(arguments.out, recipes, words, show, arguments.processes)
     except KeyboardInterrupt:
         print("interrupted; finished generations are kept. Continue with:", file=sys.stderr)
         print(f"       {shlex.join(words)}", file=sys.stderr)
         return 130
-    result = str(result_path(arguments.out, recipe))
-    written = [result]
-    loop = "" if recipe.control == "decentralized" else f"{recipe.control}/"
-    contender = f"{loop}{result}"
-    if law == GAINS:
+    tuned, several = list(zip(recipes, contents, strict=True)), len(recipes) > 1
+    written = [str(result_path(arguments.out, recipe)) for recipe in recipes]
+    if arguments.law == GAINS:
         profile = str(profile_path(arguments.out))
         written.append(profile)
-        contender = f"{loop}constant:{content['parameters'][TENSION]['value']:.4g}"
+    if several:
+        written.append(str(Path(arguments.out) / COSTS))
     if arguments.write:
-        written.append(str(ship(recipe, content)))
+        written += [str(ship(recipe, content)) for recipe, content in tuned]
     if arguments.json:
-        print_json(content)
-    show(_in_words(content))
-    if ends := at_ends(recipe, content):
-        show(f"At an end of the range that was searched: {', '.join(ends)}.")
+        print_json({recipe.control: content for recipe, content in tuned} if several else contents[0])
+    show((_costs(tuned) if several else _in_words(contents[0])).text(), wrap=False)
+    for recipe, content in tuned:
+        if ends := at_ends(recipe, content):
+            loop = f" for {recipe.control}" if several else ""
+            show(f"At an end of the range that was searched{loop}: {', '.join(ends)}.")
     show(f"Written: {', '.join(written)}")
-    policies = [contender] if loop else ["eq6", contender]
+    policies = [_contender(arguments.out, recipe, content) for recipe, content in tuned]
+    policies = policies if recipes[0].control in LOOPS else ["eq6", *policies]
     again = shlex.join(["amulett", "evaluate", "--policies", *policies])
-    options = shlex.join(["--suite", suite, "--profile", profile])
+    options = shlex.join(["--suite", arguments.suite, "--profile", profile])
     show(f"Compare:\n  {again} \\\n      {options}", wrap=False)
     return 0
 
 
-def tune_in(out: str, recipe: Recipe, words: Sequence[str], show: Callable[..., None]) -> dict[str, Any]:
-    """Tune in a command's output folder, and return the result.
+def _recipes(arguments: argparse.Namespace) -> list[Recipe]:
+    """Return the recipe of each loop."""
+    from amulett_gym.simulation.layout import CONTROLS
+
+    controls = arguments.control
+    if controls == ["all"]:
+        controls = [control for control in CONTROLS if control != "position-only"]
+    if len(set(controls)) < len(controls):
+        raise AmulettError(f"--control names a loop twice: {' '.join(controls)}")
+    sizes = {name: getattr(arguments, name) for name in ("law", "suite", "profile", "seeds", "validation", "track")}
+    recipes = read_recipes({**sizes, "control": controls})
+    return recipes if arguments.budget is None else [recipe.within(arguments.budget) for recipe in recipes]
+
+
+def read_recipes(config: Mapping[str, Any]) -> list[Recipe]:
+    """Return the recipes of a folder's configuration, in which `control` is a loop or a list of them."""
+    from amulett_gym.evaluation.search.laws import Recipe
+
+    controls = config.get("control", "decentralized")
+    return [Recipe(**{**config, "control": loop}) for loop in ([controls] if isinstance(controls, str) else controls)]
+
+
+def tune_in(
+    out: str, recipes: Sequence[Recipe], words: Sequence[str], show: Callable[..., None], processes: int
+) -> list[dict[str, Any]]:
+    """Tune in each loop in a command's output folder, and return the results.
 
     Raises
     ------
     AmulettError
-        If the folder holds anything else than a tuning of the same law, suite and device.
+        If the folder holds anything else than a tuning of the same law, loops, suite and device.
     """
     from dataclasses import asdict
 
     from amulett_gym.evaluation.metrics import COST_OF, METRICS
-    from amulett_gym.evaluation.search.laws import tune
+    from amulett_gym.evaluation.search.laws import tune_all
     from amulett_gym.settings import to_plain
     from amulett_gym.storage.provenance import write_provenance
 
-    config = to_plain(asdict(recipe))
-    total = recipe.episodes + recipe.judging
+    first, loops = recipes[0], [recipe.control for recipe in recipes]
+    config = to_plain(asdict(first)) | {"control": loops if len(loops) > 1 else loops[0]}
+    each = first.episodes + first.judging
+    total = sum(recipe.episodes + recipe.judging for recipe in recipes)
 
     def begin(done: int) -> None:
-        starts = ", ".join(map(str, recipe.seeds))
+        starts = ", ".join(map(str, first.seeds))
         show(
-            f"{recipe.law} in {recipe.control} on {recipe.suite} of the {recipe.device().name}, by the "
-            f"{METRICS[COST_OF[recipe.cost_track]].name}, starts {starts}: "
-            f"{total:,} simulated episodes, {recipe.episodes:,} on train with {recipe.population} candidates in a "
-            f"generation, and {recipe.judging:,} to judge what was found" + (f"; {done:,} are done" if done else "")
+            f"{first.law} in {', '.join(loops)} on {first.suite} of the {first.device().name}, by the "
+            f"{METRICS[COST_OF[first.cost_track]].name}, starts {starts}: "
+            f"{total:,} simulated episodes, "
+            + (f"{each:,} in each of {len(loops)} loops: " if len(loops) > 1 else "")
+            + f"{first.episodes:,} on train with {first.population} candidates in a "
+            f"generation, and {first.judging:,} to judge what was found" + (f"; {done:,} are done" if done else "")
         )
 
-    def report(seed: int, start: Mapping[str, Any]) -> None:
-        show(f"start {seed}: cost {start['train']:.4f} on train, {start['validation']:.4f} on validation")
+    def report(recipe: Recipe, seed: int, start: Mapping[str, Any]) -> None:
+        loop = f"{recipe.control}, " if len(loops) > 1 else ""
+        show(f"{loop}start {seed}: cost {start['train']:.4f} on train, {start['validation']:.4f} on validation")
+        if "reached" in start:
+            reached = ", ".join(f"{shape} {cost:.4f}" for shape, cost in start["reached"].items())
+            show(f"  reference motion: {start['reference']}; costs when it was chosen: {reached}")
 
     with output_folder(out, "tuned law", [[TUNING]]), locked_folder(out):
         subject = {key: config[key] for key in ("law", "control", "suite", "profile")}
-        _refuse_other(Path(out), subject | ({"track": recipe.track} if recipe.track else {}))
-        write_provenance(out, "tune-law", config, recipe.seeds, words)
-        content = tune(out, recipe, report, begin, progress=True)
+        _refuse_other(Path(out), subject | ({"track": first.track} if first.track else {}))
+        write_provenance(out, "tune-law", config, first.seeds, words)
+        contents = tune_all(out, recipes, report, begin, True, processes)
+        if len(recipes) > 1:
+            write_text(Path(out) / COSTS, _costs(list(zip(recipes, contents, strict=True))).csv())
     show(f"{total:,} episodes were simulated.")
-    return content
+    return contents
 
 
 def _refuse_other(folder: Path, subject: Mapping[str, Any]) -> None:
@@ -146,6 +189,8 @@ def _refuse_other(folder: Path, subject: Mapping[str, Any]) -> None:
     if path.is_file() and (found := read_json(path, "tuned law's folder")) != subject:
         there = found if isinstance(found, dict) else {}
         other = "another device" if there.get("profile") != subject["profile"] else ""
+        loops = there.get("control")
+        there = {**there, "control": ", ".join(loops) if isinstance(loops, list) else loops}
         named = "{law} on {suite} in {control}".format(**there) if {*subject} <= {*there} else "something else"
         raise AmulettError(
             f"'{folder}' holds a tuning of {named}{f', for {other}' if other else ''}; choose another folder"
@@ -153,19 +198,52 @@ def _refuse_other(folder: Path, subject: Mapping[str, Any]) -> None:
     write_json(path, dict(subject))
 
 
-def _in_words(content: Mapping[str, Any]) -> str:
+def _in_words(content: Mapping[str, Any]) -> Table:
     """Return the table of the parameters."""
     from amulett_gym.reporting.table import Table
 
     rows = [
-        (name, f"{entry['value']:.4g}", entry["unit"].replace("1", ""), entry["meaning"])
+        (name, _shown(entry["value"]), entry["unit"].replace("1", ""), entry["meaning"])
         for name, entry in content["parameters"].items()
     ]
     start = content["starts"][str(content["chosen_seed"])]
     note = f"from start {content['chosen_seed']}; cost {start['validation']:.4f} on validation"
-    return Table("", ("parameter", "value", "unit", "meaning"), rows, note, left=(0, 2, 3)).text()
+    return Table("", ("parameter", "value", "unit", "meaning"), rows, note, left=(0, 2, 3))
+
+
+def _costs(tuned: Sequence[tuple[Recipe, Mapping[str, Any]]]) -> Table:
+    """Return the table of the costs in each loop."""
+    from amulett_gym.evaluation.search.gains import SHAPE, TENSION
+    from amulett_gym.reporting.table import Table
+
+    rows = []
+    for recipe, content in tuned:
+        chosen, found = content["chosen_seed"], content["parameters"]
+        start = content["starts"][str(chosen)]
+        own = [_shown(found[name]["value"]) if name in found else "" for name in (SHAPE, TENSION)]
+        costs = [f"{start[split]:.4f}" for split in ("train", "validation")]
+        rows.append((recipe.control, *own, *costs, str(chosen), f"{content['training_episodes']}"))
+    head = ("loop", SHAPE, f"{TENSION} [N]", "cost on train", "cost on validation", "start", "training episodes")
+    return Table("", head, rows, left=(0, 1))
+
+
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+def _contender(out: str, recipe: Recipe, content: Mapping[str, Any]) -> str:
+    """Return the name by which other commands play what was tuned."""
+    from amulett_gym.evaluation.search.gains import GAINS, TENSION
+    from amulett_gym.evaluation.search.laws import result_path
+    from amulett_gym.laws.contenders import CONSTANT
+    from amulett_gym.simulation.layout import LOOPS
+
+    loop = f"{recipe.control}/" if recipe.control in LOOPS else ""
+    if recipe.law == GAINS:
+        return f"{loop}{CONSTANT}{_shown(content['parameters'][TENSION]['value'])}"
+    return f"{loop}{result_path(out, recipe)}"
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
-    options = ("control", "track", "suite", "profile", "budget", "seeds", "validation", "out")
+    options = ("control", "track", "suite", "profile", "budget", "seeds", "validation", "processes", "out")
     return ["amulett", "tune-law", arguments.law, *command_words(arguments, *options)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import os
 import re
 from functools import partial
 
@@ -10,9 +12,10 @@ import gymnasium as gym
 import pytest
 
 import amulett_gym
-from amulett_gym.cli import main
+from amulett_gym.cli import build_parser, main, tune_law
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.evaluation.search import laws as tuning
+from amulett_gym.simulation.layout import LOOPS
 
 DEVICE = "{name: mine, base: testbed, sensors: {encoder_bits: 12}}"
 SEARCH = ["tune-law", "eq6-tuned", "--suite", "steps", "--seeds", "3", "--validation", "4"]
@@ -97,7 +100,7 @@ def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(pl
     assert main([*SEARCH, "--out", "tuned"]) == 130
     err = capsys.readouterr().err
     words = "amulett tune-law eq6-tuned --control decentralized --suite steps --profile testbed --seeds 3"
-    words += " --validation 4 --out tuned"
+    words += f" --validation 4 --processes {os.cpu_count()} --out tuned"
     assert f"interrupted; finished generations are kept. Continue with:\n       {words}\n" in err
     assert main(["rerun", "tuned", "--out", "again"]) == 2
     assert "'tuned' is not finished" in capsys.readouterr().err.replace(str(place) + "/", "")
@@ -165,6 +168,9 @@ def test_the_track_decides_which_cost_is_minimised(place, capsys):
         (["eq6-tuned", "--track", "full", "--out", "x"], "unknown track 'full'"),
         (["eq6-tuned", "--track", "full-control", "--write", "--out", "x"], "tuned for the track 'full-control'"),
         (["constant", "--out", "dev.yaml"], "is a file"),
+        (["gains", "--control", "cascade", "cascade", "--out", "x"], "--control names a loop twice: cascade cascade"),
+        (["gains", "--control", "all", "--write", "--out", "x"], "gains of the paper's loop stay"),
+        (["constant", "--processes", "0", "--out", "x"], "--processes is 0; it has to be at least 1"),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_made(words, message, place, capsys):
@@ -190,6 +196,48 @@ def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch
     assert (place / "again" / "profile.yaml").read_text() == (place / "tuned" / "profile.yaml").read_text()
     assert main([*words, "--profile", "testbed"]) == 2
     assert "holds a tuning of gains on steps in equilibrium-point, for another device" in capsys.readouterr().err
+
+
+def test_gains_of_several_loops_are_one_profile(place, capsys, monkeypatch):
+    monkeypatch.setattr(tuning, "GAIN_POPULATION", 5)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # other processes would not have the short recipes
+    loops = ["decentralized", "equilibrium-point"]
+    words = ["tune-law", "gains", "--control", *loops, *SEARCH[2:], "--out", "tuned"]
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    shown = " ".join(out.split())
+    assert "gains in decentralized, equilibrium-point on steps of the testbed" in shown
+    assert "82 simulated episodes, 41 in each of 2 loops: 35 on train" in shown
+    assert "82 episodes were simulated." in out
+    with (place / "tuned" / "costs.csv").open() as file:
+        rows = {row["loop"]: row for row in csv.DictReader(file)}
+    assert [*rows] == loops and {row["training episodes"] for row in rows.values()} == {"35"}
+    policies = []
+    for loop in loops:
+        content = json.loads((place / "tuned" / f"{loop}-gains-steps.json").read_text())
+        start, found = content["starts"]["3"], content["parameters"]
+        assert rows[loop]["cost on validation"] == f"{start['validation']:.4f}"
+        assert rows[loop]["reference"] == (found["reference"]["value"] if loop != "decentralized" else "")
+        own = f"{loop}/" if loop != "decentralized" else ""
+        policies.append(f"{own}constant:{found['co_contraction']['value']:.4g}")
+    again = f"amulett evaluate --policies eq6 {' '.join(policies)} \\\n      --suite steps --profile tuned/profile.yaml"
+    assert f"Compare:\n  {again}\n" in out
+    assert re.search(r"equilibrium-point, start 3: cost .*\n  reference motion: .*; costs when it was chosen: min", out)
+    assert main([*again.replace("\\\n", "").split()[1:], "--episodes", "1"]) == 0
+    assert main(["rerun", "tuned", "--out", "again"]) == 0
+    assert (place / "again" / "profile.yaml").read_text() == (place / "tuned" / "profile.yaml").read_text()
+    (place / "again" / "equilibrium-point-gains-steps.json").unlink()
+    assert main(["rerun", "again", "--out", "third"]) == 2
+    assert "is not finished" in capsys.readouterr().err
+    assert main(["tune-law", "gains", *SEARCH[2:], "--out", "tuned"]) == 2
+    assert "of gains on steps in decentralized, equilibrium-point; choose" in " ".join(capsys.readouterr().err.split())
+
+
+def test_all_are_the_loops_that_take_a_tension():
+    words = ["tune-law", "gains", "--control", "all", "--budget", "20000", "--out", "x"]
+    recipes = tune_law._recipes(build_parser().parse_args(words))
+    assert [recipe.control for recipe in recipes] == ["decentralized", *LOOPS]
+    assert len({recipe.episodes for recipe in recipes}) == 1 and recipes[0].episodes <= 20_000
 
 
 def test_a_folder_holds_one_law(place, capsys):

@@ -4,6 +4,8 @@ Range and scale of the search come from the loop's group in `amulett_gym.gains`:
 on a logarithmic scale, within the gain's own range; or what the field names as ``json_schema_extra={"search": (low,
 high)}``, logarithmic if `low` is above 0. A gain whose default is 0 is off, and is not searched unless its field names
 a range. The search starts at the group's defaults; for the paper's loop these are the gains of the profile.
+
+The shape of the reference motion is a choice, not a number: see `shapes_of`.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from pydantic.fields import FieldInfo
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.errors import AmulettError
-from amulett_gym.gains import Loops, group_name
+from amulett_gym.gains import Following, Loops, group_name
 from amulett_gym.laws.parametric import Parameter, Space
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.settings import Group, merge
@@ -33,6 +35,9 @@ GAINS = "gains"
 TENSION = "co_contraction"
 """Name of the constant tension with which gains are tuned."""
 
+SHAPE = "reference"
+"""Name of the gain that is a shape of the reference motion."""
+
 G = TypeVar("G", bound=Group)
 
 FACTOR = 30.0
@@ -43,17 +48,23 @@ FACTOR = 30.0
 class Gains(Space):
     """The gains of one loop, and the co-contraction as the last parameter.
 
-    `places` are the paths of the gains in a profile.
+    `places` are the paths of the gains in a profile; `reference` is the shape of the reference motion, empty: that of
+    the profile.
     """
 
     control: str = ""
     places: tuple[tuple[str, ...], ...] = ()
+    reference: str = ""
 
     def profile(self, base: Profile, vector: NDArray[np.float64]) -> Profile:
         """Return a profile with these gains, and with its own sources."""
         for place, gain in zip(self.places, vector[:-1].tolist(), strict=True):
             base = _with(base, place, gain)
-        return base
+        return _with(base, self._shape_place, self.reference) if self.reference else base
+
+    @property
+    def _shape_place(self) -> tuple[str, ...]:
+        return "loops", group_name(self.control), SHAPE
 
     def changes(self, profile: Profile, vector: NDArray[np.float64], source: str) -> dict[str, Any]:
         """Return the groups with gains as a profile's content, with these gains and their source."""
@@ -64,14 +75,19 @@ class Gains(Space):
                 sources = {**tuned.loop.sources, **found.get(group, {}).get("sources", {}), key: source}
                 found[group] = {**found.get(group, {}), key: content, "sources": sources}
             else:
-                names = [place[-1] for place in self.places]
+                names = [*([SHAPE] if self.reference else []), *(place[-1] for place in self.places)]
                 content["sources"] = {**content["sources"], **dict.fromkeys(names, source)}
                 found[group] = {key: content}
         return found
 
 
-def gains_of(control: str, profile: Profile) -> Gains:
-    """Return the gains of a loop that takes a tension.
+def shapes_of(control: str) -> tuple[str, ...]:
+    """Return the shapes that a loop's reference motion can have; none if it has no reference motion."""
+    return get_args(Following.model_fields[SHAPE].annotation) if control in LOOPS else ()
+
+
+def gains_of(control: str, profile: Profile, reference: str = "") -> Gains:
+    """Return the gains of a loop that takes a tension, with a shape of its reference motion.
 
     Raises
     ------
@@ -95,7 +111,7 @@ def gains_of(control: str, profile: Profile) -> Gains:
                 places.append((*place, name))
     tensions = FEED_FORWARD_RANGE if control in LOOPS else TENSION_RANGE
     constant = Parameter(TENSION, "N", *tensions, 10.0, "constant tension with which the gains are tuned")
-    return Gains(GAINS, f"gains of {control}", (*parameters, constant), control, tuple(places))
+    return Gains(GAINS, f"gains of {control}", (*parameters, constant), control, tuple(places), reference)
 
 
 def profile_text(profile: Profile, changes: Mapping[str, Any]) -> str:
@@ -113,7 +129,7 @@ def shipped_text(text: str, loops: Mapping[str, Any]) -> str:
     return f"{others}\n\n{to_yaml(content)}"
 
 
-def _with(group: G, place: Sequence[str], gain: float) -> G:
+def _with(group: G, place: Sequence[str], gain: float | str) -> G:
     """Return a group with another value at a path of keys."""
     name, *below = place
     return group.model_copy(update={name: _with(getattr(group, name), below, gain) if below else gain})

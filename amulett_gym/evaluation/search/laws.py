@@ -10,7 +10,7 @@ repeated: starts, and generations of a start. ``amulett tune-law`` is the comman
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -19,20 +19,22 @@ from typing import Any
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
+from scipy.optimize import OptimizeResult, differential_evolution
 
 from amulett_gym import __version__
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, tension_to_action
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, Track
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.evaluation.metrics import COST_OF
+from amulett_gym.evaluation.processes import advance, in_processes
 from amulett_gym.evaluation.runner import Protocol
-from amulett_gym.evaluation.search.gains import GAINS, Gains, gains_of, profile_text, shipped_text
+from amulett_gym.evaluation.search.gains import GAINS, SHAPE, Gains, gains_of, profile_text, shapes_of, shipped_text
 from amulett_gym.evaluation.search.trials import Choose, Trials, held
+from amulett_gym.gains import Following
 from amulett_gym.laws.parametric import BEST_CONSTANT, FORMAT, LAWS, TUNED, Device, Law
 from amulett_gym.profile import Profile, is_shipped, load_profile
 from amulett_gym.reporting.progress import Progress
-from amulett_gym.settings import to_plain
+from amulett_gym.settings import merge, to_plain
 from amulett_gym.simulation.layout import CONTROLS, LOOPS
 from amulett_gym.storage.kept import digest, read_kept, write_kept
 from amulett_gym.storage.writing import write_json, write_text
@@ -45,6 +47,9 @@ GAIN_STAGES = ((14, 120), (42, 60))
 
 GAIN_POPULATION = 24
 """Candidates in a generation of gains, in each loop."""
+
+SPREAD = 4
+"""Scenarios that are drawn for each training scenario of gains: enough for as many of each family."""
 
 Values = NDArray[np.float64]
 
@@ -113,6 +118,11 @@ class Recipe:
         counts = [self.validation, *(number for stage in self.generations for number in stage)]
         if not self.generations or min(counts) < 1:
             raise AmulettError("generations and validation have to be at least 1 each")
+        if (count := len(self.stages()[0])) > 1 + self.generations[0][1]:
+            raise AmulettError(
+                f"the first stage has {self.generations[0][1]} generations; it needs at least {count - 1}, to try the "
+                f"{count} shapes of the reference motion"
+            )
         for split, episodes in (("train", self.scenarios), ("validation", self.validation)):
             self.protocol(split, episodes)  # names and numbers are checked there
 
@@ -144,6 +154,26 @@ class Recipe:
         stages = [[self.population * scenarios] * (1 + number) for scenarios, number in self.generations]
         return [episodes for stage in stages for episodes in stage]
 
+    def stages(self) -> tuple[tuple[str, ...], tuple[int, int] | tuple[()], list[tuple[int, int]]]:
+        """Return how a start divides its generations where the loop's reference motion has a shape.
+
+        Returns
+        -------
+        shapes : tuple of str
+            The shapes; none where there is nothing to choose.
+        tries : (int, int) or empty
+            Scenarios and generations of a search in each shape, as in `generations`: together half of the first stage.
+        stages : list of (int, int)
+            Stages that follow, in the shape with the least cost.
+        """
+        shapes = shapes_of(self.control) if self.law == GAINS else ()
+        (scenarios, number), *others = self.generations
+        if not shapes:
+            return shapes, (), [*self.generations]
+        each = max(1, (1 + number) // (2 * len(shapes)))  # the first population counts as a generation
+        rest = 1 + number - len(shapes) * each
+        return shapes, (scenarios, each - 1), [*([(scenarios, rest - 1)] if rest else []), *others]
+
     def within(self, budget: int) -> Recipe:
         """Return this recipe with as many generations of `STAGES`, about in their proportion, as `budget` allows.
 
@@ -170,12 +200,13 @@ class Recipe:
         return LAWS[self.law].over(FEED_FORWARD_RANGE if self.control in LOOPS else TENSION_RANGE)
 
     def trials(self) -> tuple[Trials, Trials]:
-        """Return the training and the validation scenarios."""
-        scenarios = (("train", self.scenarios), ("validation", self.validation))
+        """Return the training and the validation scenarios; for gains, each family has as many training scenarios."""
+        drawn = SPREAD * self.scenarios if self.law == GAINS else self.scenarios
+        scenarios = (("train", drawn), ("validation", self.validation))
         train, validation = (
             Trials(self.protocol(split, count), self.control, track=self.cost_track) for split, count in scenarios
         )
-        return train, validation
+        return train.balanced(self.scenarios) if self.law == GAINS else train, validation
 
     def protocol(self, split: str, episodes: int) -> Protocol:
         """Return the scenarios of a split."""
@@ -227,19 +258,59 @@ def tune(
     AmulettError
         If a file cannot be read or written.
     """
-    train, validation = recipe.trials()
-    starts = [_Start(folder, recipe, seed, train, validation) for seed in recipe.seeds]
-    done = sum(start.done for start in starts)
-    begin(done)
-    with Progress(recipe.episodes + recipe.judging, "tune-law", "episodes", progress, done) as bar:
-        for start in starts:
-            start.finish(bar.update)
-            report(start.seed, start.result)
-    content = _content(recipe, {start.seed: start.result for start in starts}, train, validation)
-    write_json(result_path(folder, recipe), content)
-    if recipe.law == GAINS:
-        write_text(profile_path(folder), profile_text(recipe.device(), _changes(recipe, content)))
+    (content,) = tune_all(folder, [recipe], lambda recipe, seed, start: report(seed, start), begin, progress)
     return content
+
+
+def tune_all(
+    folder: str | Path,
+    recipes: Sequence[Recipe],
+    report: Callable[[Recipe, int, Mapping[str, Any]], None] = lambda recipe, seed, start: None,
+    begin: Callable[[int], object] = lambda done: None,
+    progress: bool = False,
+    processes: int = 1,
+) -> list[dict[str, Any]]:
+    """Tune by several recipes of different loops, as in `tune`; `profile_path` then holds the gains of all loops.
+
+    `report` is also called with the recipe. Starts are searched in parallel in `processes`; this changes no result.
+    """
+    starts = [start for recipe in recipes for start in _starts(folder, recipe)]
+    done = sum(start.done for start in starts)
+    total = sum(recipe.episodes + recipe.judging for recipe in recipes)
+    begin(done)
+    with Progress(total, "tune-law", "episodes", progress, done) as bar:
+        missing = {index: start for index, start in enumerate(starts) if not start.result}
+        searched: Iterable[tuple[int, dict[str, Any]]]
+        if processes == 1 or len(missing) < 2:
+            searched = ((index, start.finish(bar.update)) for index, start in missing.items())
+        else:
+            calls = {index: (folder, start.recipe, start.seed) for index, start in missing.items()}
+            searched = in_processes(_finish, calls, processes, bar.update)
+        for start in starts:
+            if start.result:
+                report(start.recipe, start.seed, start.result)
+        for index, result in searched:
+            starts[index].result = result
+            report(starts[index].recipe, starts[index].seed, result)
+    contents, changes = [], dict[str, Any]()
+    for recipe in recipes:
+        content = _content(recipe, [start for start in starts if start.recipe is recipe])
+        write_json(result_path(folder, recipe), content)
+        contents.append(content)
+        if recipe.law == GAINS:
+            changes = merge(changes, _changes(recipe, content))
+            write_text(profile_path(folder), profile_text(recipe.device(), changes))
+    return contents
+
+
+def _starts(folder: str | Path, recipe: Recipe) -> list[_Start]:
+    trials = recipe.trials()
+    return [_Start(folder, recipe, seed, *trials) for seed in recipe.seeds]
+
+
+def _finish(folder: str | Path, recipe: Recipe, seed: int) -> dict[str, Any]:
+    """Finish a start in a process of its own."""
+    return _Start(folder, recipe, seed, *recipe.trials()).finish(advance)
 
 
 def profile_path(folder: str | Path) -> Path:
@@ -249,8 +320,9 @@ def profile_path(folder: str | Path) -> Path:
 
 def _changes(recipe: Recipe, content: Mapping[str, Any]) -> dict[str, Any]:
     """Return a profile's groups with tuned gains and their source."""
-    space, profile = gains_of(recipe.control, recipe.device()), recipe.device()
-    vector = np.array([float(f"{content['parameters'][gain.name]['value']:.6g}") for gain in space.parameters])
+    found, profile = content["parameters"], recipe.device()
+    space = gains_of(recipe.control, profile, found[SHAPE]["value"] if shapes_of(recipe.control) else "")
+    vector = np.array([float(f"{found[gain.name]['value']:.6g}") for gain in space.parameters])
     source = (
         f"identified: tuned on train of {recipe.suite}, {recipe.episodes} simulated episodes, with a constant of "
         f"{vector[-1]:.3g} N: amulett tune-law {GAINS} --control {recipe.control} --suite {recipe.suite}"
@@ -325,10 +397,8 @@ class _Start:
             return (self.recipe.episodes + self.recipe.judging) // len(self.recipe.seeds)
         return sum(self.recipe.calls()[: len(self.known)])
 
-    def finish(self, advance: Callable[[int], object]) -> None:
-        """Search on, and keep every generation; `advance` is called with the number of simulated episodes."""
-        if self.result:
-            return
+    def finish(self, advance: Callable[[int], object]) -> dict[str, Any]:
+        """Search on, keep every generation, and return the result; `advance` is called with simulated episodes."""
 
         def keep(costs: Values) -> None:
             advance(self.recipe.calls()[len(self.known)])
@@ -338,6 +408,7 @@ class _Start:
         self.result = search(self.recipe, self.seed, self.train, self.validation, tuple(self.known), keep)
         advance(self.recipe.judging // len(self.recipe.seeds))
         write_kept(self.path, self.inputs, self.result)
+        return self.result
 
 
 def _fits(costs: Any, recipe: Recipe) -> bool:
@@ -369,19 +440,21 @@ def search(
     -------
     dict
         ``parameters`` (a list), the mean cost on ``train`` (all its scenarios) and ``validation``, and ``history``:
-        pairs of the number of simulated episodes and the least cost found so far on the stage's own scenarios.
+        pairs of the number of simulated episodes and the least cost found so far on the stage's own scenarios. For
+        gains with a reference motion also ``reference``, its shape, and ``reached``: the least cost in each shape when
+        it was chosen, on the first stage's scenarios.
     """
     law = recipe.space()
     rng = np.random.default_rng(seed)
     points = rng.uniform(size=(recipe.population, len(law.parameters)))
     points[0] = law.to_unit(law.start())
-    best = points[0]
     history: list[list[float]] = []
     episodes = 0
-    for scenarios, generations in recipe.generations:
+
+    def evolve(law: Law | Gains, points: Values, scenarios: int, generations: int) -> OptimizeResult:
         least = np.inf
 
-        def value(columns: Values, scenarios: int = scenarios) -> Values:
+        def value(columns: Values) -> Values:
             nonlocal episodes, least
             if len(history) < len(known):
                 costs = np.array(known[len(history)])
@@ -395,14 +468,27 @@ def search(
 
         bounds, batch = [(0.0, 1.0)] * len(law.parameters), {"vectorized": True, "updating": "deferred"}
         evolution = {"mutation": (0.4, 0.9), "recombination": 0.9, "tol": 0.0, "atol": 0.0, "polish": False}
-        found = differential_evolution(value, bounds, init=points, seed=rng, maxiter=generations, **batch, **evolution)
-        points, best = found.population, found.x
+        how = {**batch, **evolution, "maxiter": generations}
+        return differential_evolution(value, bounds, init=points, seed=rng, **how)
+
+    shapes, tries, stages = recipe.stages()
+    reached: dict[str, float] = {}
+    if isinstance(law, Gains) and tries:
+        spaces = [replace(law, reference=shape) for shape in shapes]
+        found = [evolve(space, points, *tries) for space in spaces]
+        reached = {shape: float(one.fun) for shape, one in zip(shapes, found, strict=True)}
+        chosen = int(np.argmin(list(reached.values())))
+        law, points, best = spaces[chosen], found[chosen].population, found[chosen].x
+    for scenarios, generations in stages:
+        last = evolve(law, points, scenarios, generations)
+        points, best = last.population, last.x
     vector = law.from_unit(best)
 
     def cost(trials: Trials) -> float:
         return float(mean_costs(law, vector[None], trials, np.arange(len(trials.rows)), recipe.cost_track)[0])
 
-    return {"parameters": vector.tolist(), "train": cost(train), "validation": cost(validation), "history": history}
+    result = {"parameters": vector.tolist(), "train": cost(train), "validation": cost(validation), "history": history}
+    return {**result, **({SHAPE: law.reference, "reached": reached} if isinstance(law, Gains) and reached else {})}
 
 
 def mean_costs(
@@ -436,14 +522,21 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
     return choose
 
 
-def _content(
-    recipe: Recipe, starts: Mapping[int, Mapping[str, Any]], train: Trials, validation: Trials
-) -> dict[str, Any]:
+def _content(recipe: Recipe, searched: Sequence[_Start]) -> dict[str, Any]:
+    starts, train, validation = (
+        {start.seed: start.result for start in searched},
+        searched[0].train,
+        searched[0].validation,
+    )
     law, loop = recipe.space(), recipe.control in LOOPS or recipe.law == GAINS
     chosen = min(starts, key=lambda seed: starts[seed]["validation"])
     described = {}
     for parameter, value in zip(law.parameters, starts[chosen]["parameters"], strict=True):
         described[parameter.name] = {"value": value, "unit": parameter.unit, "meaning": parameter.meaning}
+    if shape := starts[chosen].get(SHAPE):
+        meaning = Following.model_fields[SHAPE].description
+        described = {SHAPE: {"value": shape, "unit": "1", "meaning": meaning}, **described}
+    shown = ("train", "validation", SHAPE, "reached")
     return {
         "format": FORMAT,
         "version": 1,
@@ -452,7 +545,7 @@ def _content(
         **({"cost": COST_OF[recipe.cost_track]} if loop or recipe.track else {}),
         "chosen_seed": chosen,
         "training_episodes": recipe.episodes,
-        "starts": {str(seed): {key: start[key] for key in ("train", "validation")} for seed, start in starts.items()},
+        "starts": {str(seed): {key: start[key] for key in shown if key in start} for seed, start in starts.items()},
         "sha256": {"train": train.digest(), "validation": validation.digest()},
         "versions": {"amulett-gym": __version__, "numpy": np.__version__, "scipy": scipy.__version__},
     }
@@ -469,6 +562,8 @@ def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dic
     law = [asdict(parameter) for parameter in recipe.space().parameters]
     scenarios = [train.digest(), validation.digest()]
     long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}
+    if shapes := recipe.stages()[0]:
+        long["shapes"] = shapes
     return {"recipe": this, "sha256": digest(long)}
 
 

@@ -107,6 +107,18 @@ class Trials:
         other.rows["noise_key"] = derive_keys(other.rows["noise_key"], stream)
         return other
 
+    def balanced(self, count: int) -> Trials:
+        """Return `count` of the scenarios, with as many of each family where there are enough.
+
+        Those of a family stay in their order. In a suite of one family these are the first ones. A number of the first
+        of them is balanced, too.
+        """
+        family = self.rows["family"]
+        earlier = np.array([np.count_nonzero(family[:index] == own) for index, own in enumerate(family)])
+        other = copy.copy(self)
+        other.rows = self.rows[np.argsort(earlier, kind="stable")[:count]]
+        return other
+
     def play(self, scenarios: Devices, choose: Choose, gains: Profile | None = None) -> Costs:
         """Play one episode with each device.
 

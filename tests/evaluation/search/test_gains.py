@@ -10,8 +10,8 @@ from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search import laws as tuning
-from amulett_gym.evaluation.search.gains import _parameter, gains_of, group_name, profile_text, shipped_text
-from amulett_gym.evaluation.search.laws import Recipe, mean_costs, tune
+from amulett_gym.evaluation.search.gains import _parameter, gains_of, group_name, profile_text, shapes_of, shipped_text
+from amulett_gym.evaluation.search.laws import Recipe, mean_costs, profile_path, result_path, tune, tune_all
 from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import Sourced
@@ -102,6 +102,8 @@ def test_tuned_gains_are_a_profile_with_their_source(tmp_path, profile):
     for name in ("reference_time", "lead"):
         assert getattr(group, name) == pytest.approx(content["parameters"][name]["value"], rel=1e-5)
         assert group.sources[name].startswith("identified: tuned on train of steps, 102 simulated episodes, with a")
+    assert group.reference == content["parameters"]["reference"]["value"]
+    assert group.sources["reference"] == group.sources["lead"]
     assert found.loops.model_copy(update={"equilibrium_point": base.loops.equilibrium_point}) == base.loops
 
 
@@ -112,12 +114,14 @@ def test_a_shipped_profile_is_written_with_all_else_as_it_was(tmp_path, monkeypa
     path.write_text(text)
     monkeypatch.setattr(tuning.resources, "files", lambda package: tmp_path)
     parameters = {"reference_time": {"value": 0.2}, "lead": {"value": 0.1234567}, "co_contraction": {"value": 8.0}}
+    parameters["reference"] = {"value": "first-order"}
     assert tuning.ship(SMALL, {"parameters": parameters}) == path
     written = path.read_text()
     assert written.startswith("# kept\nname: testbed\n") and "drives: {lag: 0.1}  # kept, too\n" in written
     loops = parse_yaml(written, "profile")["loops"]
     assert loops["co_rotation"] == {"kp": 0.3}
     assert loops["equilibrium_point"]["lead"] == 0.123457
+    assert loops["equilibrium_point"]["reference"] == "first-order"
     again = shipped_text(written, {"co_rotation": {"kp": 0.5}})
     assert again.count("loops:") == 1
     loops["co_rotation"] = {"kp": 0.5}
@@ -127,7 +131,7 @@ def test_a_shipped_profile_is_written_with_all_else_as_it_was(tmp_path, monkeypa
 def test_gains_of_the_papers_loop_are_tuned_as_the_others_but_never_shipped(tmp_path):
     recipe = replace(SMALL, control="decentralized")
     content = tune(tmp_path, recipe)
-    assert content["cost"] == "control_cost"
+    assert content["cost"] == "control_cost" and "reference" not in content["parameters"]
     found, loop = load_profile(tmp_path / "profile.yaml").loop, TESTBED.loop
     assert found.position != loop.position and found.tension != loop.tension
     assert found.position.ki == pytest.approx(content["parameters"]["position_ki"]["value"], rel=1e-5)
@@ -155,3 +159,94 @@ def test_sources_of_other_loops_stay():
     sources = twice.loops.equilibrium_point.sources
     assert {sources[name] for name in ("reference_time", "lead")} == {"identified: b"}
     assert twice.name == "testbed-tuned" and twice.root == "testbed"
+
+
+def test_the_shape_of_the_reference_motion_is_chosen_within_the_budget(tmp_path, monkeypatch):
+    seen = []
+
+    def costs(space, vectors, trials, scenarios, track):
+        seen.append((space.reference, scenarios.size))
+        extra = {"minimum-jerk": 0.3, "critically-damped": 0.1, "first-order": 0.2}[space.reference]
+        return extra + space.to_unit(vectors).mean(axis=1)
+
+    monkeypatch.setattr(tuning, "mean_costs", costs)
+    recipe = replace(SMALL, generations=((2, 14), (3, 2)), profile={"name": "mine", "base": "testbed"})
+    content = tune(tmp_path, recipe)
+    tries = [(shape, 2) for shape in shapes_of("equilibrium-point") for _ in range(2)]
+    chosen = "critically-damped"
+    assert seen == [*tries, *[(chosen, 2)] * 9, *[(chosen, 3)] * 4 + [(chosen, 3)]]
+    start = content["starts"]["1"]
+    assert start["reference"] == content["parameters"]["reference"]["value"] == chosen
+    assert [*start["reached"]] == [*shapes_of("equilibrium-point")]
+    assert min(start["reached"], key=start["reached"].get) == chosen
+    stage = parse_yaml((tmp_path / "stages" / "equilibrium-point-gains-steps-1.json").read_text(), "stage")["result"]
+    assert stage["history"][-1][0] == recipe.episodes
+    assert load_profile(tmp_path / "profile.yaml").loops.equilibrium_point.reference == chosen
+
+
+@pytest.mark.parametrize("number", [2, 3, 5, 6, 50, 121])
+def test_trying_shapes_takes_half_of_the_first_stage_at_most(number):
+    recipe = replace(SMALL, generations=((2, number), (3, 2)))
+    shapes, (scenarios, each), stages = recipe.stages()
+    assert shapes == shapes_of("co-rotation") and scenarios == 2
+    tries, rest = 3 * (1 + each), [1 + generations for count, generations in stages if count == 2]
+    assert tries + sum(rest) == 1 + number
+    assert tries == 3 or tries <= (1 + number) / 2
+    assert stages[-1] == (3, 2)
+    plain = replace(recipe, control="decentralized")
+    assert plain.stages() == ((), (), [(2, number), (3, 2)]) and plain.episodes == recipe.episodes
+
+
+def test_too_few_generations_for_all_shapes_are_refused():
+    with pytest.raises(
+        AmulettError, match="the first stage has 1 generations; it needs at least 2, to try the 3 shapes"
+    ):
+        replace(SMALL, generations=((2, 1), (3, 2)))
+    replace(SMALL, generations=((2, 1), (3, 2)), control="decentralized")
+
+
+def test_an_interrupted_choice_of_a_shape_goes_on(tmp_path, monkeypatch):
+    first = tune(tmp_path / "whole", SMALL)
+    costs, played = tuning.mean_costs, []
+
+    def interrupted(*given):
+        if len(played) == 2:
+            raise KeyboardInterrupt
+        played.append(1)
+        return costs(*given)
+
+    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        tune(tmp_path / "parts", SMALL)
+    monkeypatch.setattr(tuning, "mean_costs", lambda *given: played.append(1) or costs(*given))
+    assert tune(tmp_path / "parts", SMALL) == first
+    assert len(played) == 4 + 3 + 2  # generations, and what was found on both splits
+
+
+def test_gains_are_tuned_on_as_many_scenarios_of_each_family():
+    recipe = Recipe("gains", "mixed", control="decentralized")
+    train, validation = recipe.trials()
+    for count in (14, 42):
+        assert np.unique(train.rows["family"][:count], return_counts=True)[1].tolist() == [count // 7] * 7
+    drawn = Trials(recipe.protocol("train", 42)).rows
+    assert (drawn["family"] == 2).sum() < 6  # but with the first 42 scenarios as they come
+    assert len(validation.rows) == 200
+
+
+def test_several_loops_are_tuned_into_one_profile_in_any_number_of_processes(tmp_path):
+    recipes = [replace(SMALL, control=control) for control in ("decentralized", "equilibrium-point")]
+    begun, reported = [], []
+    contents = tune_all(tmp_path / "one", recipes, lambda recipe, seed, start: reported.append(recipe.control))
+    assert reported == ["decentralized", "equilibrium-point"]
+    assert tune_all(tmp_path / "two", recipes, begin=begun.append, processes=2) == contents
+    assert tune_all(tmp_path / "two", recipes, begin=begun.append, processes=2) == contents
+    assert begun == [0, 2 * (SMALL.episodes + SMALL.judging)]
+    for recipe, content in zip(recipes, contents, strict=True):
+        alone = tmp_path / recipe.control
+        assert tune(alone, recipe) == content
+        assert result_path(alone, recipe).read_text() == result_path(tmp_path / "two", recipe).read_text()
+    both, paper, other = (
+        load_profile(profile_path(tmp_path / name)) for name in ("two", *(r.control for r in recipes))
+    )
+    assert profile_path(tmp_path / "two").read_text() == profile_path(tmp_path / "one").read_text()
+    assert both.loop == paper.loop != TESTBED.loop and both.loops == other.loops != TESTBED.loops
