@@ -53,7 +53,6 @@ def test_each_fault_is_found_with_its_number(groups, kind, least, most, words):
         ("torque-stiffness", {"loops": {"torque_stiffness": {"angle_weight": 5000.0}}}, "oscillates", 2, 50),
         ("equilibrium-point", {"drives": {"command_limit_deg": 200.0}}, "drive limit", 0.9, 1),
         ("equilibrium-point", {"plant": {"orientation": "vertical"}}, "tension", 13, 14),
-        ("computed-torque", {"plant": {"orientation": "vertical"}}, "cannot hold", 20, 50),
         ("feedback-linearisation", {"spring": {"stiffness": 250_000.0}}, "oscillates", 10, 40),
         ("co-rotation", {"drives": {"rate_limit_deg": 100.0}}, "cannot hold", 2, 10),
     ],
