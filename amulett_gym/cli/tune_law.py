@@ -68,9 +68,13 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.evaluation.search.gains import GAINS
     from amulett_gym.evaluation.search.laws import at_ends, check_shippable, profile_path, result_path, ship
+    from amulett_gym.laws.contenders import split_loop
     from amulett_gym.simulation.layout import LOOPS
 
     check_least(arguments, processes=1)
+    loop, law = split_loop(arguments.law)
+    if loop:
+        raise AmulettError(f"'{arguments.law}' names a loop; write {law} --control {loop}")
     recipes, profile = _recipes(arguments), arguments.profile
     if arguments.write:
         for recipe in recipes:

@@ -150,12 +150,19 @@ class Protocol:
         Raises
         ------
         AmulettError
-            If the episode is not a whole number of the contender's agent steps.
+            If the episode is not a whole number of the contender's agent steps, or the contender's tensions begin at
+            0 N, which its loop cannot hold.
         """
         name = contender.policy_name
         keywords: dict[str, Any] = {"agent_period": self.agent_period}
         if name is not None and is_bundle(name):  # its range may be wider than the default
             keywords["tension_range"] = read_bundle(name).policy.tension_range
+            control = contender.env_keywords.get("control", CONTROLS[0])
+            if control not in (*LOOPS, DRIVES) and keywords["tension_range"][0] == 0.0:
+                raise AmulettError(
+                    f"'{contender.name}' chooses tensions from 0 N on, and the loop '{control}' needs more; it can act "
+                    f"in {', '.join(sorted(LOOPS))}"
+                )
         keywords |= contender.env_keywords
         keywords |= {"profile": self.profile, "suite": self.suite, "split": self.split}
         period = keywords["agent_period"]

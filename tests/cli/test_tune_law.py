@@ -252,3 +252,8 @@ def test_a_folder_holds_one_law(place, capsys):
     assert "eq6-tuned on steps in decentralized, for another device; choose another folder" in capsys.readouterr().err
     assert main([*SEARCH, "--out", "."]) == 2
     assert "holds no tuned law" in capsys.readouterr().err
+
+
+def test_a_loop_is_an_option_and_no_part_of_the_name(place, capsys):
+    assert main(["tune-law", "cascade/eq6-tuned", "--out", "tuned"]) == 2
+    assert "'cascade/eq6-tuned' names a loop; write eq6-tuned --control cascade" in capsys.readouterr().err

@@ -108,6 +108,10 @@ def test_a_bundle_of_a_loop_can_act_in_another(in_cascade):
     assert any("was trained in the loop cascade, not co-rotation" in remark for remark in results.remarks)
     papers = parse_contender(f"decentralized/{in_cascade}")
     assert (papers.name, papers.env_keywords["control"]) == (f"decentralized/{in_cascade}", "decentralized")
+    with pytest.raises(
+        AmulettError, match=f"'{papers.name}' chooses tensions from 0 N on.* it can act in cascade, co-"
+    ):
+        evaluate([papers], "paper-step", episodes=1, duration=0.1)
 
 
 def test_a_bundle_of_the_drives_acts_there_alone(tmp_path):

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from amulett_gym import __version__
+from amulett_gym import DRIVES_ID, __version__
 from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COST_OF, capped_cost
@@ -296,6 +296,16 @@ def _work(
 def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
     """Return the entries without training: laws, constants, the caller's contenders."""
     names = list(dict.fromkeys([YARDSTICK, *description.law_names()]))
+    for name in description.contenders:
+        if parse_contender(name).env_id == DRIVES_ID:
+            raise AmulettError(
+                f"contender '{name}' was trained in {DRIVES_ID}; a benchmark compares such policies as learned entries "
+                f"by their recipe, on the track {FULL_CONTROL}"
+            )
+        if (loop := split_loop(name)[0]) not in ("", PAPERS) and description.track != FULL_CONTROL:
+            raise AmulettError(
+                f"contender '{name}' is in the loop {loop}; the track is {description.track}. Set track: {FULL_CONTROL}"
+            )
     contenders = [parse_contender(name) for name in names]
     for contender in contenders:
         if (control := contender.env_keywords.get("control")) in LOOPS and control != loop_of(contender.name):

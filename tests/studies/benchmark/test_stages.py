@@ -457,6 +457,14 @@ def test_a_policy_of_a_loop_is_named_with_it(tmp_path):
         AmulettError, match=f"acts in the loop cascade; write cascade/{mine}, on the track full-control"
     ):
         bench(tmp_path, {**LAWS, "contenders": [mine]})
+    with pytest.raises(AmulettError, match="contender 'cascade/eq6' is in the loop cascade; the track is schedule"):
+        bench(tmp_path, {**LAWS, "contenders": ["cascade/eq6"]})
+    about = {"env_id": "Amulett/Drives-v0", "mean_angle_range": 258.66, "tension_range": [0.0, 15.0]}
+    drives = keep_network(tmp_path / "drives", [(np.zeros((2, 13), "f4"), np.zeros(2, "f4"))], **about)
+    with pytest.raises(
+        AmulettError, match="was trained in Amulett/Drives-v0; a benchmark compares such policies as le"
+    ):
+        bench(tmp_path, {**LAWS, "contenders": [str(drives)]})
 
 
 def test_kept_episodes_know_what_they_depend_on(monkeypatch):
