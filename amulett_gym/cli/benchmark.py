@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 
-from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.options import add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
 
 HELP = "run the benchmark: train missing policies, compare all on all suites, and check the claims; resumes by itself"
@@ -24,6 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help=quick)
     runs = "folder of training runs, <entry>/seed-<k>; missing ones are trained there (default: DIR/runs in --out)"
     parser.add_argument("--runs", metavar="DIR", help=runs)
+    processes = "processes for tuning, training, episodes and optimal control (default: 1)"
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help=processes)
     further = "further contenders: laws, bundles, or trusted zips"
     parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
     add_options(parser, "--trust-pickle", "--doc")
@@ -46,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.studies.benchmark.results import content
     from amulett_gym.studies.benchmark.stages import run_benchmark
 
+    check_least(arguments, processes=1)
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:
         description = quick(description)
@@ -59,7 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
     words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)
     evidence = run_benchmark(
-        description, out, recipes, arguments.runs, own, [*words, "--out", out], copies, say=show, progress=True
+        *(description, out, recipes, arguments.runs, own, [*words, "--out", out], copies),
+        say=show,
+        progress=True,
+        processes=arguments.processes,
     )
     show("Drawing intervals and figures ...")
     found = content(evidence, shlex.join(words), machine(), arguments.quick)

@@ -198,6 +198,9 @@ def _on_full_control(found: Content) -> list[Claim]:
         note = f"{name}; gains tuned by the full-control cost; reported only"
         text = "the same, by the cost of the track schedule without its tension term"
         claims.append(_claim(PAPER_STEP, text, shares[name], None, note))
+    text = "the best loop's best constant, relative to eq. 6 in the paper's loop"
+    ratio = found["results"][f"{headline}/held-out"][overall]["ratio"][YARDSTICK]
+    claims.append(_claim(f"{headline}, held-out", text, ratio, None, f"{overall}; ratio of costs; reported only"))
     loop = found["entries"][overall]["loop"]
     learned = [name for name, entry in found["entries"].items() if entry["kind"] == "learned" and entry["loop"] == loop]
     about = f"{headline}, held-out"

@@ -28,6 +28,12 @@ PAPER_STEP = "paper-step"
 
 Split = Literal["held-out", "shifted"]
 
+Altered = Literal["noise-x2", "wrong-parameters"]
+"""Changes of all held-out scenarios of the headline suite; see `altered`."""
+
+AUTO = "auto"
+"""As `best_learned`: what is learned in the loop of the best constant."""
+
 PAPERS: Control = CONTROLS[0]
 """The paper's loop; contenders in it are named without a loop."""
 
@@ -40,12 +46,20 @@ class Learned(Group):
     )
     set: list[str] = Field(default=[], description="changes of the recipe, like 'env.suite=mixed'")
     seeds: list[int] = Field(min_length=1, max_length=1000, description="training seeds, one run each")
+    loops: Literal["all"] | list[ControlLoop] = Field(
+        default=[],
+        description="full-control only: loops in which it is learned, one entry each, with the whole range of the "
+        "loop's tension; all: those of the benchmark; none: as the recipe says",
+    )
+    best_loop_seeds: list[int] = Field(
+        default=[], max_length=1000, description="further training seeds in the loop of the best constant"
+    )
     reference: bool = Field(default=False, description="observes what no device can measure: a reference, no contender")
 
-    @field_validator("seeds")
+    @field_validator("seeds", "best_loop_seeds")
     @classmethod
     def _check_seeds(cls, seeds: list[int]) -> list[int]:
-        if min(seeds) < 0 or len({*seeds}) < len(seeds):
+        if min(seeds, default=0) < 0 or len({*seeds}) < len(seeds):
             raise ValueError("seeds have to differ and to be at least 0")
         return seeds
 
@@ -103,6 +117,11 @@ class Benchmark(Group):
     )
     headline: str = Field(default="mixed", description="suite by which constants are chosen and claims are judged")
     splits: list[Split] = Field(default=["held-out", "shifted"], min_length=1, description="splits of each suite")
+    altered: list[Altered] = Field(
+        default=[],
+        description="full-control only: also with the headline's held-out scenarios changed in one way: twice the "
+        "sensor noise, or springs, inertia and damping 20 % off",
+    )
     episodes: int = Field(
         default=500, ge=2, le=MOST_EPISODES, description="scenarios of each suite and split [scenarios]"
     )
@@ -129,7 +148,10 @@ class Benchmark(Group):
         },
         description="name of a learned entry -> its training runs",
     )
-    best_learned: str = Field(default="ppo", description="the entry that the claims are about")
+    best_learned: str = Field(
+        default="ppo",
+        description="the entry that the claims are about; full-control only: auto, in the loop of the best constant",
+    )
     ablations: list[str] = Field(
         default=list(COST_TERMS), description="reward terms left out, one at a time, in further trainings of that entry"
     )
@@ -142,18 +164,29 @@ class Benchmark(Group):
     @model_validator(mode="before")
     @classmethod
     def _choose_loops(cls, given: Any) -> Any:
-        if isinstance(given, Mapping) and given.get("track") == FULL_CONTROL and not given.get("loops"):
-            return {**given, "loops": [PAPERS, *LOOPS]}
-        return given
+        if not isinstance(given, Mapping) or given.get("track") != FULL_CONTROL:
+            return given
+        loops = given.get("loops") or [PAPERS, *LOOPS]
+        learned = given.get("learned")
+        return {**given, "loops": loops, **({"learned": _by_loop(learned, loops)} if learned else {})}
 
     @model_validator(mode="after")
     def _check_track(self) -> Benchmark:
         if self.track == SCHEDULE:
-            for key in ("loops", "tuned_budget", "optimal"):
+            for key in ("loops", "tuned_budget", "optimal", "altered"):
                 if getattr(self, key):
                     raise ValueError(f"'{key}' is of the track {FULL_CONTROL}; the track is {SCHEDULE}")
+            for name, entry in self.learned.items():
+                for key in ("loops", "best_loop_seeds"):
+                    if getattr(entry, key):
+                        raise ValueError(
+                            f"learned.{name}.{key} is of the track {FULL_CONTROL}; the track is {SCHEDULE}"
+                        )
         elif PAPERS not in self.loops or "position-only" in self.loops:
             raise ValueError(f"'loops' has to hold {PAPERS}, in which the baseline acts, and none without a tension")
+        for name, entry in self.learned.items():
+            if entry.loops:
+                raise ValueError(f"learned.{name}.loops is {entry.loops}; it has to be all, or some of 'loops'")
         for law in self.tuned_budget:
             if law not in LAWS:
                 raise unknown("law that can be tuned", law, LAWS)
@@ -168,7 +201,7 @@ class Benchmark(Group):
         for suite in (*self.suites, self.headline):
             if suite not in suite_names():
                 raise unknown("suite", suite, suite_names())
-        for key in ("loops", "suites", "splits", "contenders", "constants", "ablations"):
+        for key in ("loops", "suites", "splits", "altered", "contenders", "constants", "ablations"):
             values = getattr(self, key)
             if len(set(values)) < len(values):
                 raise ValueError(f"'{key}' names something twice")
@@ -186,9 +219,12 @@ class Benchmark(Group):
                 raise ValueError(f"'{name}' cannot be a learned entry's name: use up to 40 letters, digits and dashes")
             if loop and self.track == SCHEDULE:
                 raise ValueError(f"learned entry '{name}' is in another loop; the track is {SCHEDULE}")
-        if self.learned and self.best_learned not in self.learned:
+        if self.best_learned == AUTO:
+            if self.learned and (self.track == SCHEDULE or self.ablations):
+                raise ValueError("best_learned is 'auto'; this is for the track full-control, without ablations")
+        elif self.learned and self.best_learned not in self.learned:
             raise unknown("learned entry", self.best_learned, self.learned)
-        if self.learned and self.learned[self.best_learned].reference:
+        elif self.learned and self.learned[self.best_learned].reference:
             raise ValueError(f"best_learned is '{self.best_learned}', which is a reference and no contender")
         for term in self.ablations:
             if term not in COST_TERMS:
@@ -203,8 +239,27 @@ class Benchmark(Group):
 
     def places(self) -> list[tuple[str, str]]:
         """Return the pairs of suite and split that contenders are judged on."""
-        pairs = [(suite, split) for split in self.splits for suite in self.suites]
+        pairs: list[tuple[str, str]] = [(suite, split) for split in self.splits for suite in self.suites]
+        pairs += [(self.headline, change) for change in self.altered]
         return [pair for pair in pairs if pair != (PAPER_STEP, "shifted")]
+
+    def in_best_loop(self, loop: str) -> Benchmark:
+        """Return the description with what depends on the loop of the best constant, which is known only later.
+
+        These are the further seeds of what is learned there, and `best_learned` if it is auto: what is learned there,
+        first of all an entry with such seeds; if nothing is, the first entry.
+        """
+        there = [name for name in self.learned if loop_of(name) == loop and not self.learned[name].reference]
+        more = [name for name in there if self.learned[name].best_loop_seeds]
+        learned = dict(self.learned)
+        for name in more:
+            seeds = [*dict.fromkeys([*learned[name].seeds, *learned[name].best_loop_seeds])]
+            learned[name] = learned[name].model_copy(update={"seeds": seeds})
+        learned = {name: entry.model_copy(update={"best_loop_seeds": []}) for name, entry in learned.items()}
+        best = self.best_learned
+        if best == AUTO and self.learned:
+            best = [*more, *there, *self.learned][0]
+        return self.model_copy(update={"learned": learned, "best_learned": best})
 
     def constant_names(self) -> list[str]:
         """Return the constants' names as contenders, loop by loop."""
@@ -232,6 +287,23 @@ def loop_of(name: str) -> Control:
     return cast(Control, split_loop(name)[0] or PAPERS)
 
 
+def _by_loop(learned: Any, loops: Sequence[Any]) -> Any:
+    """Return learned entries, those with `loops` once in each of them; what is wrong stays as it is."""
+    if not isinstance(learned, Mapping):
+        return learned
+    spread: dict[str, Any] = {}
+    for name, entry in learned.items():
+        own = dict(entry) if isinstance(entry, Mapping) else entry.model_dump() if isinstance(entry, Learned) else {}
+        chosen = loops if own.get("loops") == "all" else own.get("loops") or []
+        if not chosen or not isinstance(chosen, list) or any(loop not in loops for loop in chosen):
+            spread[name] = entry
+            continue
+        for loop in chosen:
+            changes = [f"env.control={loop}", f"env.track={FULL_CONTROL}", f"env.tension_range={[*_range(loop)]}"]
+            spread[named(loop, name)] = {**own, "loops": [], "set": [*changes, *(own.get("set") or [])]}
+    return spread
+
+
 def _range(loop: Control) -> tuple[float, float]:
     return FEED_FORWARD_RANGE if loop in LOOPS else TENSION_RANGE
 
@@ -249,18 +321,24 @@ def quick(description: Benchmark) -> Benchmark:
 
     The headline suite, `contact`, `hold-push` and `paper-step`, few scenarios, every fourth constant, two seeds of
     short training of the entry that the claims are about, no ablations, a shallow search. On *full control* the paper's
-    loop, that of this entry, and one more, with short tuning, and no optimal control. Claims are not judged by it.
+    loop, that of this entry, and one more, with short tuning, and no optimal control; if the best loop is not known,
+    all that is learned in these loops, with one seed, and one more in the best. Claims are not judged by it.
     """
     wanted = (description.headline, "contact", "hold-push", PAPER_STEP)
-    learned = {}
-    if description.learned:
-        entry = description.learned[description.best_learned]
-        short = [f"total_steps={QUICK_STEPS}", f"validation.every_steps={QUICK_STEPS // 2}"]
-        learned[description.best_learned] = entry.model_copy(
-            update={"seeds": entry.seeds[:QUICK_SEEDS], "set": [*entry.set, *short]}
-        )
-    loops = [loop_of(description.best_learned), *LOOPS]
+    auto = description.best_learned == AUTO
+    loops = [*([] if auto else [loop_of(description.best_learned)]), *LOOPS]
     loops = [PAPERS, *[loop for loop in dict.fromkeys(loops) if loop in description.loops and loop != PAPERS][:2]]
+    learned = {}
+    for name, entry in description.learned.items():
+        if (loop_of(name) in loops) if auto else (name == description.best_learned):
+            short = [
+                f"total_steps={QUICK_STEPS}",
+                f"validation.every_steps={QUICK_STEPS // 2}",
+                "ppo.critic_steps=null",
+            ]
+            seeds = entry.seeds[: 1 if auto else QUICK_SEEDS]
+            more = {"seeds": seeds, "best_loop_seeds": entry.best_loop_seeds[:1], "set": [*entry.set, *short]}
+            learned[name] = entry.model_copy(update=more)
     return Benchmark.model_validate(
         {
             **description.model_dump(),

@@ -9,7 +9,7 @@ from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.reporting.document import image, marks, update_document
 from amulett_gym.reporting.words import pretty
 from amulett_gym.studies.benchmark.claims import Claim
-from amulett_gym.studies.benchmark.page import CAPTIONS, not_met, verdict
+from amulett_gym.studies.benchmark.page import CAPTIONS, not_met, said, verdict
 from amulett_gym.studies.benchmark.results import Content
 from amulett_gym.studies.benchmark.tables import tables
 
@@ -41,7 +41,7 @@ def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str
     parts = [
         "" if found["command"] is None else f"`{found['command']}` on {found['machine']}",
         pretty(f"**{verdict(found, claims)}**"),
-        pretty("\n".join(f"- {line}" for line in not_met(claims))),
+        pretty("\n".join(f"- {line}" for line in (*said(found), *not_met(claims)))),
         *(pretty(table.markdown()) for table in tables(found, claims).values()),
         *(image(f"{title}_{name}", CAPTIONS[name]) for name in shown),
     ]

@@ -71,6 +71,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
         prices(protocol.profile, protocol.suite, track=contender.env_keywords.get("track", SCHEDULE)),
         *_unusual(protocol, contender),
     ]
+    settings += [scenario.model_dump_json() for scenario in protocol.scenarios]
     name = contender.policy_name or contender.name
     acting: list[Any] = [name]
     if contender.policy_name is not None and is_bundle(name):

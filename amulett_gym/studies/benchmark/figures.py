@@ -21,7 +21,7 @@ from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, FuncFormatter
 from amulett_gym.reporting.words import pretty
 from amulett_gym.simulation.trajectory import Trajectory
-from amulett_gym.studies.benchmark.description import PAPER_STEP, loop_of
+from amulett_gym.studies.benchmark.description import PAPER_STEP, PAPERS, loop_of, named
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
 from amulett_gym.studies.benchmark.runs import learning_curve
 from amulett_gym.studies.benchmark.stages import Evidence
@@ -40,7 +40,7 @@ _REFERENCES = ((style.ORANGE, "^"), ("#B8860B", "^"))
 _ABLATION = ("#c9a0a0", ".")
 _BEST_CONSTANT = (style.BLUE, "o")
 _SUITES = (style.BLACK, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.RED, style.SKY, style.BROWN)
-_LOOPS = (*_SUITES[1:], style.OLIVE, style.INDIGO, style.GREY)
+_LOOPS = (*_SUITES[1:], style.OLIVE, style.INDIGO, style.GREY, "#F0708A")
 _MARKERS = {"constant": "o", "law": "s", "own": "h", "learned": "P", "reference": "^", "ablation": "."}
 
 SPEED_LIMIT = 120.0
@@ -174,6 +174,8 @@ def pareto_figure(found: Content) -> Figure:
         panel.axhline(1.0, color=style.GREY, linewidth=0.7)
         panel.axvline(1.0, color=style.GREY, linewidth=0.7)
         for name, entry in found["entries"].items():
+            if any(name not in found["results"][place] for _, place in axes):
+                continue
             across, up = (_to_eq6(found, place, name, metric) for metric, place in axes)
             if across["mean"] is None or up["mean"] is None:
                 continue
@@ -278,9 +280,18 @@ def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Cont
 
 
 def _drawn_schedules(evidence: Evidence) -> dict[str, Schedule]:
-    """Return the schedules to draw: of learned entries' chosen members and the tuned richer law."""
+    """Return the schedules to draw: of learned entries' chosen members and the tuned laws.
+
+    On *full control* those in the loop of the best constant, and those learned in the paper's loop and without a loop.
+    """
     learned = [name for name in evidence.schedules if evidence.entries[name].kind in ("learned", "reference")]
-    names = [*learned[:MOST_MEMBERS], *(name for name in (TUNED_LAW, TUNED_EQ6) if name in evidence.schedules)]
+    laws, loop = [TUNED_LAW, TUNED_EQ6], loop_of(evidence.best_constant())
+    if evidence.description.track == FULL_CONTROL:
+        best = evidence.description.best_learned
+        learned = [*dict.fromkeys([best, *learned])] if best in learned else learned
+        learned = [name for name in learned if name == best or loop_of(name) in (loop, PAPERS)]
+        laws = [named(loop, law) for law in laws]
+    names = [*learned[:MOST_MEMBERS], *(name for name in laws if name in evidence.schedules)]
     return {name: evidence.schedules[name][_member(evidence, name)] for name in names}
 
 
@@ -354,7 +365,8 @@ def worst_figure(evidence: Evidence, found: Content) -> Figure:
 def _main(evidence: Evidence) -> list[str]:
     learned = [name for name, entry in evidence.entries.items() if entry.kind in ("learned", "reference")]
     if evidence.description.track == FULL_CONTROL:
-        return [YARDSTICK, *evidence.best_constants(), *learned[:MOST_MEMBERS]]
+        drawn = [name for name in learned if name in (evidence.description.best_learned, "drives")]
+        return [YARDSTICK, *evidence.best_constants(), *(drawn or learned[:MOST_MEMBERS])]
     asked = (YARDSTICK, evidence.best_constant(), TUNED_EQ6, TUNED_LAW, POSITION_ONLY, *learned[:MOST_MEMBERS])
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
 

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from amulett_gym.envs.reward import SCHEDULE
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.evaluation.metrics import COST_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import fill
 from amulett_gym.reporting.words import number, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
+from amulett_gym.studies.benchmark.by_loop import answers
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
 from amulett_gym.studies.benchmark.results import Content, write_worst
 from amulett_gym.studies.benchmark.stages import Evidence
@@ -95,6 +96,7 @@ def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure
         found=found,
         verdict=verdict(found, claims),
         not_met=not_met(claims),
+        answers=said(found),
         titles={name: table.title for name, table in made.items()},
         tables={
             name: table.html("stack" if name == "claims" else "stack lines narrow") for name, table in made.items()
@@ -130,6 +132,11 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
     return f"{text} {sum(bool(claim.holds) for claim in judged)} of {len(judged)} claims are met."
 
 
+def said(found: Content) -> list[str]:
+    """Return the answers to the questions of the track *full control*; none on *schedule*, or if the run was quick."""
+    return answers(found) if found.get("track") == FULL_CONTROL and not found.get("quick") else []
+
+
 def not_met(claims: Sequence[Claim]) -> list[str]:
     """Return one line for each claim that is not met."""
     return [f"Not met: {claim.about}: {claim.claim}" for claim in claims if claim.holds is False]
@@ -142,5 +149,5 @@ def in_words(found: Content, claims: Sequence[Claim]) -> str:
     if claims:
         table = made["claims"]
         shown = [replace(table, head=table.head[:5], rows=[row[:5] for row in table.rows], left=(0, 1)), *shown]
-    lines = "\n".join(map(fill, (verdict(found, claims), *not_met(claims))))
+    lines = "\n".join(map(fill, (verdict(found, claims), *said(found), *not_met(claims))))
     return "\n\n".join([*(table.text() for table in shown), lines])

@@ -37,7 +37,7 @@ from amulett_gym.laws.contenders import loops_of
 from amulett_gym.laws.parametric import LAWS, tuned_content
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.writing import write_json
-from amulett_gym.studies.benchmark.description import loop_of, named
+from amulett_gym.studies.benchmark.description import PAPERS, loop_of, named
 from amulett_gym.studies.benchmark.episodes import Played
 from amulett_gym.studies.benchmark.frozen import PRICES_OF
 from amulett_gym.studies.benchmark.reference import Searched
@@ -144,11 +144,13 @@ def best_by_hand(evidence: Evidence) -> str:
     return min(costs, key=lambda name: costs[name])
 
 
-def opponents(evidence: Evidence, suite: str) -> list[str]:
-    """Return the names of the entries with which all others are compared on a suite."""
-    constants = *evidence.best_constants(), evidence.best_constant(), evidence.best_constant(suite)
-    tuned = (named(loop_of(evidence.best_constant()), law) for law in (TUNED_EQ6, TUNED_LAW))
-    asked = (YARDSTICK, *constants, TUNED_EQ6, TUNED_LAW, *tuned, POSITION_ONLY)
+def opponents(evidence: Evidence, suite: str, name: str) -> list[str]:
+    """Return the names of the entries with which an entry is compared on a suite: also those of its own loop."""
+    loop = evidence.entries[name].loop
+    constants = [evidence.best_constant(), evidence.best_constant(suite)]
+    own = [each for each in evidence.best_constants() if loop_of(each) == loop]
+    laws = [named(each, law) for each in (PAPERS, loop) for law in (YARDSTICK, TUNED_EQ6, TUNED_LAW)]
+    asked = (YARDSTICK, *own, *constants, *laws, POSITION_ONLY)
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]
 
 
@@ -170,12 +172,15 @@ def write_worst(evidence: Evidence, found: Content, folder: Path) -> None:
 def _place(evidence: Evidence, suite: str, split: str) -> Content:
     """Return the numbers of all entries on a suite's split."""
     results = evidence.played[suite, split]
-    against = opponents(evidence, suite)
     full = shown(evidence, suite)
-    return {
-        name: _numbers(evidence, results, name, against if name in full else [YARDSTICK], name in full)
-        for name in results
-    }
+    found: Content = {}
+    for name in results:
+        against = opponents(evidence, suite, name) if name in full else [YARDSTICK]
+        found[name] = _numbers(evidence, results, name, against, name in full)
+        if split in evidence.description.altered:
+            before, after = (each[name].values[evidence.metric] for each in (evidence.headline(), results))
+            found[name]["ratio_to_unaltered"] = _ratio(after, before.mean(axis=0), evidence).plain()
+    return found
 
 
 def _numbers(

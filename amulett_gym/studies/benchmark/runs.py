@@ -61,7 +61,7 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
             _check_period(description, name, config)
             _check_loop(description, name, config)
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
-    if description.learned:
+    if description.ablations and description.learned:
         best = description.learned[description.best_learned]
         for term in description.ablations:
             name, seed = ablation_name(description.best_learned, term), best.seeds[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,11 +15,11 @@ from amulett_gym import DRIVES_ID, __version__
 from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COST_OF, capped_cost
-from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule, labels
+from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Run, Schedule, labels
 from amulett_gym.evaluation.search.laws import Recipe, result_path, tune
 from amulett_gym.evaluation.search.optimal import OptimalCosts, optimal_costs
 from amulett_gym.evaluation.search.transcription import load_casadi
-from amulett_gym.laws.contenders import Contender, in_loop, parse_contender, split_loop
+from amulett_gym.laws.contenders import Contender, Own, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
@@ -30,9 +31,11 @@ from amulett_gym.storage.reading import read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
-from amulett_gym.studies.benchmark.description import PAPERS, Benchmark, load_profile_of, loop_of, named
+from amulett_gym.studies.benchmark.altered import alter
+from amulett_gym.studies.benchmark.description import PAPERS, Benchmark, Learned, load_profile_of, loop_of, named
 from amulett_gym.studies.benchmark.episodes import Played, file_label, played
 from amulett_gym.studies.benchmark.frozen import check_frozen, hashes, seed_overlap
+from amulett_gym.studies.benchmark.processes import Job, work_ahead
 from amulett_gym.studies.benchmark.reference import Searched
 from amulett_gym.studies.benchmark.runs import (
     TrainingRun,
@@ -41,6 +44,7 @@ from amulett_gym.studies.benchmark.runs import (
     outcome,
     required_runs,
     train_missing,
+    train_run,
 )
 
 DESCRIPTION = "description.json"
@@ -104,8 +108,7 @@ class Evidence:
 
         If the suite is None, it is the headline suite: the constant is the best one overall.
         """
-        tried = self.tried[suite or self.description.headline]
-        return min((name for name in tried if loop in (None, loop_of(name))), key=lambda name: tried[name])
+        return best_in(self.tried[suite or self.description.headline], loop)
 
     def best_constants(self, suite: str | None = None) -> list[str]:
         """Return the best constant of each loop."""
@@ -136,6 +139,7 @@ def run_benchmark(
     copies: Copies = NO_COPIES,
     say: Say = lambda message: None,
     progress: bool = False,
+    processes: int = 1,
 ) -> Evidence:
     """Run the stages that are missing, and return all measurements.
 
@@ -155,6 +159,8 @@ def run_benchmark(
         The content of `own` policies, which is kept in the folder.
     say : callable
         Called with a line after each stage.
+    processes : int
+        Number of processes for tuning, training, episodes and optimal control; with one, all is done in this process.
 
     Raises
     ------
@@ -178,10 +184,13 @@ def run_benchmark(
         load_casadi()
     reference.check_starts(description)
     check_frozen(description.suites, description.track)
-    needed = required_runs(description, recipes, out / RUNS if runs is None else user_path(runs))
+    # Which loop gets the further seeds does not matter to the checks: the same scenarios are drawn in each.
+    first = description.in_best_loop(next(map(loop_of, description.learned), PAPERS))
+    runs_folder = out / RUNS if runs is None else user_path(runs)
+    needed = required_runs(first, recipes, runs_folder)
     chosen = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
     chosen["runs"] = None if runs is None else str(runs)
-    seeds = [description.seed, *(seed for entry in description.learned.values() for seed in entry.seeds)]
+    seeds = [description.seed, *(seed for entry in first.learned.values() for seed in entry.seeds)]
     overlap = seed_overlap([run.config for run in needed], description.seed, description.episodes)
     if overlap["overlap"]:
         raise AmulettError(f"{overlap['overlap']} episodes would be trained on or chosen by, and judged on as well")
@@ -191,12 +200,16 @@ def run_benchmark(
         copies.write(out)
         write_provenance(out, "benchmark", {**chosen, "kept": copies.record}, seeds, command)
         _remove_leftovers(out)
-        missing = check_runs(needed)
+        check_runs(required_runs(description, recipes, runs_folder))
+        counts = {kind: f"{overlap[kind]:,}" for kind in ("train", "validation", "judged")}
         say(
-            f"{len(needed) - len(missing)} of {len(needed)} training runs are there. Episodes: {overlap['train']:,} "
-            f"trained on, {overlap['validation']:,} chosen by, {overlap['judged']:,} judged on a suite; none is two of "
-            "these"
+            f"Episodes: {counts['train']} trained on, {counts['validation']} chosen by, {counts['judged']} judged on a "
+            "suite; none is two of these"
         )
+        tunings: list[Job] = [
+            partial(tune, out / TUNED_LAWS / recipe.control, recipe) for recipe in recipes_of_laws.values()
+        ]
+        work_ahead(tunings, processes, "tuning", progress)
         tuned = {}
         for name, recipe in recipes_of_laws.items():
             folder = out / TUNED_LAWS / recipe.control
@@ -204,17 +217,55 @@ def run_benchmark(
             say(f"{name}: tuned with {recipe.episodes:,} simulated episodes")
             contender = replace(parse_contender(str(result_path(folder, recipe))), name=split_loop(name)[1])
             laws.append(Entry(name, "law", (in_loop(contender, split_loop(name)[0]),)))
-        evidence = _work(description, out, protocol, laws, needed, found_hashes, overlap, say, progress)
+        if description.track == FULL_CONTROL:  # whose return the training minimises
+            laws = [_on_track(entry, description) for entry in laws]
+        tried = _try_constants(description, out / EPISODES, protocol, laws, processes, progress)
+        constant = best_in(tried[description.headline])
+        say(f"best constant on train of {description.headline}: {constant}")
+        description = description.in_best_loop(loop_of(constant))
+        needed = required_runs(description, recipes, runs_folder)
+        missing = check_runs(needed)
+        say(f"{len(needed) - len(missing)} of {len(needed)} training runs are there")
+        evidence = _work(
+            description, out, protocol, laws, tried, needed, found_hashes, overlap, say, progress, processes
+        )
         if not description.optimal:
             return replace(evidence, tuned=tuned)
         scenarios = range(description.seed, description.seed + description.optimal)
+        each = (range(scenario, scenario + 1) for scenario in scenarios)
+        problem = profile, description.headline, "held-out"
+        solutions: list[Job] = [
+            partial(optimal_costs, *problem, one, out / OPTIMAL, description.duration) for one in each
+        ]
+        work_ahead(solutions, processes, "optimal control", progress)
         with Progress(description.optimal, "optimal control", "scenarios", progress) as bar:
             solved = optimal_costs(
-                *(profile, description.headline, "held-out", scenarios, out / OPTIMAL, description.duration),
-                report=lambda note: bar.update(note=note),
+                *(*problem, scenarios, out / OPTIMAL, description.duration), report=lambda note: bar.update(note=note)
             )
         say(f"optimal control: mean cost {solved.cost.mean():.4f}, solved {solved.success.sum()} of {len(scenarios)}")
         return replace(evidence, tuned=tuned, optimal=solved)
+
+
+def _try_constants(
+    description: Benchmark, folder: Path, protocol: Protocol, laws: Sequence[Entry], processes: int, progress: bool
+) -> dict[str, dict[str, float]]:
+    """Return by suite the mean cost of each constant on the split `train`."""
+    constants = [entry for entry in laws if entry.kind == "constant"]
+    suites = {suite: replace(protocol, suite=suite, split="train") for suite in description.suites}
+
+    def job(entry: Entry, suite: str) -> partial[Run]:
+        return partial(played, folder, entry.file_labels()[0], suites[suite], entry.members[0])
+
+    work_ahead(
+        [job(entry, suite) for suite in suites for entry in constants], processes, "constants on train", progress
+    )
+    tried: dict[str, dict[str, float]] = {suite: {} for suite in suites}
+    with Progress(len(suites) * len(constants), "constants on train", "runs", progress) as bar:
+        for suite in suites:
+            for entry in constants:
+                tried[suite][entry.name] = float(job(entry, suite)().values[COST_OF[description.track]].mean())
+                bar.update(note=f"{entry.name} on {suite}")
+    return tried
 
 
 def _work(
@@ -222,26 +273,15 @@ def _work(
     out: Path,
     protocol: Protocol,
     laws: list[Entry],
+    tried: dict[str, dict[str, float]],
     needed: list[TrainingRun],
     found_hashes: dict[str, Any],
     overlap: dict[str, int],
     say: Say,
     progress: bool,
+    processes: int,
 ) -> Evidence:
-    places, folder = description.places(), out / EPISODES
-    metric = COST_OF[description.track]
-    if description.track == FULL_CONTROL:  # whose return the training minimises
-        laws = [_on_track(entry, description) for entry in laws]
-    constants = [entry for entry in laws if entry.kind == "constant"]
-    tried: dict[str, dict[str, float]] = {}
-    with Progress(len(description.suites) * len(constants), "constants on train", "runs", progress) as bar:
-        for suite in description.suites:
-            there = replace(protocol, suite=suite, split="train")
-            tried[suite] = {}
-            for entry in constants:
-                run = played(folder, entry.file_labels()[0], there, entry.members[0])
-                tried[suite][entry.name] = float(run.values[metric].mean())
-                bar.update(note=f"{entry.name} on {suite}")
+    folder, metric = out / EPISODES, COST_OF[description.track]
 
     def trained(run: TrainingRun) -> None:
         result = outcome(run)
@@ -250,24 +290,25 @@ def _work(
             f"{result['best_cost']:.4f}"
         )
 
+    trainings: list[Job] = [partial(train_run, run) for run in needed if not run.is_finished()]
+    work_ahead(trainings, processes, "training", progress)
     train_missing(needed, trained, progress)
     entries = [*laws, *_learned(description, needed)]
-    results: dict[tuple[str, str], dict[str, Played]] = {}
-    schedules: dict[str, list[Schedule]] = {}
-    total = len(places) * sum(len(entry.members) for entry in entries)
-    with Progress(total, "contenders", "runs", progress) as bar:
-        for suite, split in places:
-            there, kept = replace(protocol, suite=suite, split=split), (suite, split) == (protocol.suite, "held-out")
-            results[suite, split] = {}
-            for entry in entries:
-                done = []
-                for label, member in zip(entry.file_labels(), entry.members, strict=True):
-                    done.append(played(folder, label, there, member, keep_schedule=kept and entry.kind != "constant"))
-                    bar.update(note=f"{label} on {suite}, {split}")
-                results[suite, split][entry.name] = Played.of(done)
-                if kept and done[0].schedule.error.size:
-                    schedules[entry.name] = [run.schedule for run in done]
-            say(f"{suite}, {split}: {len(entries)} contenders on {there.episodes} scenarios")
+    plays = [
+        play for place in description.places() for play in _plays(description, folder, protocol, entries, tried, place)
+    ]
+    ahead = [play.job() for play in plays if not isinstance(play.member, Own)]
+    work_ahead(ahead, processes, "contenders", progress)
+    runs: dict[tuple[str, str], dict[str, list[Run]]] = {}
+    with Progress(len(plays), "contenders", "runs", progress) as bar:
+        for play in plays:
+            if play.place not in runs:
+                say(f"{', '.join(play.place)}: {play.protocol.episodes} scenarios")
+            runs.setdefault(play.place, {}).setdefault(play.entry, []).append(play.job()())
+            bar.update(note=f"{play.label} on {', '.join(play.place)}")
+    shown = runs[protocol.suite, "held-out"]
+    results = {place: {name: Played.of(done) for name, done in found.items()} for place, found in runs.items()}
+    schedules = {name: [run.schedule for run in done] for name, done in shown.items() if done[0].schedule.error.size}
     evidence = Evidence(
         description=description,
         profile=protocol.profile,
@@ -291,6 +332,55 @@ def _work(
                 if found is not None:
                     say(f"{name}, {suite}: mean cost {found.run.values[metric].mean():.4f}")
     return replace(evidence, searched=searched, validation=_on_validation(evidence, folder))
+
+
+@dataclass(frozen=True)
+class _Play:
+    """Episodes that a member of an entry has to play."""
+
+    folder: Path
+    place: tuple[str, str]
+    protocol: Protocol
+    entry: str
+    label: str
+    member: Contender
+    keep: bool  # its schedule
+
+    def job(self) -> partial[Run]:
+        return partial(played, self.folder, self.label, self.protocol, self.member, self.keep)
+
+
+def _plays(
+    description: Benchmark,
+    folder: Path,
+    protocol: Protocol,
+    entries: Sequence[Entry],
+    tried: dict[str, dict[str, float]],
+    place: tuple[str, str],
+) -> list[_Play]:
+    """Return what has to be played on a suite's split, or on its altered scenarios.
+
+    On *full control*, with its many constants, only the best of each loop play outside the headline's held-out split.
+    """
+    suite, split = place
+    headline = place == (description.headline, "held-out")
+    if split in description.altered:
+        there, folder = alter(replace(protocol, suite=suite), split), folder / split
+    else:
+        there = replace(protocol, suite=suite, split=split)
+    if description.track == FULL_CONTROL and not headline:
+        kept = {best_in(tried[each], loop) for each in (suite, description.headline) for loop in description.loops}
+        entries = [entry for entry in entries if entry.kind != "constant" or entry.name in kept]
+    return [
+        _Play(folder, place, there, entry.name, label, member, headline and entry.kind != "constant")
+        for entry in entries
+        for label, member in zip(entry.file_labels(), entry.members, strict=True)
+    ]
+
+
+def best_in(costs: dict[str, float], loop: str | None = None) -> str:
+    """Return the constant of the lowest cost, in any loop or in one."""
+    return min((name for name in costs if loop in (None, loop_of(name))), key=lambda name: costs[name])
 
 
 def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
@@ -413,6 +503,9 @@ def _remember(path: Path, description: Benchmark, recipes: Path, found_hashes: d
         stored.pop("amulett-gym", None)
         # Keys that are newer than the folder had their defaults then.
         stored["description"] = {**Benchmark().model_dump(mode="json"), **stored["description"]}
+        newer = Learned(seeds=[0]).model_dump(mode="json")
+        learned = stored["description"]["learned"]
+        stored["description"]["learned"] = {name: {**newer, **entry} for name, entry in learned.items()}
     except (ValueError, AttributeError, KeyError, TypeError) as error:
         if isinstance(error, AmulettError):
             raise

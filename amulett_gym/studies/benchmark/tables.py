@@ -334,7 +334,8 @@ def _seeds(found: Content) -> Iterable[Sequence[Any]]:
     for place, results in found["results"].items():
         suite, split = place.split("/")
         for name, entry in found["entries"].items():
-            for seed, cost in zip(entry["seeds"], results[name]["seeds"], strict=False):
+            costs = results[name]["seeds"] if name in results else []
+            for seed, cost in zip(entry["seeds"], costs, strict=False):
                 yield suite, split, name, seed, cost
 
 

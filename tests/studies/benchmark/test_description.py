@@ -53,14 +53,42 @@ def test_the_shipped_file_of_full_control_is_of_all_loops_and_laws():
     assert "constant:0" not in description.constant_names()
     runs = required_runs(description, path.parent, Path("runs"))
     assert {(run.entry, run.config.env.control) for run in runs} == {
-        *((f"{loop}/ppo", loop) for loop in ("co-rotation", "cascade", "computed-torque")),
+        *((f"{loop}/ppo", loop) for loop in LOOPS),
         ("ppo", "decentralized"),
         ("drives", "decentralized"),
     }
     assert Path("runs/co-rotation/ppo/seed-0") in [run.folder for run in runs]
+    assert all(run.config.env.tension_range[0] == (4.0 if run.entry == "ppo" else 0.0) for run in runs)
     small = quick(description)
-    assert small.loops == [PAPERS, "co-rotation", "equilibrium-point"] and small.track == "full-control"
+    assert small.loops == [PAPERS, "equilibrium-point", "co-rotation"] and small.track == "full-control"
     assert set(small.tuned_budget) == set(description.tuned_budget) and small.optimal == 0 < description.optimal
+
+
+def test_the_loop_of_the_best_constant_gets_more_seeds():
+    description = load_benchmark(ROOT / "configs" / "full_control.yaml")
+    assert description.best_learned == "auto" and {len(entry.seeds) for entry in description.learned.values()} == {1}
+    for loop, name in (("cascade", "cascade/ppo"), (PAPERS, "ppo")):
+        best = description.in_best_loop(loop)
+        assert best.best_learned == name and len(best.learned[name].seeds) >= 3
+        assert all(entry.seeds == [0] for other, entry in best.learned.items() if other != name)
+        assert Benchmark.model_validate(best.model_dump()) == best
+    own = Benchmark.model_validate({**FULL, "learned": {"drives": {"seeds": [0]}}, "best_learned": "auto"})
+    assert own.in_best_loop("cascade").best_learned == "drives"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"track": "schedule"}, "learned.a.loops is of the track full-control"),
+        ({"loops": [PAPERS]}, "learned.a.loops is .*; it has to be all, or some of 'loops'"),
+        ({"ablations": ["effort"]}, "best_learned is 'auto'"),
+        ({"altered": ["noise-x3"]}, "noise-x2"),
+    ],
+)
+def test_what_cannot_be_learned_in_several_loops_is_refused(changes, message):
+    learned = {"learned": {"a": {"seeds": [0], "loops": ["co-rotation"]}}, "best_learned": "auto"}
+    with pytest.raises((AmulettError, ValueError), match=message):
+        Benchmark.model_validate({**FULL, **learned, **changes})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,47 @@
+"""The headline's held-out scenarios with one change in all: what noise alone, or wrong parameters alone, do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.studies.benchmark.description import Altered
+from amulett_gym.tasks.scenario import Device, Scenario, unpack
+
+NOISE = 2.0
+"""Factor of the sensors' noise."""
+
+OFF = 0.2
+"""Share by which springs, inertia and damping differ, up or down, beside the scenario's own deviation."""
+
+
+def alter(protocol: Protocol, change: Altered) -> Protocol:
+    """Return a protocol with the same scenarios, targets and noise draws, changed in one way.
+
+    ``noise-x2``: twice the standard deviation of the sensors' noise. ``wrong-parameters``: the rate of both springs,
+    the inertia and the damping are 20 % above or below what they were, drawn for each scenario; loops do not know.
+    """
+    scenarios = [unpack(row) for row in Trials(protocol).rows]
+    if change == "noise-x2":
+        devices = [{"noise": min(NOISE * one.device.noise, 10.0)} for one in scenarios]
+    else:
+        signs = np.random.default_rng(0).choice((1.0 - OFF, 1.0 + OFF), (len(scenarios), 3)).tolist()
+        devices = [_off(one.device, *factors) for one, factors in zip(scenarios, signs, strict=True)]
+    changed = (_with(scenario, device) for scenario, device in zip(scenarios, devices, strict=True))
+    return replace(protocol, scenarios=tuple(changed))
+
+
+def _off(device: Device, spring: float, inertia: float, damping: float) -> dict[str, float]:
+    return {
+        "spring_biceps": device.spring_biceps * spring,
+        "spring_triceps": device.spring_triceps * spring,
+        "inertia": device.inertia * inertia,
+        "damping": device.damping * damping,
+    }
+
+
+def _with(scenario: Scenario, changes: dict[str, float]) -> Scenario:
+    return scenario.model_copy(update={"device": scenario.device.model_copy(update=changes)})
