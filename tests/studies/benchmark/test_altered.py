@@ -37,5 +37,5 @@ def test_wrong_parameters_alone():
     own = {"spring_biceps_factor", "spring_triceps_factor", "damping_factor", "inertia_factor"}
     assert own <= set(ratios) <= own | {"friction", "inertia"}  # which follow
     for name in own:
-        assert set(np.round(ratios[name], 5).tolist()) == {0.8, 1.2}
+        assert set(np.round(ratios[name].astype(np.float64), 5).tolist()) == {0.8, 1.2}
     np.testing.assert_array_equal(ratios["spring_biceps_factor"] > 1, ratios["spring_triceps_factor"] > 1)
