@@ -13,9 +13,9 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.optimal import OptimalCosts
-from amulett_gym.studies.benchmark.by_loop import BEST, by_loop
+from amulett_gym.studies.benchmark.by_loop import BEST, answers, by_loop
 from amulett_gym.studies.benchmark.claims import check_claims
-from amulett_gym.studies.benchmark.description import load_benchmark
+from amulett_gym.studies.benchmark.description import load_benchmark, named
 from amulett_gym.studies.benchmark.document import MARKS
 from amulett_gym.studies.benchmark.results import content
 from amulett_gym.studies.benchmark.stages import run_benchmark
@@ -143,6 +143,52 @@ def test_tables_compare_loops(found):
             least = min(numbers, key=lambda number: np.inf if number == "-" else float(number))
             assert f"{least}{BEST}" in column
     assert [row[0] for row in tables["constants"].rows] == ["decentralized", "co-rotation"]
+
+
+def test_each_purpose_names_the_loop_of_the_lowest_value(found):
+    best = found["constants"]["best_by_loop"]["mixed"]
+    rows = {row[0]: row for row in by_loop(found)["purposes"].rows}
+    assert {"speed", "soft contact", "twice the sensor noise", "wrong parameters"} <= set(rows)
+    for purpose, place in (("wrong parameters", "mixed/wrong-parameters"), ("all tasks together", "mixed/held-out")):
+        ratios = {name: found["results"][place][name]["ratio"]["eq6"]["mean"] for name in best}
+        first, then = sorted(best, key=lambda name: ratios[name])
+        loop, tension = rows[purpose][2].removesuffix(" N").split(", ")
+        assert named(loop, f"constant:{tension}") == first
+        assert float(rows[purpose][3].split()[0]) == pytest.approx(ratios[first], rel=5e-3)
+        assert float(rows[purpose][5].split()[0]) == pytest.approx(ratios[then], rel=5e-3)
+    (said,) = [line for line in answers(found) if line.startswith("Best loop")]
+    assert all(f"{purpose}: {row[2]}" in said for purpose, row in rows.items())
+
+
+def test_the_value_of_scheduling_is_relative_to_the_constant_of_the_same_loop(found):
+    results, best = found["results"]["mixed/held-out"], found["constants"]["best_by_loop"]["mixed"]
+    table = by_loop(found)["gains"]
+    (row,) = [dict(zip(table.head, row, strict=True)) for row in table.rows if row[0].startswith("co-rotation")]
+    cost = {name: numbers["cost"]["mean"] for name, numbers in results.items()}
+    law = min(("co-rotation/eq6", "co-rotation/eq6-tuned"), key=lambda name: cost[name])
+    assert float(row["eq6"].split()[0]) == pytest.approx(cost["co-rotation/eq6"] / cost[best[1]], rel=5e-3)
+    assert float(row["learned"].split()[0]) == pytest.approx(cost["co-rotation/ppo"] / cost[best[1]], rel=5e-3)
+    beside = float(row["learned, to the best law"].split()[0])
+    assert beside == pytest.approx(cost["co-rotation/ppo"] / cost[law], rel=5e-3)
+    below = sum(family["ratio_to_constant"]["co-rotation/ppo"]["high"] < 1.0 for family in found["families"].values())
+    assert row["families"] == f"{below} of {len(found['families'])}"
+
+
+def test_noise_and_wrong_parameters_are_compared_with_the_same_scenarios(found):
+    name = found["constants"]["best_by_loop"]["mixed"][1]
+    before, after = (found["results"][f"mixed/{split}"][name] for split in ("held-out", "noise-x2"))
+    ratio = after["ratio_to_unaltered"]["mean"]
+    assert ratio == pytest.approx(after["cost"]["mean"] / before["cost"]["mean"], rel=1e-9)
+    assert after["cost"]["mean"] != before["cost"]["mean"]
+    (row,) = [row for row in by_loop(found)["altered"].rows if row[0] == "co-rotation"]
+    assert float(row[1].split()[0]) == pytest.approx(ratio, rel=5e-3)
+
+
+def test_the_best_loop_has_more_seeds(found):
+    loop = found["entries"][found["constants"]["overall"]]["loop"]
+    seeds = {name: entry["seeds"] for name, entry in found["entries"].items() if entry["kind"] == "learned"}
+    assert seeds == {"co-rotation/ppo": [3, 5] if loop == "co-rotation" else [3], "drives": [4]}
+    assert found["best_learned"] == ("co-rotation/ppo" if loop == "co-rotation" else "drives")
 
 
 def test_a_schedule_is_compared_with_the_constant_of_its_loop(found):
