@@ -108,14 +108,20 @@ def prepare(p, g, s, q, m, first, end):
 
 @compiled
 def note_setpoint(p, g, s, q, i):
-    """Read the setpoint and the joint angle, and add to the setpoint's jump what is too fast for a motion."""
+    """Read setpoint and joint angle, and add to the setpoint's jump, and that of its rate, what is too fast."""
     time = s.tick[i] * p.control_period
     elapsed = max(time - q.last_time[i], p.control_period)  # more than a period after late ticks
     moved = s.setpoint[i] - q.last_setpoint[i] - s.setpoint_jump[i]
     jumps = abs(moved) > FASTEST * elapsed
     s.setpoint_jump[i] += choose(jumps, moved, 0.0)
-    setpoint_rate = choose(jumps, 0.0, moved) / elapsed
-    q.setpoint_acceleration[i] = (setpoint_rate - q.last_rate[i]) / elapsed
+    moved = choose(jumps, 0.0, moved)
+    setpoint_rate = moved / elapsed
+    acceleration = (setpoint_rate - q.last_rate[i]) / elapsed
+    # Where the springs cannot give the acceleration, the rate jumps: a motion of the reference smooths it.
+    kinks = abs(acceleration) * g.inertia > g.max_force * p.joint_radius
+    s.setpoint_jump[i] += choose(kinks, moved - q.last_rate[i] * elapsed, 0.0)
+    q.setpoint_rate_jump[i] = choose(kinks, setpoint_rate - q.last_rate[i], 0.0)
+    q.setpoint_acceleration[i] = choose(kinks, 0.0, acceleration)
     q.velocity[i] = filtered_derivative(
         q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
     )
@@ -126,13 +132,15 @@ def note_setpoint(p, g, s, q, i):
 
 @compiled_lanes
 def begin_motions(g, s, q, first, end):
-    """Begin a motion of the reference where the setpoint has jumped: rarely, so that a branch is faster."""
+    """Begin a motion of the reference where setpoint or rate have jumped: rarely, so that a branch is faster."""
     for i in range(first, end):
-        if s.setpoint_jump[i] != 0.0:
+        if s.setpoint_jump[i] != 0.0 or q.setpoint_rate_jump[i] != 0.0:
             begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
             since = q.last_time[i] - q.jump_time[i]
             offset, rate, acceleration = remaining_offset(g.reference_shape, *begun, since, g.reference_time)
-            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - s.setpoint_jump[i], rate, acceleration
+            q.jump_offset[i], q.jump_rate[i] = offset - s.setpoint_jump[i], rate - q.setpoint_rate_jump[i]
+            # A steep part of the setpoint is a jump: what a motion accelerated meanwhile would take it too far.
+            q.jump_acceleration[i] = acceleration if q.setpoint_rate_jump[i] == 0.0 else 0.0
             q.jump_time[i] = q.last_time[i]
             s.setpoint_jump[i] = 0.0
 
@@ -500,18 +508,14 @@ def run_feedback_linearisation(p, g, s, q, first, end):
         by_model, decay = model_acceleration(p, g, q, i)
         acceleration = by_model + q.disturbance[i]
         q.observed_acceleration[i] = acceleration
-        # The arm cannot follow a setpoint whose rate jumps.
-        fastest = p.joint_radius * g.max_force / g.inertia
-        rate_jumps = abs(q.setpoint_acceleration[i]) > fastest
-        reference_acceleration = q.reference_acceleration[i] - choose(rate_jumps, q.setpoint_acceleration[i], 0.0)
         jerk = desired_jerk(
             q.reference[i] - angle,
             q.reference_rate[i] - velocity,
-            reference_acceleration - acceleration,
+            q.reference_acceleration[i] - acceleration,
             q.jump_jerk[i],
             g.bandwidth,
         )
-        torque = g.inertia * (reference_acceleration + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
+        torque = g.inertia * (q.reference_acceleration[i] + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
         torque += weight_at(g, q.reference[i])
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         wanted_biceps, wanted_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)

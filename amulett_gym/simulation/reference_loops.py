@@ -27,7 +27,7 @@ from amulett_gym.simulation.reference import arm, decay_rate, string_force
 from amulett_gym.simulation.trajectory import Trajectory
 
 Pair = tuple[float, float]
-Motion = tuple[float, float, float, float, float]
+Motion = tuple[float, float, float, float]
 
 
 def replay_loop(
@@ -56,7 +56,8 @@ def replay_loop(
     device = Device(profile)
     command = float(trajectory["command_biceps"][0]), float(trajectory["command_triceps"][0])
     start = float(trajectory["angle"][0])
-    motion = ReferenceMotion(gains.reference, gains.reference_time, start)
+    fastest = device.max_force * device.joint_radius / device.inertia
+    motion = ReferenceMotion(gains.reference, gains.reference_time, start, fastest)
     joint_rate = Rate(getattr(gains, "velocity_filter", 0.0), float(trajectory["measured_angle"][0]))
     loop = _LOOPS[control](device, gains)
 
@@ -65,7 +66,7 @@ def replay_loop(
         return Reading(*motion_now, elapsed, velocity, tension, command, drives, period, limit, **signals)
 
     drives, elapsed = command, period
-    trim = loop.begin(reading(0, float(trajectory["tension_setpoint"][0]), (start, 0.0, 0.0, 0.0, 0.0), 0.0))
+    trim = loop.begin(reading(0, float(trajectory["tension_setpoint"][0]), (start, 0.0, 0.0, 0.0), 0.0))
     rows, last = [command], -1
     for row in range(len(trajectory) - 1):
         if late is None or not late[row]:
@@ -94,7 +95,6 @@ class Reading:
     reference: float
     reference_rate: float
     reference_acceleration: float
-    setpoint_acceleration: float  # its share without jumps
     jump_jerk: float  # of what is left of the last jump
     elapsed: float  # since the last tick that was not late
     velocity: float  # estimated
@@ -208,27 +208,31 @@ class Device:
 
 
 class ReferenceMotion:
-    """The setpoint, whose jumps become smooth motions."""
+    """The setpoint, whose jumps, and those of its rate, become smooth motions."""
 
-    def __init__(self, shape: str, duration: float, start: float) -> None:
+    def __init__(self, shape: str, duration: float, start: float, fastest: float) -> None:
         self.shape, self.duration, self.last, self.last_rate = shape, duration, start, 0.0
+        self.fastest = fastest  # acceleration [rad/s2] that the springs can give the arm
         self.begin, self.begun = 0.0, (0.0, 0.0, 0.0)
         self.polynomial = np.polynomial.Polynomial([0.0])
 
     def update(self, time: float, elapsed: float, setpoint: float, jump: float) -> Motion:
-        """Return reference, rate, acceleration, the setpoint's share of it and the last jump's jerk [rad, s]."""
+        """Return reference, rate, acceleration, and the last jump's jerk [rad, s]."""
         moved = setpoint - self.last - jump
         if abs(moved) > 100.0 * elapsed:
             jump, moved = jump + moved, 0.0
-        if jump != 0.0:
-            offset, rate, acceleration, _ = self._offset(time)
-            self.begin, self.begun = time, (offset - jump, rate, acceleration)
-            self.polynomial = self._way_to_zero(*self.begun)
         setpoint_rate = moved / elapsed
+        change, rate_jump = (setpoint_rate - self.last_rate) / elapsed, 0.0
+        if abs(change) > self.fastest:  # as if the setpoint had gone on, and then jumped with its rate
+            jump, rate_jump, change = jump + moved - self.last_rate * elapsed, setpoint_rate - self.last_rate, 0.0
+        if jump != 0.0 or rate_jump != 0.0:
+            offset, rate, acceleration, _ = self._offset(time)
+            kept = acceleration if rate_jump == 0.0 else 0.0
+            self.begin, self.begun = time, (offset - jump, rate - rate_jump, kept)
+            self.polynomial = self._way_to_zero(*self.begun)
         offset, rate, acceleration, jerk = self._offset(time)
-        change = (setpoint_rate - self.last_rate) / elapsed
         self.last, self.last_rate = setpoint, setpoint_rate
-        return setpoint + offset, setpoint_rate + rate, change + acceleration, change, jerk
+        return setpoint + offset, setpoint_rate + rate, change + acceleration, jerk
 
     def _offset(self, time: float) -> tuple[float, float, float, float]:
         elapsed = time - self.begin
@@ -457,8 +461,6 @@ class _FeedbackLinearisation(_Observing):
         self.observe(now)
         device, gains, (angle, velocity), decay = self.device, self.gains, self.motion, self.decay()
         w, acceleration = gains.bandwidth, now.reference_acceleration
-        if abs(now.setpoint_acceleration) > device.joint_radius * device.max_force / device.inertia:
-            acceleration -= now.setpoint_acceleration
         jerk = now.jump_jerk + 3.0 * w * (acceleration - self.acceleration)
         jerk += 3.0 * w**2 * (now.reference_rate - velocity) + w**3 * (now.reference - angle)
         torque = device.inertia * (acceleration + 2.0 * decay * now.reference_rate - self.disturbance)

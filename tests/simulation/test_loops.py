@@ -16,7 +16,7 @@ from amulett_gym.simulation.random import random_bits
 from amulett_gym.simulation.reference import replay_motion
 from amulett_gym.simulation.reference_loops import replay_loop
 from amulett_gym.simulation.trajectory import record
-from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path
 from amulett_gym.tasks.suites import episode_keys, sample
 
 TESTBED = load_profile("testbed")
@@ -129,6 +129,44 @@ def test_late_ticks_hold_the_commands(control):
     np.testing.assert_allclose(
         trajectory["command_biceps"], expected["command_biceps"], rtol=0.0, atol=tolerance(control)
     )
+
+
+def follow(control, profile, times, angles):
+    """Return the trajectory along straight lines between samples of the setpoint [s], [deg]."""
+    line = Scenario.model_validate({"setpoint": {"time": times, "angle_deg": angles}, "noise_seed": 3})
+    simulation = Simulation(profile, 1, control)
+    simulation.reset(pack(line, profile), paths=[pack_path(line)])
+    simulation.command_tension(10.0)
+    return record(simulation, 800)
+
+
+@pytest.mark.parametrize("control", LOOPS)
+@pytest.mark.parametrize(
+    ("times", "angles"),
+    [
+        ([0.0, 0.5, 1.0, 1.5, 2.0], [0.0, 0.0, 30.0, -10.0, 30.0]),
+        ([0.0, 0.5, 0.51, 1.0, 1.02, 2.0], [0.0, 0.0, 10.0, 10.0, 0.0, 0.0]),
+    ],
+    ids=["triangle", "steep"],
+)
+def test_a_setpoint_whose_rate_jumps_does_not_make_spikes_of_the_commands(control, times, angles):
+    # A reference whose rate jumped with the setpoint's moved the commands by 27 to 550 deg within a tick.
+    trajectory = follow(control, QUIET, times, angles)
+    commands = np.degrees([trajectory["command_biceps"], trajectory["command_triceps"]])
+    if control != "feedback-linearisation" or angles[2] == 30.0:  # its jerk has only the limit of the drives' rate
+        assert np.abs(np.diff(commands)).max() < 25.0
+    assert np.abs(np.degrees(trajectory["angle"] - trajectory["setpoint"])).max() < 12.0
+    expected = replay_loop(QUIET, trajectory, control)
+    for name, values in expected.items():
+        np.testing.assert_allclose(trajectory[name], values, rtol=0.0, atol=tolerance(control), err_msg=name)
+
+
+def test_a_very_steep_setpoint_is_followed_as_a_jump_is():
+    # One tick of 63 rad/s; more than 100 rad/s are a jump.
+    steep = follow("co-rotation", QUIET, [0.0, 0.5, 0.5025, 2.0], [0.0, 0.0, 9.0, 9.0])
+    move = [{"time": 0.5025, "angle_deg": 9.0, "duration": 0.0}]
+    jump = record(start("co-rotation", QUIET, moves=move, wave=None, pushes=[]), 800)
+    np.testing.assert_allclose(np.degrees(steep["angle"]), np.degrees(jump["angle"]), rtol=0.0, atol=0.6)
 
 
 @pytest.mark.parametrize("control", LOOPS)
