@@ -99,6 +99,9 @@ PARAMETERS = record(
 )
 """What the kernel reads of a profile and the control mode."""
 
+STRING_FORCES = ("taut_force", "least_tension")
+"""Gains that have to be less than the largest force of a spring."""
+
 _GAINS = sorted({name for _, group in Loops() for name, _ in group} - {"reference", "sources"})
 _REFERENCES = {
     "minimum-jerk": reference_motion.MINIMUM_JERK,
@@ -390,7 +393,7 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
 
 def _check_forces(gains: Group, tables: SpringTables, control: Control) -> None:
     """Raise an AmulettError if the springs do not reach a string force that a loop needs."""
-    for name in ("taut_force", "least_tension"):
+    for name in STRING_FORCES:
         force = getattr(gains, name, 0.0)
         if force >= tables.max_force:
             raise AmulettError(

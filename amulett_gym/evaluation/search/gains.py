@@ -24,9 +24,10 @@ from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.errors import AmulettError
 from amulett_gym.gains import Following, Loops, group_name
 from amulett_gym.laws.parametric import Parameter, Space
+from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.settings import Group, merge
-from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.simulation.layout import LOOPS, STRING_FORCES
 from amulett_gym.storage.safe_yaml import parse_yaml, to_yaml
 
 GAINS = "gains"
@@ -39,6 +40,9 @@ SHAPE = "reference"
 """Name of the gain that is a shape of the reference motion."""
 
 G = TypeVar("G", bound=Group)
+
+MOST_FORCE = 0.9
+"""Largest string force that a loop may need, as a share of what the profile's springs give."""
 
 FACTOR = 30.0
 """A gain is searched from its default over this to its default times this."""
@@ -101,11 +105,14 @@ def gains_of(control: str, profile: Profile, reference: str = "") -> Gains:
         groups = [(("loop", "position"), profile.loop.position), (("loop", "tension"), profile.loop.tension)]
     else:
         raise AmulettError(f"the loop '{control}' takes no tension, with which its gains could be tuned")
+    most = MOST_FORCE * build_tables(profile.spring).max_force
     parameters, places = list[Parameter](), list[tuple[str, ...]]()
     for place, group in groups:
         for name, value in group:
             field = type(group).model_fields[name]
             found = _parameter(name, field, value) if isinstance(value, float) else None
+            if found is not None and name in STRING_FORCES:
+                found = replace(found, high=min(found.high, most), start=min(found.start, most))
             if found is not None:
                 parameters.append(found if control in LOOPS else replace(found, name=f"{place[1]}_{name}"))
                 places.append((*place, name))

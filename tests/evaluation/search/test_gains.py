@@ -15,7 +15,7 @@ from amulett_gym.evaluation.search.laws import Recipe, mean_costs, profile_path,
 from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import Sourced
-from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.simulation.layout import LOOPS, pack_loop
 from amulett_gym.storage.safe_yaml import parse_yaml
 
 TESTBED = load_profile("testbed")
@@ -38,6 +38,7 @@ def test_every_gain_of_every_loop_has_a_range_that_its_group_allows(control):
     for end in (0.0, 0.5, 1.0):
         vector = space.from_unit(np.full(len(space.parameters), end))
         group(**{gain.name: float(value) for gain, value in zip(gains, vector, strict=False)})
+        pack_loop(space.profile(TESTBED, vector), control)  # the device can do it, too
     assert all(gain.low <= gain.start <= gain.high for gain in space.parameters)
     assert (space.to_unit(space.start()) >= 0.0).all() and (space.to_unit(space.start()) <= 1.0).all()
 
