@@ -3,6 +3,8 @@
 A loop reads what the device measures: the joint angle and both sliders, in `s`. Its parameters are `g`
 (`layout.LOOP_PARAMETERS`), its memory `q` (`layout.LOOP_BLOCK`). Which loop runs is asked once for a block, outside the
 lanes. The mathematics of each is in its module of :mod:`amulett_gym.control`.
+
+A tick after late ones advances integrals by one control period, as that of the paper's loop does.
 """
 
 from __future__ import annotations

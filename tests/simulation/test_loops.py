@@ -423,6 +423,15 @@ def test_minimal_motion_does_not_move_the_drives_only_to_soften():
     assert tightened["force_biceps"][-1] == pytest.approx(13.0, abs=0.05)
 
 
+def test_noise_slackens_minimal_motion_slowly_and_not_below_what_is_asked_for():
+    simulation = start("minimal-motion", tension=8.0, moves=[], wave=None, pushes=[])
+    forces = record(simulation, 4000)
+    antagonist = np.minimum(forces["force_biceps"], forces["force_triceps"])
+    assert antagonist.min() > 7.8
+    drifted = antagonist[400:800].mean() - antagonist[1200:1600].mean()  # in two seconds
+    assert 0.05 < drifted < 0.6
+
+
 @pytest.mark.parametrize(
     ("control", "tension", "ise", "settling"),
     [
