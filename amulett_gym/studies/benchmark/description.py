@@ -337,7 +337,7 @@ def quick(description: Benchmark) -> Benchmark:
                 "ppo.critic_steps=null",
             ]
             seeds = entry.seeds[: 1 if auto else QUICK_SEEDS]
-            more = {"seeds": seeds, "best_loop_seeds": entry.best_loop_seeds[:1], "set": [*entry.set, *short]}
+            more = {"seeds": seeds, "best_loop_seeds": entry.best_loop_seeds[:2], "set": [*entry.set, *short]}
             learned[name] = entry.model_copy(update=more)
     return Benchmark.model_validate(
         {

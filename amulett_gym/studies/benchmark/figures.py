@@ -112,7 +112,7 @@ def ratio_figure(found: Content) -> Figure:
         place.replace("/", ", "): {name: numbers["ratio"][YARDSTICK] for name, numbers in results.items()}
         for place, results in found["results"].items()
     }
-    return _ratios(found, rows, (0.2, 1.6))
+    return _ratios(found, rows, (0.0, 2.0) if found["track"] == FULL_CONTROL else (0.2, 1.6))
 
 
 @style.styled
@@ -120,6 +120,15 @@ def families_figure(found: Content) -> Figure:
     """Draw each entry's cost divided by eq. 6's in each family of the headline suite, held-out."""
     rows = {f"{name} ({entry['scenarios']})": entry["ratio_to_eq6"] for name, entry in found["families"].items()}
     return _ratios(found, rows, (0.0, 1.8))
+
+
+def _main_names(found: Content) -> list[str]:
+    """Return the main entries; on *full control* those of a loop one after the other, eq. 6 first."""
+    names = [name for name in found["entries"] if is_main(found, name)]
+    if found["track"] == FULL_CONTROL:
+        loops = list(loop_colours(found))
+        names.sort(key=lambda name: (name != YARDSTICK, loops.index(found["entries"][name]["loop"])))
+    return names
 
 
 def _ratios(found: Content, rows: dict[str, dict[str, Any]], limits: tuple[float, float]) -> Figure:
@@ -136,7 +145,7 @@ def _dots(
 ) -> Figure:
     """Draw a panel for each row with a dot and its interval for each main entry; what lies beyond is an arrow."""
     looks = styles(found)
-    names = [name for name in found["entries"] if is_main(found, name) and any(name in row for row in rows.values())]
+    names = [name for name in _main_names(found) if any(name in row for row in rows.values())]
     figure, panels = style.panel_grid(len(rows), 3, 1.1, 0.55 + 0.2 * len(names), sharex=True, sharey=True)
     for k, (panel, (title, estimates)) in enumerate(zip(panels, rows.items(), strict=True)):
         panel.set_title(title)
@@ -263,12 +272,16 @@ def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Cont
     for law, cost in found["validation"].items():
         for panel in grid:
             panel.axhline(cost, color=looks[law][0], linewidth=1.0, linestyle=":")
-        beside = {"xycoords": ("axes fraction", "data"), "va": "center", "fontsize": 8}
-        grid[1].annotate(label(found, law), (1.01, cost), color=looks[law][0], **beside)
     costs = np.concatenate([run[:, 2] for runs in curves.values() for run in runs])
     lines = list(found["validation"].values())
     top = max([float(np.percentile(costs, 90)), *lines])
-    grid[0].set_ylim(0.97 * min([float(costs.min()), *lines]), 1.03 * top)
+    bottom = 0.97 * min([float(costs.min()), *lines])
+    grid[0].set_ylim(bottom, 1.03 * top)
+    place = -np.inf
+    for law, cost in sorted(found["validation"].items(), key=lambda item: item[1]):
+        place = max(cost, place + 0.035 * (1.03 * top - bottom))  # names of equal costs stand above each other
+        beside = {"xycoords": ("axes fraction", "data"), "va": "center", "fontsize": 8}
+        grid[1].annotate(label(found, law), (1.01, place), color=looks[law][0], **beside)
     for panel in grid:
         panel.set_xlim(left=0.0)
     grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1e6:g}"))
@@ -388,7 +401,7 @@ def resting_figure(found: Content) -> Figure:
     pushed = "hold-push/held-out" if "hold-push/held-out" in found["results"] else headline
     shown = (("resting_stiffness", headline), ("push_deflection", pushed))
     full = found["track"] == FULL_CONTROL
-    names = [name for name in found["entries"] if not full or is_main(found, name)]
+    names = _main_names(found) if full else list(found["entries"])
     looks = styles(found)
     figure, panels = style.panel_grid(2, 2, 0.0, 0.9 + 0.2 * len(names), sharey=True)
     for panel, (key, place) in zip(panels, shown, strict=True):
