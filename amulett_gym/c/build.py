@@ -21,7 +21,7 @@ COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
 
 Blocks = NDArray[np.void]
-Advance = Callable[[Blocks, Blocks, Blocks, layout.Paths | None, layout.Loop | None, int, int], None]
+Advance = Callable[[Blocks, NDArray[np.int64], Blocks, Blocks, layout.Paths | None, layout.Loop | None, int, int], None]
 """Called as `kernel.advance` is."""
 
 
@@ -114,6 +114,7 @@ def build(name: str, folder: Path) -> Advance:
 
     def advance(
         parameters: NDArray[np.void],
+        which: NDArray[np.int64],
         scenarios: NDArray[np.void],
         states: NDArray[np.void],
         paths: layout.Paths | None,
@@ -128,6 +129,8 @@ def build(name: str, folder: Path) -> Advance:
             )
         if loop is not None:
             raise AmulettError("the tick in C has the paper's loop only")
+        if which.any():
+            raise AmulettError("the tick in C has devices of one profile only")
         function(parameters.ctypes.data, scenarios.ctypes.data, states.ctypes.data, num_devices, ticks)
 
     return advance

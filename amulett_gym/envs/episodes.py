@@ -26,8 +26,8 @@ from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import episode_keys, sample
 
-Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.void], NDArray[np.void]]
-"""Parameters, settings, and blocks of scenarios and states."""
+Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
+"""Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
 
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
@@ -75,13 +75,14 @@ class Episodes:
         weighted = prices(self.profile, settings.suite, settings.reward_weights, settings.track)
         self._constants["prices"] = weighted * list(_REWARDED.values())
         simulation = self.simulation
-        self._arrays = simulation.parameters, self._constants, simulation.scenarios, simulation.states
+        blocks = simulation.which, simulation.scenarios, simulation.states
+        self._arrays = simulation.parameters, self._constants, *blocks
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
         self._max_force = simulation.max_force
         masses = self.profile.plant.masses
-        self._bare_inertia = float(inertia([item.mass for item in masses], [item.arm for item in masses]))
+        self._bare_inertia = np.array([inertia([item.mass for item in masses], [item.arm for item in masses])])
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
@@ -200,9 +201,9 @@ class Episodes:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
     def _observe_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
-        parameters, _, scenarios, states = arrays
+        parameters, _, which, scenarios, states = arrays
         first = len(transition.OBSERVATIONS)
-        observe_privileged(parameters, self._bare_inertia, scenarios, states, devices, first, observations)
+        observe_privileged(parameters, which, self._bare_inertia, scenarios, states, devices, first, observations)
 
     def _step_in_threads(
         self,
@@ -212,11 +213,11 @@ class Episodes:
         report: Report,
     ) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
-        parameters, settings, scenarios, states = self._arrays
+        parameters, settings, which, scenarios, states = self._arrays
 
         def step(blocks: slice) -> None:
             rows = slice(blocks.start * LANES, blocks.stop * LANES)
-            arrays = parameters, settings, scenarios[blocks], states[blocks]
+            arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
             paths = self.simulation.paths
             if paths is not None:
                 paths = paths[0], paths[1][blocks]
@@ -250,8 +251,8 @@ class Episodes:
         """Return the report of the given devices' (None: all) present state, shape (len(devices), 39), no reward."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         report = np.empty((devices.size, transition.REPORT_SIZE))
-        parameters, _, scenarios, states = self._arrays
-        transition.report_devices(parameters, scenarios, states, devices, report)
+        parameters, _, which, scenarios, states = self._arrays
+        transition.report_devices(parameters, which, scenarios, states, devices, report)
         return report
 
     def scenario(self, device: int) -> NDArray[np.void]:

@@ -84,18 +84,18 @@ _SLACK = 1e-6  # [s]; a fraction of a control tick
 
 
 @compiled
-def observe_privileged(p, bare_inertia, c_blocks, s_blocks, devices, first, observations):
+def observe_privileged(p, which, bare_inertia, c_blocks, s_blocks, devices, first, observations):
     """Write the given devices' hidden state into their observations, one row each, from the column `first` on.
 
     Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` [kg m2] is the inertia of
-    the profile's arm without a payload.
+    each profile's arm without a payload, `which` the index of each block's profile.
     """
     values = np.empty(_SCALES.size)
     for n in range(devices.size):
         block, i = devices[n] // LANES, np.uint64(devices[n] % LANES)
-        c, s = c_blocks[block], s_blocks[block]
-        time = s.tick[i] * p[0].control_period
-        _write_device(bare_inertia, c, i, values)
+        c, s, own = c_blocks[block], s_blocks[block], which[block]
+        time = s.tick[i] * p[own].control_period
+        _write_device(bare_inertia[own], c, i, values)
         _write_truth(c, s, i, values)
         _write_obstacle(c, s, i, values[_OBSTACLE:])
         _write_pushes(c, i, time, values[_PUSHES:])

@@ -114,24 +114,24 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, c_blocks, s_blocks, paths, loop, means, actions, observations, report):
+def step(p, e, which, c_blocks, s_blocks, paths, loop, means, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row per device.
 
-    `actions` are those for the tension; `means` those for the mean drive angle, or None: then the code for these is not
+    `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
+    tension; `means` those for the mean drive angle, or None: then the code for these is not
     compiled.
     """
     num_devices = actions.shape[0]
-    parameters, settings = p[0], e[0]
     m = np.empty(1, dtype=MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
         first = block * LANES
         end = min(first + LANES, num_devices)
-        c, s = c_blocks[block], s_blocks[block]
-        step_block(parameters, settings, c, s, m, paths, loop, block, first, end, means, actions, observations, report)
+        c, s, own = c_blocks[block], s_blocks[block], which[block]
+        step_block(p[own], e[own], c, s, m, paths, loop, own, block, first, end, means, actions, observations, report)
 
 
 @compiled_in_place
-def step_block(p, e, c, s, m, paths, loop, block, first, end, means, actions, observations, report):
+def step_block(p, e, c, s, m, paths, loop, own, block, first, end, means, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
     for device in range(first, end):
         i = np.uint64(device - first)
@@ -141,7 +141,7 @@ def step_block(p, e, c, s, m, paths, loop, block, first, end, means, actions, ob
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
         terms[0], terms[1], terms[2], terms[3] = costs(e, s, i)
-    advance_block(p, c, s, m, paths, loop, block, end - first, e.ticks)
+    advance_block(p, c, s, m, paths, loop, own, block, end - first, e.ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         s.tension_command[i] = wanted_tension(e, actions[device])  # without the ramp's rounding
@@ -179,20 +179,21 @@ def wanted_mean(e, action):
 
 
 @compiled
-def report_devices(p, c_blocks, s_blocks, devices, report):
+def report_devices(p, which, c_blocks, s_blocks, devices, report):
     """Fill the report of the given devices, one row each; rewards and terms are 0."""
     for row in range(devices.size):
         report[row, :FIRST_READING] = 0.0
         block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
-        write_report(p[0], c_blocks[block], s_blocks[block], i, report[row])
+        write_report(p[which[block]], c_blocks[block], s_blocks[block], i, report[row])
 
 
 @compiled
-def observe_devices(p, e, c_blocks, s_blocks, devices, observations):
+def observe_devices(p, e, which, c_blocks, s_blocks, devices, observations):
     """Fill the observations of the given devices, one row each."""
     for row in range(devices.size):
         block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
-        observe(p[0], e[0], c_blocks[block], s_blocks[block], i, observations[row])
+        own = which[block]
+        observe(p[own], e[own], c_blocks[block], s_blocks[block], i, observations[row])
 
 
 @compiled

@@ -29,11 +29,12 @@ from amulett_gym.simulation.layout import (
 
 
 class Simulation:
-    """Devices with one profile, each in its own scenario.
+    """Devices with one profile or several, each in its own scenario.
 
     Parameters
     ----------
-    profile : Profile
+    profile : Profile or sequence of Profile
+        Of all devices, or those that blocks of `LANES` devices may have (:meth:`assign`).
     num_devices : int
         At least 1.
     control : str
@@ -43,8 +44,12 @@ class Simulation:
 
     Attributes
     ----------
+    profiles : tuple of Profile
     parameters, scenarios, states : ndarray
-        The records that the kernel reads and writes (see :mod:`amulett_gym.simulation.layout`).
+        The records that the kernel reads and writes (see :mod:`amulett_gym.simulation.layout`); `parameters` has one
+        for each profile.
+    which : ndarray of int, shape (blocks,)
+        Index of each block's profile.
     paths : layout.Paths or None
         None unless a device's setpoint is a path.
     loop : layout.Loop or None
@@ -57,38 +62,79 @@ class Simulation:
     """
 
     def __init__(
-        self, profile: Profile, num_devices: int = 1, control: Control = "decentralized", tension_law: str = "agent"
+        self,
+        profile: Profile | Sequence[Profile],
+        num_devices: int = 1,
+        control: Control = "decentralized",
+        tension_law: str = "agent",
     ) -> None:
         if num_devices < 1:
             raise AmulettError(f"num_devices is {num_devices}; at least 1 is needed")
-        self.profile = profile
+        self.profiles = (profile,) if isinstance(profile, Profile) else tuple(profile)
+        if not self.profiles:
+            raise AmulettError("there is no profile; at least 1 is needed")
         self.num_devices = num_devices
         self.control = control
-        self.parameters = pack_parameters(profile, control, tension_law)
+        self.parameters = np.concatenate([pack_parameters(each, control, tension_law) for each in self.profiles])
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
         self.states = zeros(num_blocks, layout.STATE_BLOCK)
+        self.which = np.zeros(num_blocks, dtype=np.int64)
         self.paths: Paths | None = None
         self.loop: Loop | None = None
         if control in (*LOOPS, DRIVES):
-            self.loop = pack_loop(profile, control), zeros(num_blocks, layout.LOOP_BLOCK)
+            gains = np.concatenate([pack_loop(each, control) for each in self.profiles])
+            self.loop = gains, zeros(num_blocks, layout.LOOP_BLOCK)
+
+    @property
+    def profile(self) -> Profile:
+        """The profile of all devices; AmulettError if there are several, as in the next three (see `profile_of`)."""
+        self._check_alike()
+        return self.profiles[0]
 
     @property
     def control_period(self) -> float:
         """Time between two control ticks [s]."""
+        self._check_alike()
         return float(self.parameters["control_period"][0])
 
     @property
     def max_force(self) -> float:
         """Force at which the springs saturate [N]."""
-        return float(look_up(self.parameters["force_table"][0], 1.0))
+        self._check_alike()
+        return max_force(self.parameters[0])
 
     @property
     def max_stiffness(self) -> float:
         """Joint stiffness with both strings at their largest stiffness [N m/rad]."""
-        p = self.parameters[0]
-        slope = steepest_slope(p["force_table"]) * p["inverse_max_deflection"]
-        return float(2.0 * slope * p["joint_radius"] ** 2)
+        self._check_alike()
+        return max_stiffness(self.parameters[0])
+
+    def profile_of(self, device: int) -> Profile:
+        """Return the profile of one device."""
+        return self.profiles[self.which[device // LANES]]
+
+    def parameters_of(self, device: int) -> Any:
+        """Return the record of `parameters` of one device."""
+        return self.parameters[self.which[device // LANES]]
+
+    def assign(self, blocks: NDArray[np.int64] | int, profiles: NDArray[np.int64] | Sequence[int] | int) -> None:
+        """Give blocks of `LANES` devices other profiles; their devices have to be reset afterwards.
+
+        Parameters
+        ----------
+        blocks, profiles : int or ndarray of int, shape (K,)
+            Indices of blocks, and into `profiles`.
+
+        Raises
+        ------
+        AmulettError
+            If there is no such profile.
+        """
+        indices = np.asarray(profiles)
+        if not ((indices >= 0) & (indices < len(self.profiles))).all():
+            raise AmulettError(f"the profiles' indices are {profiles}; allowed are 0 to {len(self.profiles) - 1}")
+        self.which[blocks] = indices
 
     def reset(
         self,
@@ -113,7 +159,7 @@ class Simulation:
             If an initial posture needs a string force or a drive angle out of range, or a scenario's path is missing.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
-        self._check_posture(scenarios)
+        self._check_posture(scenarios, self.which[devices // LANES])
         lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
         if ((lengths > 0) != (scenarios["move_count"] == layout.ON_PATH)).any():
             raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")
@@ -122,7 +168,8 @@ class Simulation:
         for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
             own[block, :, lane] = new[..., 0]
         words(self.states, LANES)[0][block, :, lane] = 0
-        kernel.settle(self.parameters, self.scenarios, self.states, self.paths, self.loop, devices)
+        blocks = self.which, self.scenarios, self.states
+        kernel.settle(self.parameters, *blocks, self.paths, self.loop, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until the next call.
@@ -155,8 +202,9 @@ class Simulation:
         self.loop[1]["mean_rate"][block, lane] = 0.0
 
     def advance(self, ticks: int) -> None:
-        """Simulate a number of control ticks."""
-        kernel.advance(self.parameters, self.scenarios, self.states, self.paths, self.loop, self.num_devices, ticks)
+        """Simulate a number of control ticks, of each device's own control period."""
+        blocks = self.which, self.scenarios, self.states
+        kernel.advance(self.parameters, *blocks, self.paths, self.loop, self.num_devices, ticks)
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
@@ -172,7 +220,9 @@ class Simulation:
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""
-        memory = {} if self.loop is None else {"loop": self.loop[1].copy(), "control": self.control}
+        memory: dict[str, Any] = {} if self.loop is None else {"loop": self.loop[1].copy(), "control": self.control}
+        if len(self.profiles) > 1:
+            memory |= {"profiles": self._names, "which": self.which.copy()}
         return {
             "scenarios": self.scenarios.copy(),
             "states": self.states.copy(),
@@ -181,13 +231,20 @@ class Simulation:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Restore a snapshot taken by `get_state` from a simulation of the same size and loop; else AmulettError."""
+        """Restore a snapshot of `get_state`; AmulettError if it is of another size, loop or other profiles."""
         if state["states"].shape != self.states.shape:
             raise AmulettError(
                 f"the snapshot holds {state['states'].size} blocks of devices; this simulation has {self.states.size}"
             )
         if (found := state.get("control", CONTROLS[0])) != (self.control if self.loop is not None else CONTROLS[0]):
             raise AmulettError(f"the snapshot is of the loop '{found}'; this simulation has '{self.control}'")
+        names = self._names if len(self.profiles) > 1 else None
+        if (found := state.get("profiles")) != names:
+            raise AmulettError(
+                f"the snapshot's devices are {_listed(found)}; those of this simulation are {_listed(names)}"
+            )
+        if names is not None:
+            self.which[...] = state["which"]
         self.scenarios[...] = state["scenarios"]
         self.states[...] = state["states"]
         self.paths = deepcopy(state["paths"])
@@ -217,38 +274,76 @@ class Simulation:
             places["first"][block, lane] = np.cumsum(lengths) - lengths
             self.paths = np.concatenate(list(found.values())), places
 
-    def _check_posture(self, scenarios: NDArray[np.void]) -> None:
-        """Refuse a start that the strings cannot hold or the drives cannot reach."""
-        p = self.parameters[0]
+    @property
+    def _names(self) -> list[str]:
+        return [profile.name for profile in self.profiles]
+
+    def _check_alike(self) -> None:
+        if len(self.profiles) > 1:
+            raise AmulettError(
+                f"the devices have {len(self.profiles)} profiles; ask for one device's: profile_of or parameters_of"
+            )
+
+    def _check_posture(self, scenarios: NDArray[np.void], which: NDArray[np.int64]) -> None:
+        """Refuse a start that the strings cannot hold or the drives cannot reach; `which` are the profiles' indices."""
+
+        def own(name: str) -> NDArray[np.float64]:
+            return np.asarray(self.parameters[name][which])
+
         angle, tension = scenarios["initial_angle"], scenarios["initial_tension"]
         side = scenarios["obstacle_side"]
         depth = np.maximum(side * (angle - scenarios["obstacle_angle"]), 0.0)
         contact = side * scenarios["obstacle_stiffness"] * depth
-        needed = (scenarios["static_torque"] * np.sin(angle) + contact) / p["joint_radius"]
-        biceps_is_agonist = needed >= 0 if p["fixed_agonist"] == 0 else np.full(needed.shape, p["fixed_agonist"] > 0)
-        if p["tension_loop"]:
+        needed = (scenarios["static_torque"] * np.sin(angle) + contact) / own("joint_radius")
+        fixed = own("fixed_agonist")
+        biceps_is_agonist = np.where(fixed == 0, needed >= 0, fixed > 0)
+        tension_loop = bool(self.parameters["tension_loop"][0])  # a batch has one loop
+        if tension_loop:
             agonist = tension + np.where(biceps_is_agonist, needed, -needed)
         else:
             agonist, tension = np.abs(needed), np.zeros_like(tension)
         # Forces of the profile's springs at the same deflection.
         weakest = np.minimum(scenarios["spring_biceps_factor"], scenarios["spring_triceps_factor"])
         most, least = np.maximum(agonist, tension) / weakest, np.minimum(agonist, tension)
-        if (most > self.max_force).any() or (least < 0).any():
-            worst = int(np.argmax(np.maximum(most - self.max_force, -least)))
-            force = most[worst] if most[worst] > self.max_force else least[worst]
+        kinds, places = np.unique(which, return_inverse=True)
+        limits = np.array([max_force(self.parameters[kind]) for kind in kinds])
+        limit = limits[places]
+        if (most > limit).any() or (least < 0).any():
+            worst = int(np.argmax(np.maximum(most - limit, -least)))
+            force = most[worst] if most[worst] > limit[worst] else least[worst]
             raise AmulettError(
                 f"scenario {worst} starts with a string force of {force:.2f} N (its tension and the load of weight "
-                f"and contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {self.max_force:.2f} N"
+                f"and contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {limit[worst]:.2f} N"
             )
-        stretch = p["position_only_offset"] * p["drive_radius"]
-        if p["tension_loop"]:
-            forces = np.append(p["force_table"][:, 0], self.max_force)
-            stretch = np.interp(most, forces, np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size))
+        stretch = own("position_only_offset") * own("drive_radius")
+        if tension_loop:
+            stretch = np.empty(len(scenarios))
+            for place, (kind, strongest) in enumerate(zip(kinds, limits, strict=True)):
+                p, rows = self.parameters[kind], places == place
+                forces = np.append(p["force_table"][:, 0], strongest)
+                table = np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size)
+                stretch[rows] = np.interp(most[rows], forces, table)
         smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
-        turn = (np.abs(angle) * p["joint_radius"] + stretch) / (smallest * p["drive_radius"])
-        if (turn > p["command_limit"]).any():
-            worst = int(np.argmax(turn))
+        turn = (np.abs(angle) * own("joint_radius") + stretch) / (smallest * own("drive_radius"))
+        limit = own("command_limit")
+        if (turn > limit).any():
+            worst = int(np.argmax(turn - limit))
             raise AmulettError(
                 f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
-                f"command_limit_deg is {np.degrees(p['command_limit']):.1f}"
+                f"command_limit_deg is {np.degrees(limit[worst]):.1f}"
             )
+
+
+def max_force(parameters: Any) -> float:
+    """Return the force at which the springs of a record of `layout.PARAMETERS` saturate [N]."""
+    return float(look_up(parameters["force_table"], 1.0))
+
+
+def max_stiffness(parameters: Any) -> float:
+    """Return the joint stiffness with both strings at their largest stiffness [N m/rad], by `layout.PARAMETERS`."""
+    slope = steepest_slope(parameters["force_table"]) * parameters["inverse_max_deflection"]
+    return float(2.0 * slope * parameters["joint_radius"] ** 2)
+
+
+def _listed(names: Sequence[str] | None) -> str:
+    return "of one profile" if names is None else ", ".join(names)

@@ -38,28 +38,28 @@ TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must n
 
 
 @compiled
-def advance(p, c_blocks, s_blocks, paths, loop, num_devices, ticks):
+def advance(p, which, c_blocks, s_blocks, paths, loop, num_devices, ticks):
     """Advance all devices by a number of control ticks; a device that failed keeps its state.
 
-    `paths` is `layout.Paths`, or None: then the code for paths is not compiled. `loop` is `layout.Loop`, or None: then
-    the paper's loop runs, and the code for others is not compiled.
+    `which` holds the index of each block's profile, into `p` and the gains of `loop`. `paths` is `layout.Paths`, or
+    None: then the code for paths is not compiled. `loop` is `layout.Loop`, or None: then the paper's loop runs, and the
+    code for others is not compiled.
     """
-    parameters = p[0]
     m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
     for block in range(s_blocks.shape[0]):
-        lanes = min(layout.LANES, num_devices - block * layout.LANES)
-        advance_block(parameters, c_blocks[block], s_blocks[block], m, paths, loop, block, lanes, ticks)
+        lanes, own = min(layout.LANES, num_devices - block * layout.LANES), which[block]
+        advance_block(p[own], c_blocks[block], s_blocks[block], m, paths, loop, own, block, lanes, ticks)
 
 
 @compiled_in_place
-def advance_block(p, c, s, m, paths, loop, block, lanes, ticks):
-    """Advance the devices in a block's first lanes by a number of control ticks."""
+def advance_block(p, c, s, m, paths, loop, own, block, lanes, ticks):
+    """Advance the devices in a block's first lanes by a number of control ticks; `own` is its profile's index."""
     for _ in range(ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
             # Unsigned: numba checks whether a signed index is negative, lane by lane.
-            tick(p, c, s, m, paths, loop, block, np.uint64(first), np.uint64(end))
+            tick(p, c, s, m, paths, loop, own, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
 
@@ -73,15 +73,15 @@ def next_failed(s, first, lanes):
 
 
 @compiled_in_place
-def tick(p, c, s, m, paths, loop, block, first, end):
+def tick(p, c, s, m, paths, loop, own, block, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     start_counting(p, c, s, m, first, end)
     lane = first
     while lane < end:
         late = next_late(c, s, lane, end)
-        act(p, s, m, loop, block, lane, late)
+        act(p, s, m, loop, own, block, lane, late)
         lane = late + np.uint64(1)
-    predict(s, loop, block, first, end)
+    predict(s, loop, own, block, first, end)
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
     h = p.control_period / p.substeps  # of the classical Runge-Kutta method
@@ -116,12 +116,12 @@ def next_late(c, s, first, end):
 
 
 @compiled
-def act(p, s, m, loop, block, first, end):
+def act(p, s, m, loop, own, block, first, end):
     """Stage 1: command the drives from the sensor readings."""
     if loop is None:
         run_paper_loop(p, s, m, first, end)
     else:
-        run_loop(p, loop[0][0], s, loop[1][block], m, first, end)
+        run_loop(p, loop[0][own], s, loop[1][block], m, first, end)
 
 
 @compiled_lanes
@@ -132,10 +132,10 @@ def run_paper_loop(p, s, m, first, end):
 
 
 @compiled
-def predict(s, loop, block, first, end):
+def predict(s, loop, own, block, first, end):
     """Advance the drives' model within a loop that has one, late ticks included, to the end of the tick."""
     if loop is not None:
-        predict_drives(loop[0][0], s, loop[1][block], first, end)
+        predict_drives(loop[0][own], s, loop[1][block], first, end)
 
 
 @compiled_lanes
@@ -639,13 +639,13 @@ def track_step(p, c, s, m, i):
 
 
 @compiled
-def settle(p, c_blocks, s_blocks, paths, loop, devices):
+def settle(p, which, c_blocks, s_blocks, paths, loop, devices):
     """Reset the given devices, at rest at their initial angle with their initial tension."""
-    parameters = p[0]
     for device in devices:
         # Unsigned as in a tick, so that nothing is compiled twice.
         block, i = device // layout.LANES, np.uint64(device % layout.LANES)
-        c, s = c_blocks[block], s_blocks[block]
+        c, s, own = c_blocks[block], s_blocks[block], which[block]
+        parameters = p[own]
         settle_strings(parameters, c, s, i)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
         read_sensors(parameters, c, s, i)
@@ -659,14 +659,14 @@ def settle(p, c_blocks, s_blocks, paths, loop, devices):
         find_setpoints(parameters, c, s, paths, block, i, i + np.uint64(1))
         if c.wave_amplitude[i] > 0.0:
             add_wave(parameters, c, s, i)
-        begin(parameters, c, s, loop, block, i)
+        begin(parameters, c, s, loop, own, block, i)
 
 
 @compiled
-def begin(p, c, s, loop, block, i):
+def begin(p, c, s, loop, own, block, i):
     """Set the memory of a loop that is not the paper's."""
     if loop is not None:
-        begin_loop(p, loop[0][0], c, s, loop[1][block], i)
+        begin_loop(p, loop[0][own], c, s, loop[1][block], i)
 
 
 @compiled

@@ -244,7 +244,7 @@ LOOP_BLOCK = _block(
 """The memory of loops that are not the paper's."""
 
 Loop = tuple[NDArray[np.void], NDArray[np.void]]
-"""`LOOP_PARAMETERS`, shape (1,), and blocks of `LOOP_BLOCK`."""
+"""`LOOP_PARAMETERS` of each profile, and blocks of `LOOP_BLOCK`."""
 
 MOTION_BLOCK = _block(
     _fields("counting push angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")

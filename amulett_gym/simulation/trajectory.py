@@ -114,12 +114,13 @@ def record(
         for name, view in live.items():
             signals[name][row] = view
     signals["joint_stiffness"] = recorded_stiffness(
-        simulation.parameters[0],
+        simulation.parameters_of(device),
         simulation.scenarios[block],
         lane,
         *(signals[name] for name in ("angle", "drive_biceps", "drive_triceps")),
     )
-    return Trajectory(simulation.profile.name, simulation.control_period, signals)
+    period = float(simulation.parameters_of(device)["control_period"])
+    return Trajectory(simulation.profile_of(device).name, period, signals)
 
 
 def write_csv(trajectory: Trajectory | Mapping[str, Trajectory], path: str | Path) -> None:

@@ -184,7 +184,14 @@ def test_the_tick_in_c_refuses_a_path(tmp_path):
     simulation = start(TESTBED, LOG)
     with pytest.raises(AmulettError, match="no sampled setpoint and at most 10 moves"):
         build("scalar", tmp_path)(
-            simulation.parameters, simulation.scenarios, simulation.states, simulation.paths, None, 1, 1
+            simulation.parameters,
+            simulation.which,
+            simulation.scenarios,
+            simulation.states,
+            simulation.paths,
+            None,
+            1,
+            1,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from amulett_gym.envs.episodes import Episodes
+from amulett_gym.simulation.batch import max_force, max_stiffness
 from amulett_gym.simulation.kernel import joint_stiffness, stretch_biceps, stretch_triceps
 from amulett_gym.simulation.layout import FAILURES, LANES
 
@@ -54,7 +55,7 @@ _COPIED = (
 def frame_of(episodes: Episodes, device: int) -> Frame:
     """Return the frame of one device's present state."""
     simulation, scenario = episodes.simulation, episodes.scenario(device)
-    parameters = simulation.parameters[0]
+    parameters = simulation.parameters_of(device)
     block, lane = divmod(int(device), LANES)
     own = parameters, simulation.scenarios[block], lane
 
@@ -67,7 +68,7 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
     controls_tension = bool(parameters["tension_loop"])
     return Frame(
         **copied,
-        time=state("tick") * simulation.control_period,
+        time=state("tick") * float(parameters["control_period"]),
         joint_angle=angle,
         tension_setpoint=state("tension_setpoint") if controls_tension else None,
         agonist=state("agonist") if controls_tension else None,
@@ -75,9 +76,9 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
         deflection_triceps=reach * stretch_triceps(*own, triceps, angle),
         joint_radius=float(parameters["joint_radius"]),
         drive_radius=float(parameters["drive_radius"]),
-        max_force=simulation.max_force,
+        max_force=max_force(parameters),
         joint_stiffness=joint_stiffness(*own, angle, biceps, triceps),
-        max_stiffness=simulation.max_stiffness,
+        max_stiffness=max_stiffness(parameters),
         obstacle_angle=float(scenario["obstacle_angle"]) if scenario["obstacle_stiffness"] > 0 else None,
         obstacle_side=float(scenario["obstacle_side"]),
         payload_mass=float(scenario["payload_mass"]),

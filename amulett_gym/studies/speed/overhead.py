@@ -92,7 +92,7 @@ def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Ove
     state, simulation = env.get_state(), env.episodes.simulation
     ticks = round(env.episodes.agent_period / simulation.control_period)
     advance: Callable[..., None] = kernel.advance
-    blocks = simulation.parameters, simulation.scenarios, simulation.states
+    blocks = simulation.parameters, simulation.which, simulation.scenarios, simulation.states
     arrays = *blocks, simulation.paths, simulation.loop, simulation.num_devices
 
     def turn(call: Callable[[], object]) -> Turn:
