@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import Any, TypeVar
 
@@ -36,7 +35,7 @@ def in_processes(
     calls : dict
         Name -> arguments of `work`, which can be pickled.
     processes : int
-        Most processes at a time. They end with this generator, and with this process.
+        Most processes at a time. They end with this generator, and with this process, which alone receives Ctrl-C.
     watch : callable
         Called with the number of units by which all calls advanced since the last time.
     """
@@ -44,11 +43,11 @@ def in_processes(
         return
     context = get_context("spawn")
     units, seen = context.Value("q", 0), 0
-    workers, begin = min(processes, len(calls)), (os.getpid(), units)
-    with ProcessPoolExecutor(workers, context, initializer=_begin, initargs=begin) as pool:
-        with _ctrl_c_later():  # inherited by the workers, which the parent ends
-            waiting = {pool.submit(work, *arguments): name for name, arguments in calls.items()}
+    before = set(active_children())
+    with ProcessPoolExecutor(min(processes, len(calls)), context, initializer=_begin, initargs=(units,)) as pool:
         try:
+            with _ctrl_c_later():  # inherited by the workers, which the parent ends
+                waiting = {pool.submit(work, *arguments): name for name, arguments in calls.items()}
             while waiting:
                 done, _ = wait(waiting, _BETWEEN, FIRST_COMPLETED)
                 now = units.value
@@ -58,7 +57,7 @@ def in_processes(
                     yield waiting.pop(future), future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            for worker in active_children():  # otherwise they finish their calls first
+            for worker in set(active_children()) - before:  # otherwise they finish their calls first
                 worker.terminate()
             raise
 
@@ -82,14 +81,15 @@ def _ctrl_c_later() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(parent: int, units: Any) -> None:
+def _begin(units: Any) -> None:
     """Begin a worker: end it when its parent ends, since a parent that was killed cannot do that."""
     global _progress
     _progress = units
+    Thread(target=_end_with_parent, daemon=True).start()
 
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
         os._exit(1)
-
-    Thread(target=watch, daemon=True).start()
