@@ -1,4 +1,4 @@
-"""The reference motion: the setpoint, whose jumps become smooth motions, and the jumps of its rate with them.
+"""The reference motion: the setpoint, whose jumps become smooth motions.
 
 A *minimum-jerk* motion (Flash and Hogan, 1985) is the smoothest for the joint. The answer of a *critically damped*
 second-order filter, or of a *first-order* one, needs less motion of the drives for the same position ISE: the integrals

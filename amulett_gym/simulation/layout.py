@@ -228,7 +228,7 @@ SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
 PLACE_BLOCK = _block([("first", "i8"), ("count", "i8")])
 LOOP_BLOCK = _block(
     # the reference motion, and the offset of the setpoint that is left of the last jump, as it was at `jump_time`
-    _fields("reference reference_rate reference_acceleration setpoint_acceleration setpoint_rate_jump")
+    _fields("reference reference_rate reference_acceleration setpoint_acceleration")
     + _fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
     # what the loop knows of joint and drives
     + _fields("velocity last_angle model_biceps model_triceps")

@@ -110,19 +110,16 @@ def prepare(p, g, s, q, m, first, end):
 
 @compiled
 def note_setpoint(p, g, s, q, i):
-    """Read setpoint and joint angle, and add to the setpoint's jump, and that of its rate, what is too fast."""
+    """Read the setpoint and the joint angle, and add to the setpoint's jump what is too fast for a motion."""
     time = s.tick[i] * p.control_period
     elapsed = max(time - q.last_time[i], p.control_period)  # more than a period after late ticks
     moved = s.setpoint[i] - q.last_setpoint[i] - s.setpoint_jump[i]
     jumps = abs(moved) > FASTEST * elapsed
     s.setpoint_jump[i] += choose(jumps, moved, 0.0)
-    moved = choose(jumps, 0.0, moved)
-    setpoint_rate = moved / elapsed
+    setpoint_rate = choose(jumps, 0.0, moved) / elapsed
     acceleration = (setpoint_rate - q.last_rate[i]) / elapsed
-    # Where the springs cannot give the acceleration, the rate jumps: a motion of the reference smooths it.
+    # Where the springs cannot give it, the rate jumps (corners, coarse samples): no torque is fed forward for that.
     kinks = abs(acceleration) * g.inertia > g.max_force * p.joint_radius
-    s.setpoint_jump[i] += choose(kinks, moved - q.last_rate[i] * elapsed, 0.0)
-    q.setpoint_rate_jump[i] = choose(kinks, setpoint_rate - q.last_rate[i], 0.0)
     q.setpoint_acceleration[i] = choose(kinks, 0.0, acceleration)
     q.velocity[i] = filtered_derivative(
         q.velocity[i], s.measured_angle[i] - q.last_angle[i], 1.0, g.velocity_filter, elapsed
@@ -134,15 +131,13 @@ def note_setpoint(p, g, s, q, i):
 
 @compiled_lanes
 def begin_motions(g, s, q, first, end):
-    """Begin a motion of the reference where setpoint or rate have jumped: rarely, so that a branch is faster."""
+    """Begin a motion of the reference where the setpoint has jumped: rarely, so that a branch is faster."""
     for i in range(first, end):
-        if s.setpoint_jump[i] != 0.0 or q.setpoint_rate_jump[i] != 0.0:
+        if s.setpoint_jump[i] != 0.0:
             begun = q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i]
             since = q.last_time[i] - q.jump_time[i]
             offset, rate, acceleration = remaining_offset(g.reference_shape, *begun, since, g.reference_time)
-            q.jump_offset[i], q.jump_rate[i] = offset - s.setpoint_jump[i], rate - q.setpoint_rate_jump[i]
-            # A steep part of the setpoint is a jump: what a motion accelerated meanwhile would take it too far.
-            q.jump_acceleration[i] = acceleration if q.setpoint_rate_jump[i] == 0.0 else 0.0
+            q.jump_offset[i], q.jump_rate[i], q.jump_acceleration[i] = offset - s.setpoint_jump[i], rate, acceleration
             q.jump_time[i] = q.last_time[i]
             s.setpoint_jump[i] = 0.0
 

@@ -208,7 +208,7 @@ class Device:
 
 
 class ReferenceMotion:
-    """The setpoint, whose jumps, and those of its rate, become smooth motions."""
+    """The setpoint, whose jumps become smooth motions."""
 
     def __init__(self, shape: str, duration: float, start: float, fastest: float) -> None:
         self.shape, self.duration, self.last, self.last_rate = shape, duration, start, 0.0
@@ -222,13 +222,12 @@ class ReferenceMotion:
         if abs(moved) > 100.0 * elapsed:
             jump, moved = jump + moved, 0.0
         setpoint_rate = moved / elapsed
-        change, rate_jump = (setpoint_rate - self.last_rate) / elapsed, 0.0
-        if abs(change) > self.fastest:  # as if the setpoint had gone on, and then jumped with its rate
-            jump, rate_jump, change = jump + moved - self.last_rate * elapsed, setpoint_rate - self.last_rate, 0.0
-        if jump != 0.0 or rate_jump != 0.0:
+        change = (setpoint_rate - self.last_rate) / elapsed
+        if abs(change) > self.fastest:
+            change = 0.0
+        if jump != 0.0:
             offset, rate, acceleration, _ = self._offset(time)
-            kept = acceleration if rate_jump == 0.0 else 0.0
-            self.begin, self.begun = time, (offset - jump, rate - rate_jump, kept)
+            self.begin, self.begun = time, (offset - jump, rate, acceleration)
             self.polynomial = self._way_to_zero(*self.begun)
         offset, rate, acceleration, jerk = self._offset(time)
         self.last, self.last_rate = setpoint, setpoint_rate
