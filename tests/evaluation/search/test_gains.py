@@ -1,6 +1,7 @@
 """Gains of a loop are tuned in their own ranges, with as many episodes for each loop, into a profile."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -251,3 +252,14 @@ def test_several_loops_are_tuned_into_one_profile_in_any_number_of_processes(tmp
     )
     assert profile_path(tmp_path / "two").read_text() == profile_path(tmp_path / "one").read_text()
     assert both.loop == paper.loop != TESTBED.loop and both.loops == other.loops != TESTBED.loops
+
+
+@pytest.mark.parametrize(
+    ("control", "tension", "cost"), [("decentralized", 12.01, 0.5859), ("computed-torque", 8.68, 0.5651)]
+)
+def test_the_gains_that_the_benchmark_of_loops_uses_have_their_cost(control, tension, cost):
+    profile = load_profile(Path(__file__).parents[3] / "configs" / "full_control" / "testbed.yaml")
+    played = Trials(Protocol(profile, "mixed", "validation", episodes=200), control, track=FULL_CONTROL)
+    scenarios = np.arange(200)
+    found = played.control_costs(scenarios, held(np.full(scenarios.size, tension), played.tension_range)).mean()
+    assert found == pytest.approx(cost, rel=2e-3)
