@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from amulett_gym.envs.reward import divisors
+from amulett_gym.envs.prices import divisors
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile, profile_names
 from amulett_gym.settings import SOURCES, Sourced, merge
@@ -51,7 +51,7 @@ def test_measured_curve_is_found_beside_the_profile(tmp_path: Path):
     assert load_profile(in_python).spring.measured_curve == curve
 
 
-def test_a_name_alone_does_not_give_a_devices_divisors():
+def test_a_name_alone_does_not_make_a_device():
     simulation, testbed = load_profile("simulation"), load_profile("testbed")
     assert (simulation.root, testbed.root) == ("simulation", "testbed")
     named = load_profile({"name": "testbed", "base": "simulation"})

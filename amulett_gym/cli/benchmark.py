@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     profile = load_profile_of(description, recipes)
     own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle, arguments.places)
     copies = copy_policies(arguments.policies, arguments.places)
-    print_remarks(device_remarks(profile, loops=description.loops or [PAPERS]))
+    print_remarks(device_remarks(profile, loops=description.loops or [PAPERS], suite=description.headline))
     options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
     words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)

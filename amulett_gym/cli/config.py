@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Validate; an error names the key."""
+    from amulett_gym.envs.settings import Settings
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import Profile
     from amulett_gym.simulation.layout import CONTROLS
@@ -52,7 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.control not in CONTROLS:
         raise unknown("control", arguments.control, CONTROLS)
     found = validate(arguments.file)
-    remarks = device_remarks(found.content, loops=(arguments.control,)) if isinstance(found.content, Profile) else []
+    remarks = []
+    if isinstance(found.content, Profile):
+        suite = Settings.model_fields["suite"].default
+        remarks = device_remarks(found.content, loops=(arguments.control,), suite=suite)
     print_remarks(remarks)
     if arguments.json:
         content = {"kind": found.kind, "name": found.name, "remarks": remarks, "content": found.content}

@@ -66,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
     protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
     names = list(dict.fromkeys(arguments.policy))
     contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
-    remarks = device_remarks(protocol.profile, names, loops=loops_of(contenders)) + loop_remarks(contenders)
+    remarks = device_remarks(protocol.profile, names, loops=loops_of(contenders), suite=protocol.suite)
+    remarks += loop_remarks(contenders)
     print_remarks(remarks)
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
     mode = "human" if arguments.video is None else "rgb_array"

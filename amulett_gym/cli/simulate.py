@@ -64,7 +64,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     names = list(dict.fromkeys(arguments.law))
     contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
-    remarks = device_remarks(profile, names, loops=loops_of(contenders)) + loop_remarks(contenders)
+    remarks = device_remarks(profile, names, loops=loops_of(contenders), suite=arguments.suite)
+    remarks += loop_remarks(contenders)
     print_remarks(remarks)
     with Progress(math.ceil(arguments.duration) * len(contenders), "simulate", "s") as bar:
         played = [record_episode(each, protocol, arguments.scenario, bar.update) for each in contenders]

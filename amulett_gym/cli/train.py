@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         # Amulett/Drives-v0 has no loop; its default one is the paper's.
         tensions = TENSION_RANGE if config.env.id == DRIVES_ID else tuple(config.env.tension_range)
         device, loops = load_profile(config.env.profile), (config.env.control,)
-        print_remarks(device_remarks(device, tension_range=tensions, loops=loops))
+        print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:

@@ -80,7 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
         for recipe in recipes:
             check_shippable(recipe)
     show, words = printer(arguments), _command(arguments)
-    print_remarks(device_remarks(recipes[0].device(), loops=tuple(recipe.control for recipe in recipes)))
+    loops = tuple(recipe.control for recipe in recipes)
+    print_remarks(device_remarks(recipes[0].device(), loops=loops, suite=recipes[0].suite))
     try:
         contents = tune_in(arguments.out, recipes, words, show, arguments.processes)
     except KeyboardInterrupt:

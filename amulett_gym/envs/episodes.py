@@ -12,19 +12,20 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition
+from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
-from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward, prices
+from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import DRIVES, LANES, MAX_MOVES, RUNNING, Loop, Paths
+from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Loop, Paths
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
-from amulett_gym.tasks.suites import episode_keys, sample
+from amulett_gym.tasks.suites import episode_keys, families_of, sample
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
 """Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
@@ -72,8 +73,8 @@ class Episodes:
         self._constants["observation_noise"] = settings.observation_noise
         self._constants["horizon"] = settings.failure_horizon
         self._constants["full_control"] = settings.track == FULL_CONTROL
-        weighted = prices(self.profile, settings.suite, settings.reward_weights, settings.track)
-        self._constants["prices"] = weighted * list(_REWARDED.values())
+        self._constants["prices"] = np.nan
+        self._set_prices([FAMILIES.index(family) for family in families_of(settings.suite)])
         simulation = self.simulation
         blocks = simulation.which, simulation.scenarios, simulation.states
         self._arrays = simulation.parameters, self._constants, *blocks
@@ -282,8 +283,18 @@ class Episodes:
                 f"a snapshot of {count} device{'s' * (count > 1)} does not fit: this environment has {here}"
             )
         self.simulation.set_state(state["simulation"])
+        self._set_prices(self.simulation.scenarios["family"])
         for name, array in self._state.items():
             array[...] = state[name]
+
+    def _set_prices(self, families: ArrayLike) -> None:
+        """Set the prices of families, by their index, that have none yet: what nothing needs is not measured."""
+        table, settings = self._constants["prices"][0], self.settings
+        missing = np.unique(families)
+        missing = missing[np.isnan(table[missing, 0])]
+        if missing.size:
+            found = prices(self.profile, settings.suite, settings.reward_weights, settings.track, missing)
+            table[missing] = found * list(_REWARDED.values())
 
     @property
     def _state(self) -> dict[str, NDArray[Any]]:
@@ -301,6 +312,7 @@ class Episodes:
         rows = np.concatenate([pack(scenario, self.profile) for scenario in loaded])
         drawn = np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
+        self._set_prices(rows["family"])
         return rows, [pack_path(scenario) for scenario in loaded]
 
 

@@ -1,26 +1,18 @@
 """The reward: minus the cost of an agent step, in units of eq. 6's cost of a whole episode of the same family.
 
 Costs of families differ by a factor of 100 and more: holding against pushes costs far less than stepping. So each
-scenario of a mix uses its own family's divisors, and all families have the same weight.
-
-The divisors are versioned data, fixed before any training: the mean cost of eq. 6 (`text`, inside the loop) over 400
-training scenarios of 10 s, or about 400 per family. ``python -m amulett_gym.evaluation.divisors`` measures them again.
+scenario of a mix uses its own family's divisors (`envs.prices`), and all families have the same weight.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
-from functools import cache
-from importlib import resources
-from typing import Any, Literal, get_args
+from collections.abc import Callable
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import CONTACT_SUITES
 
 DEFAULT_WEIGHTS = {"position": 0.5, "effort": 0.45, "tension": 0.05, "contact": 0.0}
@@ -51,41 +43,6 @@ COST_CAP = 1.0
 """Largest cost of one agent step: a whole episode of eq. 6. It bounds the cost of a failure."""
 
 
-@cache
-def _frozen() -> dict[str, Any]:
-    return dict(json.loads((resources.files("amulett_gym") / "envs" / "divisors.json").read_text()))
-
-
-def divisors(profile: Profile, suite: str, family: str | None = None, track: Track = SCHEDULE) -> dict[str, float]:
-    """Return eq. 6's mean costs of an episode: position [deg2 s], effort [deg2/s], tension [N2 s], contact [N2 m2 s].
-
-    On the track *full control* the effort is that of the drives' own motion.
-
-    Parameters
-    ----------
-    profile : Profile
-        One of your own uses the divisors of the shipped profile that it is based on; without a base, the testbed's.
-    suite : str
-    family : str, optional
-        Family of a scenario: as the mixed suite draws it, or else as the family's own suite does. None: any scenario of
-        the suite.
-    """
-    measured = _measured(profile, suite, family)
-    found = {term: measured[term] for term in COST_TERMS}
-    return found if track == SCHEDULE else {**found, "effort": measured["drive_effort"]}
-
-
-def _measured(profile: Profile, suite: str, family: str | None) -> dict[str, float]:
-    owner = divisors_owner(profile)
-    in_mixed = _frozen()["divisors_in_mixed"][owner] if suite == "mixed" else {}
-    return dict(in_mixed.get(family) or _frozen()["divisors"][owner][family or suite])
-
-
-def divisors_owner(profile: Profile) -> str:
-    """Return the name of the shipped profile whose divisors a profile uses."""
-    return profile.root if profile.root in _frozen()["divisors"] else "testbed"
-
-
 def default_weights(suite: str, track: Track = SCHEDULE) -> dict[str, float]:
     """Return the default weights of the reward in a suite or family; on *full control* those without the tension."""
     weights = CONTACT_WEIGHTS if suite in CONTACT_SUITES else DEFAULT_WEIGHTS
@@ -93,26 +50,6 @@ def default_weights(suite: str, track: Track = SCHEDULE) -> dict[str, float]:
         return dict(weights)
     total = sum(weights.values()) - weights["tension"]
     return {term: 0.0 if term == "tension" else weight / total for term, weight in weights.items()}
-
-
-def prices(
-    profile: Profile, suite: str, weights: Mapping[str, float] | None = None, track: Track = SCHEDULE
-) -> NDArray[np.float64]:
-    """Return weight / divisor of each family and cost term in an environment of a suite.
-
-    Returns
-    -------
-    ndarray, shape (len(FAMILIES), len(COST_TERMS))
-        One row for each of `simulation.layout.FAMILIES`; per deg2 s, deg2/s, N2 s and N2 m2 s. `weights` replace the
-        families' default weights (`default_weights`). On the track *full control* the divisor of the effort is eq. 6's
-        of the drives' own motion.
-    """
-    table = np.empty((len(FAMILIES), len(COST_TERMS)))
-    for row, family in zip(table, FAMILIES, strict=True):
-        weighed = {**default_weights(family or suite, track), **(weights or {})}
-        divisor = divisors(profile, suite, family, track)
-        row[:] = [weighed[term] / divisor[term] for term in COST_TERMS]
-    return table
 
 
 def check_weights(weights: dict[str, float]) -> dict[str, float]:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import __version__
-from amulett_gym.envs.reward import COST_CAP, default_weights, divisors, divisors_owner
+from amulett_gym.envs.prices import divisors, divisors_are, divisors_owner
+from amulett_gym.envs.reward import COST_CAP, default_weights
 from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS, UNITS
 from amulett_gym.evaluation.runner import YARDSTICK, Results, labels
@@ -64,7 +65,8 @@ def summarise(results: Results) -> Summary:
             "divisors": {
                 family: divisors(protocol.profile, protocol.suite, family, results.track) for family in families
             },
-            "divisors_of": divisors_owner(protocol.profile),
+            "divisors_of": divisors_owner(protocol.profile, protocol.suite),
+            "divisors_are": divisors_are(protocol.profile, protocol.suite),
             "failure": f"{COST_CAP:g} for each agent step left",
         },
         "bootstrap": {"level": LEVEL, "resamples": RESAMPLES, "seed": SEED},

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from amulett_gym.envs.action import action_to_tension
-from amulett_gym.envs.reward import prices
+from amulett_gym.envs.prices import prices
 from amulett_gym.envs.transition import FIRST_METRIC, METRICS
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, load_contender
@@ -111,7 +111,7 @@ def record_episode(
     ended = float(trajectory["time"][-1])
     charge = failure_cost(ended, protocol.duration, protocol.agent_period) if failure else 0.0
     family = int(episodes.scenario(0)["family"])
-    tables = (table(protocol.profile, protocol.suite)[[family]] for table in (prices, control_prices))
+    tables = (table(protocol.profile, protocol.suite, families=[family]) for table in (prices, control_prices))
     values = derive(raw, np.array([charge]), *tables)
     metrics = {metric: float(values[metric][0]) for metric in UNITS if metric in values}
     return Episode(contender.name, trajectory, env.scenario, metrics, failure)

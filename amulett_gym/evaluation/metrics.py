@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, SCHEDULE, prices
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, SCHEDULE
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.words import number
 
@@ -133,16 +134,16 @@ EFFORT_OF = {SCHEDULE: "effort", FULL_CONTROL: "drive_effort"}
 Values = NDArray[np.float64]
 
 
-def control_prices(profile: Profile, suite: str) -> Values:
+def control_prices(profile: Profile, suite: str, families: ArrayLike | None = None) -> Values:
     """Return weight / divisor of each family and term of the full-control cost in a suite.
 
     Returns
     -------
-    ndarray, shape (len(FAMILIES), len(CONTROL_TERMS))
-        One row for each of `simulation.layout.FAMILIES`, of `envs.reward.prices` on the track *full control*; per deg2
-        s, deg2/s and N2 m2 s.
+    ndarray, shape (N, len(CONTROL_TERMS))
+        The rows of `envs.reward.prices` on the track *full control*: one for each of `families`, by default for each
+        of `simulation.layout.FAMILIES`; per deg2 s, deg2/s and N2 m2 s.
     """
-    table = prices(profile, suite, track=FULL_CONTROL)
+    table = prices(profile, suite, track=FULL_CONTROL, families=families)
     return table[:, [COST_TERMS.index(term) for term in CONTROL_TERMS]]
 
 
@@ -171,7 +172,7 @@ def _control_shares(raw: Mapping[str, Values], prices: Values) -> dict[str, Valu
 def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_prices: Values) -> dict[str, Values]:
     """Return all of `METRICS` but ``return``: `raw`, both costs, the cost's terms, failures and effort.
 
-    The cost is the sum of each raw metric times its price: its weight over its frozen divisor, both of the scenario's
+    The cost is the sum of each raw metric times its price: its weight over its divisor, both of the scenario's
     family.
 
     Parameters

@@ -6,7 +6,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.reward import divisors_owner
+from amulett_gym.envs.eq6_costs import eq6_costs
+from amulett_gym.envs.prices import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.laws.contenders import Contender, split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
@@ -22,12 +23,14 @@ def device_remarks(
     tension_range: tuple[float, float] = TENSION_RANGE,
     places: Mapping[str, str | None] | None = None,
     loops: Iterable[Control] = (PAPERS,),
+    suite: str | None = None,
 ) -> list[str]:
     """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
     On any device: laws from files that were tuned on another one, or in another loop. On the user's own device:
-    divisors and parameters of a shipped one, and the findings of `diagnose` for this tension range [N] in each of the
-    `loops` in use. `places` maps names of files that were moved to where they are.
+    parameters of a shipped one, failures of eq. 6 in the `suite` by whose costs those of all laws are divided, and the
+    findings of `diagnose` for this tension range [N] in each of the `loops` in use. `places` maps names of files that
+    were moved to where they are.
     """
     contenders = list(contenders)
     files = {name: (places or {}).get(name) or split_loop(name)[1] for name in contenders if is_tuned_file(name)}
@@ -37,19 +40,29 @@ def device_remarks(
     remarks += [f"{name} acts with the parameters tuned in the paper's loop" for name in moved]
     if is_shipped(profile):
         return remarks
-    owner = divisors_owner(profile)
-    remarks += [
-        f"costs on the {profile.name} are divided by those of eq6 on the {owner}: eq6's cost need not be about 1, and "
-        "a term that is small here, often the effort, has little weight"
-    ]
     tuned = [name for name in contenders if split_loop(name)[1] in tuned_names()]
     if tuned:
         act = "act" if len(tuned) > 1 else "acts"
-        remarks.append(f"{', '.join(tuned)} {act} with the parameters tuned on the {owner}, not on the {profile.name}")
+        of = f"tuned on the {profile.root}, not on the {profile.name}"
+        remarks.append(f"{', '.join(tuned)} {act} with the parameters {of}")
+    if suite is not None:
+        remarks += _remarks_on_costs(profile, suite)
     for loop in dict.fromkeys(loops):
         where = f"on the {profile.name}" + (f" in the loop {loop}" if loop != PAPERS else "")
         remarks += [f"{where}, {finding.text}" for finding in diagnose(profile, tension_range, loop)]
     return remarks
+
+
+def _remarks_on_costs(profile: Profile, suite: str) -> list[str]:
+    costs, scenarios = eq6_costs(profile, suite), f"training scenarios of {suite} on the {profile.name}"
+    if costs is None:
+        why = "it cannot begin them, or they have too many integration steps"
+        borrowed = f"costs are divided by those on the {divisors_owner(profile, suite)}"
+        return [f"eq6 could not be measured in {scenarios}: {why}; {borrowed}"]
+    if costs.failed > 0.0:
+        share = f"{100.0 * costs.failed:.2g} %"
+        return [f"eq6 fails in {share} of the {scenarios}: costs are divided by its mean costs until then, as rates"]
+    return []
 
 
 def loop_remarks(contenders: Iterable[Contender]) -> list[str]:

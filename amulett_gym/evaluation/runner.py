@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE, Track, prices
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, Track
 from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
@@ -34,7 +35,7 @@ from amulett_gym.laws.contenders import (
 )
 from amulett_gym.laws.parametric import is_tuned, is_tuned_file
 from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
-from amulett_gym.profile import Profile, is_shipped, load_profile
+from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, FAMILIES, LOOPS
 from amulett_gym.storage.reading import user_path
@@ -219,7 +220,7 @@ class Results:
     push_failures : dict of str to int
         Contender -> number of its failures in `push_suite`, if that is another suite.
     remarks : list of str
-        Warnings, such as policies trained elsewhere or divisors of another profile.
+        Warnings, such as policies trained elsewhere.
     command : str or None
         The command that repeats this comparison.
     contenders : dict of str to Contender
@@ -301,7 +302,7 @@ def evaluate(
     remarks += [f"{name} {difference}" for name, difference in differences if difference]
     remarks += loop_remarks(replace(contender, name=label[contender.name]) for contender in contenders)
     places = {contender.name: contender.policy_name for contender in contenders}
-    remarks += device_remarks(protocol.profile, label, places=places, loops=loops_of(contenders))
+    remarks += device_remarks(protocol.profile, label, places=places, loops=loops_of(contenders), suite=suite)
 
     with ExitStack() as stack:
 
@@ -327,10 +328,6 @@ def evaluate(
                 run.values["push_deflection"] = pushed.values["push_deflection"]
                 results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
-            cost = run.values["cost"].mean()
-            if contender.name == YARDSTICK and not is_shipped(protocol.profile) and cost > 0.0:
-                shares = (f"{term} {run.values[f'cost_{term}'].mean() / cost:.1%}" for term in COST_TERMS)
-                remarks.append(f"{YARDSTICK}'s cost on the {protocol.profile.name} is {cost:.3g}: {', '.join(shares)}")
             results.failures[contender.name] = run.failures
             if acts_from_outside(contender):
                 results.schedules[contender.name] = run.schedule
@@ -491,7 +488,7 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
             failures[device] = str(info["failure"][device])
             charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
         running &= ~ended
-    tables = (table(protocol.profile, protocol.suite)[families] for table in (prices, control_prices))
+    tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
     values = derive(metrics, charges, *tables)
     values["return"] = returns
     error, tension, phase, approach = (np.concatenate(column) for column in zip(*seen, strict=True))

@@ -16,7 +16,8 @@ from gymnasium.vector import AutoresetMode
 
 import amulett_gym
 from amulett_gym.control.variable_stiffness import scaling_factor
-from amulett_gym.envs.reward import COST_CAP, COST_TERMS, DEFAULT_WEIGHTS, default_weights, divisors, prices
+from amulett_gym.envs.prices import divisors, prices
+from amulett_gym.envs.reward import COST_CAP, COST_TERMS, DEFAULT_WEIGHTS, default_weights
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation import conformance

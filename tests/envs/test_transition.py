@@ -13,7 +13,7 @@ from helpers import BUSY
 
 import amulett_gym  # noqa: F401  (registers the ids)
 from amulett_gym.envs.action import tension_to_action
-from amulett_gym.envs.reward import divisors
+from amulett_gym.envs.prices import divisors
 from amulett_gym.envs.single import NotReached, ScalingEnv
 from amulett_gym.envs.transition import METRICS, OBSERVATIONS
 from amulett_gym.evaluation.metrics import UNITS

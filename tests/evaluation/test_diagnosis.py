@@ -78,15 +78,26 @@ def test_the_end_of_the_tension_range_is_played():
     assert "cannot hold" in [finding.kind for finding in diagnose(profile, (4.0, 15.0))]
 
 
-def test_remarks_name_borrowed_divisors_and_parameters_and_what_was_found():
-    assert device_remarks(load_profile("testbed"), ["parametric"]) == []
-    divisors, tuned, *found = device_remarks(
-        load_profile(STIFF), ["eq6", "eq6-tuned", "parametric:steps", "constant:5"]
-    )
-    assert "costs on the stiff are divided by those of eq6 on the testbed" in divisors
+def test_remarks_name_borrowed_parameters_and_what_was_found():
+    assert device_remarks(load_profile("testbed"), ["parametric"], suite="steps") == []
+    tuned, *found = device_remarks(load_profile(STIFF), ["eq6", "eq6-tuned", "parametric:steps", "constant:5"])
     assert tuned == "eq6-tuned, parametric:steps act with the parameters tuned on the testbed, not on the stiff"
     assert any("the agonist of the resting arm switches" in remark for remark in found)
     assert not any("tuned" in remark for remark in device_remarks(load_profile(STIFF), ["eq6"]))
+
+
+def test_remarks_say_where_eq6_fails_or_cannot_be_measured():
+    fast = device("testbed", plant={"velocity_limit_deg": 200.0})
+    weak = device("testbed", spring={"stiffness": 1.0})
+    said = [
+        "eq6 fails in 0.75 % of the training scenarios of steps on the testbed-test: costs are divided by its mean "
+        "costs until then, as rates",
+        "eq6 could not be measured in training scenarios of steps on the testbed-test: it cannot begin them, or they "
+        "have too many integration steps; costs are divided by those on the testbed",
+    ]
+    for profile, remark in zip((fast, weak), said, strict=True):
+        assert [each for each in device_remarks(profile, suite="steps") if "eq6" in each] == [remark]
+        assert not any("eq6" in each for each in device_remarks(profile))
 
 
 @pytest.mark.parametrize(
@@ -104,7 +115,7 @@ def test_commands_warn_of_a_device_of_ones_own_once(command, tmp_path, capsys):
     assert main([word.format(file=path, folder=tmp_path) for word in command]) == 0
     out, err = capsys.readouterr()
     names = [] if command[0] == "config" else ["eq6-tuned"]
-    assert json.loads(out)["remarks"] == device_remarks(load_profile(path), names)
+    assert json.loads(out)["remarks"] == device_remarks(load_profile(path), names, suite="steps")
     assert err.count("the agonist of the resting arm switches") == 1
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from amulett_gym.envs.reward import divisors
+from amulett_gym.envs.prices import divisors
 from amulett_gym.envs.transition import METRICS as RAW
 from amulett_gym.evaluation.metrics import (
     CONTROL_TERMS,

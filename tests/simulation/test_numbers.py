@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
+from amulett_gym.envs import eq6_costs
 from amulett_gym.envs.single import TensionEnv
 from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.envs.vector import TensionVectorEnv
@@ -42,6 +44,18 @@ SINGLE = 1 + 1e-6  # a scenario's numbers are kept as float32
 
 # Devices whose springs cannot hold the posture that is drawn are refused, with reason; and there are many keys.
 many = settings(suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow, HealthCheck.data_too_large])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief() -> Iterator[None]:
+    """Measure what eq. 6 costs on each of many devices with a short episode, and keep none of it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(eq6_costs, "cache_folder", lambda: None)
+        patch.setattr(eq6_costs, "_known", {})
+        patch.setattr(eq6_costs, "EPISODES", 4)
+        patch.setattr(eq6_costs, "DURATION", 0.6)
+        patch.setattr(eq6_costs, "MOST_STEPS", 10_000)
+        yield
 
 
 def played(make: Any) -> Any:

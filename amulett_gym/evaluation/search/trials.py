@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from amulett_gym import __version__
 from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
 from amulett_gym.envs.episodes import Episodes, Observations, device_seeds
-from amulett_gym.envs.reward import COST_CAP, SCHEDULE, Track, prices
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.reward import COST_CAP, SCHEDULE, Track
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, METRICS, READINGS
 from amulett_gym.evaluation.metrics import control_cost, control_prices, failure_cost
@@ -162,7 +163,7 @@ class Trials:
         charge = np.zeros(scenarios.size)
         for device in np.flatnonzero(readings["failure"] != RUNNING):
             charge[device] = failure_cost(readings["time"][device], protocol.duration, protocol.agent_period)
-        prices = control_prices(protocol.profile, protocol.suite)[self.rows["family"][scenarios]]
+        prices = control_prices(protocol.profile, protocol.suite, self.rows["family"][scenarios])
         return control_cost(dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True)), charge, prices)
 
     def digest(self, scenarios: Devices | slice = slice(None)) -> str:

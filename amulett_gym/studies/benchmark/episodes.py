@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, prices
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.evaluation.metrics import UNITS, control_prices
 from amulett_gym.evaluation.runner import Protocol, Run, Schedule, acts_from_outside, is_bundle, play_alone
 from amulett_gym.jit.code_cache import fingerprint

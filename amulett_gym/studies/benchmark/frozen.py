@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, SCHEDULE, Track, default_weights, divisors, prices
+from amulett_gym.envs.prices import divisors, prices
+from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, SCHEDULE, Track, default_weights
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.random import keys_from_seeds

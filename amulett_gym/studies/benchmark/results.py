@@ -107,6 +107,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
             [name for name in evidence.entries if name not in evidence.tuned],
             places={name: entry.members[0].policy_name for name, entry in evidence.entries.items()},
             loops=loops_of(member for entry in evidence.entries.values() for member in entry.members),
+            suite=description.headline,
         ),
         "track": description.track,
         "units": {metric: UNITS[metric] for metric in reported(evidence)},

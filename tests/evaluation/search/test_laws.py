@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from amulett_gym.envs import reward
+from amulett_gym.envs import prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
 from amulett_gym.evaluation.search import laws as tuning
@@ -241,10 +241,10 @@ def test_wrong_recipes_are_refused(wrong, message):
 
 
 def test_the_digest_holds_the_prices_of_the_track_that_is_tuned(monkeypatch):
-    other = copy.deepcopy(reward._frozen())
+    other = copy.deepcopy(prices._frozen())
     other["divisors"]["testbed"]["steps"]["drive_effort"] *= 2.0
     recipes = SMALL, replace(SMALL, control="co-rotation"), replace(SMALL, track="full-control")
     before = [recipe.trials()[0].digest() for recipe in recipes]
-    monkeypatch.setattr(reward, "_frozen", lambda: other)
+    monkeypatch.setattr(prices, "_frozen", lambda: other)
     after = [recipe.trials()[0].digest() for recipe in recipes]
     assert [old == new for old, new in zip(before, after, strict=True)] == [True, False, False]

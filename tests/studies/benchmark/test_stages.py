@@ -20,7 +20,7 @@ import yaml
 from helpers import keep_network, make_bundle
 
 from amulett_gym.cli import build_parser, main
-from amulett_gym.envs import reward
+from amulett_gym.envs import prices
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate, play_alone
@@ -478,11 +478,11 @@ def test_kept_episodes_know_what_they_depend_on(monkeypatch):
     assert episodes._unusual(protocol, contender) == []
     own = load_scenario({"device": {"late_probability": 0.1}})
     others = [replace(protocol, env_id="Amulett/Tension-v0"), replace(protocol, scenarios=(own,))]
-    frozen_divisors = copy.deepcopy(reward._frozen())
+    frozen_divisors = copy.deepcopy(prices._frozen())
     frozen_divisors["divisors"]["testbed"]["steps"]["drive_effort"] *= 2.0
     digests = [usual, *map(found, others)]
     with monkeypatch.context() as patch:
-        patch.setattr(reward, "_frozen", lambda: frozen_divisors)
+        patch.setattr(prices, "_frozen", lambda: frozen_divisors)
         digests.append(found())
     assert len(set(digests)) == 4
     assert found() == usual
