@@ -11,9 +11,16 @@ from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.gains import Loops
@@ -35,6 +42,16 @@ MOST_TENSION = 1e6
 
 STABLE_STEP = 2.5
 """Time constants, or radians of an oscillation, in an integration step; Runge-Kutta is stable up to 2.78."""
+
+
+class WithOptions(Sourced):
+    """A group with options that came later: null ones are left out of its content, so that older hashes stay."""
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in dump(self).items() if value is not None or key not in self.OPTIONS}
 
 
 class PointMass(Group):
@@ -65,14 +82,25 @@ class Plant(Sourced):
         return self
 
 
-class Spring(Sourced):
+class Spring(WithOptions):
     """The non-linear spring assembly in each string (Figure 5a)."""
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ("beyond", "stop_stiffness")
 
     stiffness: float = Field(ge=1e-3, le=1e7, description="stiffness of each of the two linear springs [N/m]")
     half_width: float = Field(ge=1e-6, le=10, description="distance of each spring's anchor from the string's axis [m]")
     free_length: float = Field(ge=0, le=10, description="length of an unloaded linear spring [m], at most half_width")
     max_deflection: float = Field(
-        ge=1e-6, le=10, description="string deflection at which the table ends [m]; force is held beyond"
+        ge=1e-6, le=10, description="string deflection at which the table ends [m]; see beyond"
+    )
+    beyond: Literal["continued", "hard-stop"] | None = Field(
+        default=None,
+        description="the force beyond max_deflection. null, or held: as at the table's end, the string yields; "
+        "continued: by the geometric model, or by the last slope of a measured curve; hard-stop: a stop of stiffness "
+        "stop_stiffness takes the rest of the deflection",
+    )
+    stop_stiffness: float | None = Field(
+        default=None, ge=1.0, le=1e7, description="stiffness of the stop behind the spring [N/m], for hard-stop"
     )
     measured_curve: Curve | None = Field(
         default=None, description="replaces the geometric model: a CSV file (see `storage.curve`), or its text"
@@ -82,6 +110,22 @@ class Spring(Sourced):
     @classmethod
     def _read_curve(cls, curve: Any) -> Any:
         return read_curve(curve) if isinstance(curve, str) else curve
+
+    @field_validator("beyond", mode="before")
+    @classmethod
+    def _read_held(cls, beyond: Any) -> Any:
+        return None if beyond == "held" else beyond
+
+    @model_validator(mode="after")
+    def _check_stop(self) -> Spring:
+        if self.beyond == "hard-stop" and self.stop_stiffness is None:
+            raise ValueError("beyond is hard-stop, so stop_stiffness is needed: the stiffness of the stop in N/m")
+        if self.beyond != "hard-stop" and self.stop_stiffness is not None:
+            raise ValueError(
+                f"stop_stiffness is {self.stop_stiffness} N/m, but beyond is {self.beyond or 'held'}; only hard-stop "
+                "has a stop"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_lengths(self) -> Spring:
@@ -114,8 +158,10 @@ class Damping(Sourced):
     )
 
 
-class Drives(Sourced):
+class Drives(WithOptions):
     """Both motors."""
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ("stall_torque",)
 
     lag: Seconds = Field(description="time constant of the motor position [s], 0.4 integration steps or more; 0: none")
     rate_limit_deg: float | None = Field(
@@ -124,6 +170,22 @@ class Drives(Sourced):
     command_limit_deg: float | None = Field(
         default=None, gt=0, le=1e6, description="largest |command| [deg]; null: none"
     )
+    stall_torque: float | None = Field(
+        default=None,
+        ge=1e-4,
+        le=1e4,
+        description="load at which a drive stalls [N m]; null: none. The rate at which it winds its string falls "
+        "linearly with the load, from rate_limit_deg to 0 at stall_torque, and on: a larger load drives it back. A "
+        "drive without lag is at its command, as far as the load allows",
+    )
+
+    @model_validator(mode="after")
+    def _check_stall(self) -> Drives:
+        if self.stall_torque is not None and self.lag > 0.0 and self.rate_limit_deg is None:
+            raise ValueError(
+                f"stall_torque is {self.stall_torque} N m; with a lag it needs rate_limit_deg, the speed without load"
+            )
+        return self
 
 
 class Sensors(Sourced):

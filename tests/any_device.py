@@ -108,6 +108,12 @@ def profiles(draw: st.DrawFn, only: tuple[str, ...] = tuple(GROUPS), **fixed: An
     spring, loop, law, drives = (content[name] for name in ("spring", "loop", "variable_stiffness", "drives"))
     spring["half_width"] = min(spring["half_width"], 100 * spring["max_deflection"])
     spring["free_length"] = min(spring["free_length"], spring["half_width"])
+    if spring.get("beyond") == "hard-stop":
+        spring["stop_stiffness"] = spring.get("stop_stiffness") or 1e4
+    else:
+        spring["stop_stiffness"] = None
+    if drives["rate_limit_deg"] is None and drives["lag"] > 0:
+        drives["stall_torque"] = None
     loop["tie_width"] = min(loop["tie_width"], loop["switch_hysteresis"])
     law["minimum_tension"] = min(law["minimum_tension"], law["nominal_tension"])
     if drives["lag"] > 0:

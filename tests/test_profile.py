@@ -104,6 +104,10 @@ def test_a_profile_is_the_same_from_a_name_a_path_a_mapping_or_itself():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"spring": {"beyond": "hard-stop"}}, r"spring.*beyond is hard-stop, so stop_stiffness is needed"),
+        ({"spring": {"stop_stiffness": 1e4}}, r"stop_stiffness is 10000.0 N/m, but beyond is held"),
+        ({"spring": {"beyond": "hard"}}, r"spring\.beyond.*'hard'.*'continued' or 'hard-stop'"),
+        ({"drives": {"stall_torque": 0.3, "rate_limit_deg": None}}, r"with a lag it needs rate_limit_deg"),
         ({"plant": {"orientaton": "vertical"}}, r"unknown key 'plant.orientaton'; did you mean 'orientation'"),
         ({"plant": {"orientation": "diagonal"}}, r"'plant.orientation' is 'diagonal'.*'horizontal' or 'vertical'"),
         ({"plant": {"masses": [{"mass": -1.0, "arm": 0.1}]}}, r"'plant.masses.0.mass' is -1.0.*greater than or equal"),
@@ -155,6 +159,20 @@ def test_missing_and_binary_files_are_refused(tmp_path: Path):
 def test_unknown_name_suggests_the_nearest():
     with pytest.raises(AmulettError, match="unknown profile 'tesbed'.*did you mean 'testbed'"):
         load_profile("tesbed")
+
+
+def test_options_that_are_null_are_left_out_of_a_profiles_content():
+    """So that hashes of profiles from before these options stay."""
+    testbed = load_profile("testbed")
+    plain, content = testbed.model_dump(), testbed.model_dump_json()
+    assert not {"beyond", "stop_stiffness"} & set(plain["spring"]) and "stall_torque" not in plain["drives"]
+    assert "stall_torque" not in content and "rate_limit_deg" in content
+    options = {"spring": {"beyond": "hard-stop", "stop_stiffness": 4e4}, "drives": {"stall_torque": 0.3}}
+    mine = load_profile({"name": "mine", "base": "testbed", **options})
+    assert mine.model_dump()["spring"].items() >= options["spring"].items()
+    assert load_profile(mine.model_dump()) == mine
+    held = load_profile({"name": "mine", "base": "testbed", "spring": {"beyond": "held"}})
+    assert held.spring.beyond is None
 
 
 def test_profiles_survive_yaml():

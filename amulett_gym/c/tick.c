@@ -189,6 +189,33 @@ INLINE real look_up_slope(const double table[CELLS][4], real position) {
     return select((position < 0.0) | (position > 1.0), all(0.0), slope);
 }
 
+/* model/spring.py: what a string has beyond the tables' end. */
+INLINE real spring_force(Parameters p, real position) {
+    real force = look_up(p->force_table, position);
+    if (!p->extended) return force;
+    double width = p->beyond_width * p->beyond_width;
+    double end = p->beyond_slope * (1.0 - p->beyond_free_length / sqrt(width + 1.0));
+    real x = greatest(position, all(1.0));
+    return force + (p->beyond_slope * x * (1.0 - p->beyond_free_length / root(width + x * x)) - end);
+}
+
+INLINE real spring_slope(Parameters p, real position) {
+    real slope = look_up_slope(p->force_table, position);
+    if (!p->extended) return slope;
+    double width = p->beyond_width * p->beyond_width;
+    real square = width + position * position;
+    real beyond = p->beyond_slope * (1.0 - p->beyond_free_length * width / (square * root(square)));
+    return slope + select(position <= 1.0, all(0.0), beyond);
+}
+
+INLINE real slider_deflection(Parameters p, real position) {
+    real deflection = look_up(p->spring_table, position);
+    if (!p->extended) return deflection;
+    double width = p->beyond_width * p->beyond_width;
+    real x = greatest(position, all(1.0));
+    return deflection + p->beyond_slider * (root(width + x * x) - sqrt(width + 1.0));
+}
+
 INLINE real estimate_force(Parameters p, real spring_deflection) {
     return look_up(p->estimate_table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
 }
@@ -208,8 +235,11 @@ INLINE real decay_rate(Parameters p, real preload) {
     return greatest(rate, all(0.0));
 }
 
-INLINE real drive_rate(Parameters p, real command, real angle) {
-    return least(greatest((command - angle) * p->inverse_lag, all(-p->rate_limit)), all(p->rate_limit));
+INLINE real drive_rate(Parameters p, real command, real angle, double sense, real load) {
+    if (!p->extended) return least(greatest((command - angle) * p->inverse_lag, all(-p->rate_limit)), all(p->rate_limit));
+    if (p->inverse_lag == 0.0) return all(0.0);
+    real winding = greatest(sense * (command - angle) * p->inverse_lag, all(-p->rate_limit));
+    return sense * least(winding, p->rate_limit * (1.0 - load));
 }
 
 INLINE real quantise(real value, double resolution) {
@@ -366,12 +396,47 @@ INLINE real obstacle_torque(Scenarios c, int64_t i, real angle, real velocity) {
     return select(touching, -side * greatest(resistance, all(0.0)), all(0.0));
 }
 
-INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real velocity, real drive_biceps,
-                         real drive_triceps, real push) {
+typedef struct {
+    real biceps, triceps;
+} pair;
+
+INLINE pair string_forces(Parameters p, Scenarios c, int64_t i, real angle, real drive_biceps, real drive_triceps) {
     real biceps = stretch_biceps(p, c, i, drive_biceps, angle);
     real triceps = stretch_triceps(p, c, i, drive_triceps, angle);
-    real force_biceps = to_real(c->spring_biceps_factor[i]) * look_up(p->force_table, biceps);
-    real force_triceps = to_real(c->spring_triceps_factor[i]) * look_up(p->force_table, triceps);
+    pair force = {to_real(c->spring_biceps_factor[i]) * spring_force(p, biceps),
+                  to_real(c->spring_triceps_factor[i]) * spring_force(p, triceps)};
+    if (p->extended && p->inverse_lag == 0.0) {
+        force.biceps = least(force.biceps, p->stall_torque / (p->drive_radius * to_real(c->pulley_biceps_factor[i])));
+        force.triceps = least(force.triceps, p->stall_torque / (p->drive_radius * to_real(c->pulley_triceps_factor[i])));
+    }
+    return force;
+}
+
+INLINE pair drive_rates(Parameters p, Scenarios c, int64_t i, pair command, real biceps, real triceps, pair force) {
+    double load = p->drive_radius / p->stall_torque;
+    real load_biceps = force.biceps * to_real(c->pulley_biceps_factor[i]) * load;
+    real load_triceps = force.triceps * to_real(c->pulley_triceps_factor[i]) * load;
+    pair rates = {drive_rate(p, command.biceps, biceps, 1.0, load_biceps),
+                  drive_rate(p, command.triceps, triceps, -1.0, load_triceps)};
+    return rates;
+}
+
+/* By how much a position is beyond the one with a string force, by bisection; 0 if it is not. */
+INLINE real slip(Parameters p, real position, real force) {
+    mask slips = spring_force(p, position) > force;
+    if (!any(slips)) return all(0.0);
+    real low = all(0.0), high = position;
+    for (int k = 0; k < 60; k++) {
+        real middle = 0.5 * (low + high);
+        mask below = spring_force(p, middle) < force;
+        low = select(below, middle, low);
+        high = select(below, high, middle);
+    }
+    return select(slips, position - 0.5 * (low + high), all(0.0));
+}
+
+INLINE real acceleration(Parameters p, Scenarios c, int64_t i, real angle, real velocity, pair force, real push) {
+    real force_biceps = force.biceps, force_triceps = force.triceps;
     real preload = p->damping_by_mean ? 0.5 * (force_biceps + force_triceps) : least(force_biceps, force_triceps);
     real decay = c->friction[i] * decay_rate(p, preload);
     real external = push + obstacle_torque(c, i, angle, velocity);
@@ -418,41 +483,48 @@ INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
 }
 
 INLINE void update_string_forces(Parameters p, Scenarios c, States s, int64_t i) {
-    real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
-    real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
-    s->force_biceps[i] = to_real(c->spring_biceps_factor[i]) * look_up(p->force_table, biceps);
-    s->force_triceps[i] = to_real(c->spring_triceps_factor[i]) * look_up(p->force_table, triceps);
+    pair force = string_forces(p, c, i, s->angle[i], s->drive_biceps[i], s->drive_triceps[i]);
+    s->force_biceps[i] = force.biceps, s->force_triceps[i] = force.triceps;
 }
 
 INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     real push = shake(p, c, s, i, pushes(p, c, s, i));
-    real to_biceps = s->command_biceps[i], to_triceps = s->command_triceps[i];
+    pair to = {s->command_biceps[i], s->command_triceps[i]};
     real x = s->angle[i], v = s->velocity[i];
     real a = s->drive_biceps[i], b = s->drive_triceps[i];
-    if (p->inverse_lag == 0.0) a = to_biceps, b = to_triceps;
+    if (p->inverse_lag == 0.0) a = to.biceps, b = to.triceps;
     real error_before = s->setpoint[i] - x;
     double h = p->control_period / (double)p->substeps;
     for (int64_t k = 0; k < p->substeps; k++) {
-        real a1 = drive_rate(p, to_biceps, a);
-        real b1 = drive_rate(p, to_triceps, b);
+        pair f1 = string_forces(p, c, i, x, a, b), r1 = drive_rates(p, c, i, to, a, b, f1);
         real v1 = v;
-        real w1 = acceleration(p, c, i, x, v1, a, b, push);
-        real a2 = drive_rate(p, to_biceps, a + 0.5 * h * a1);
-        real b2 = drive_rate(p, to_triceps, b + 0.5 * h * b1);
+        real w1 = acceleration(p, c, i, x, v1, f1, push);
+        real x2 = x + 0.5 * h * v1, a2 = a + 0.5 * h * r1.biceps, b2 = b + 0.5 * h * r1.triceps;
+        pair f2 = string_forces(p, c, i, x2, a2, b2), r2 = drive_rates(p, c, i, to, a2, b2, f2);
         real v2 = v + 0.5 * h * w1;
-        real w2 = acceleration(p, c, i, x + 0.5 * h * v1, v2, a + 0.5 * h * a1, b + 0.5 * h * b1, push);
-        real a3 = drive_rate(p, to_biceps, a + 0.5 * h * a2);
-        real b3 = drive_rate(p, to_triceps, b + 0.5 * h * b2);
+        real w2 = acceleration(p, c, i, x2, v2, f2, push);
+        real x3 = x + 0.5 * h * v2, a3 = a + 0.5 * h * r2.biceps, b3 = b + 0.5 * h * r2.triceps;
+        pair f3 = string_forces(p, c, i, x3, a3, b3), r3 = drive_rates(p, c, i, to, a3, b3, f3);
         real v3 = v + 0.5 * h * w2;
-        real w3 = acceleration(p, c, i, x + 0.5 * h * v2, v3, a + 0.5 * h * a2, b + 0.5 * h * b2, push);
-        real a4 = drive_rate(p, to_biceps, a + h * a3);
-        real b4 = drive_rate(p, to_triceps, b + h * b3);
+        real w3 = acceleration(p, c, i, x3, v3, f3, push);
+        real x4 = x + h * v3, a4 = a + h * r3.biceps, b4 = b + h * r3.triceps;
+        pair f4 = string_forces(p, c, i, x4, a4, b4), r4 = drive_rates(p, c, i, to, a4, b4, f4);
         real v4 = v + h * w3;
-        real w4 = acceleration(p, c, i, x + h * v3, v4, a + h * a3, b + h * b3, push);
-        a += h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0;
-        b += h * (b1 + 2.0 * b2 + 2.0 * b3 + b4) / 6.0;
+        real w4 = acceleration(p, c, i, x4, v4, f4, push);
+        a += h * (r1.biceps + 2.0 * r2.biceps + 2.0 * r3.biceps + r4.biceps) / 6.0;
+        b += h * (r1.triceps + 2.0 * r2.triceps + 2.0 * r3.triceps + r4.triceps) / 6.0;
         x += h * (v1 + 2.0 * v2 + 2.0 * v3 + v4) / 6.0;
         v += h * (w1 + 2.0 * w2 + 2.0 * w3 + w4) / 6.0;
+    }
+    if (p->extended && p->inverse_lag == 0.0 && p->stall_torque < INFINITY) {
+        real radius_biceps = p->drive_radius * to_real(c->pulley_biceps_factor[i]);
+        real radius_triceps = p->drive_radius * to_real(c->pulley_triceps_factor[i]);
+        real most_biceps = p->stall_torque / (radius_biceps * to_real(c->spring_biceps_factor[i]));
+        real most_triceps = p->stall_torque / (radius_triceps * to_real(c->spring_triceps_factor[i]));
+        real slip_biceps = slip(p, stretch_biceps(p, c, i, a, x), most_biceps);
+        real slip_triceps = slip(p, stretch_triceps(p, c, i, b, x), most_triceps);
+        a -= slip_biceps / (p->inverse_max_deflection * radius_biceps);
+        b += slip_triceps / (p->inverse_max_deflection * radius_triceps);
     }
     mask near = is_near(x) & is_near(v);
 #if WIDTH == 1
@@ -523,8 +595,8 @@ INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
     real biceps_error = to_real(c->slider_bias_biceps[i]) + more * biceps_noise;
     real triceps_noise = sensor_noise(p->slider_noise, key, counter + SLIDER_TRICEPS);
     real triceps_error = to_real(c->slider_bias_triceps[i]) + more * triceps_noise;
-    s->measured_biceps[i] = read_slider(p, look_up(p->spring_table, biceps), biceps_error);
-    s->measured_triceps[i] = read_slider(p, look_up(p->spring_table, triceps), triceps_error);
+    s->measured_biceps[i] = read_slider(p, slider_deflection(p, biceps), biceps_error);
+    s->measured_triceps[i] = read_slider(p, slider_deflection(p, triceps), triceps_error);
     real difference = s->measured_biceps[i] - s->measured_triceps[i];
     s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, all(p->switch_filter));
     real raw = estimate_force(p, s->measured_biceps[i]);
@@ -609,8 +681,8 @@ INLINE void sense(Parameters p, Scenarios c, States s, int64_t i, real counting)
 INLINE real joint_stiffness(Parameters p, Scenarios c, States s, int64_t i) {
     real biceps = stretch_biceps(p, c, i, s->drive_biceps[i], s->angle[i]);
     real triceps = stretch_triceps(p, c, i, s->drive_triceps[i], s->angle[i]);
-    real slope_biceps = to_real(c->spring_biceps_factor[i]) * look_up_slope(p->force_table, biceps);
-    real slope_triceps = to_real(c->spring_triceps_factor[i]) * look_up_slope(p->force_table, triceps);
+    real slope_biceps = to_real(c->spring_biceps_factor[i]) * spring_slope(p, biceps);
+    real slope_triceps = to_real(c->spring_triceps_factor[i]) * spring_slope(p, triceps);
     return (slope_biceps + slope_triceps) * p->inverse_max_deflection * p->joint_radius * p->joint_radius;
 }
 

@@ -302,17 +302,23 @@ def _replace_action_range(given: dict[str, Any], by_factor: bool) -> None:
 
 
 def _check_step(profile: Profile) -> None:
-    """Raise an AmulettError for a device whose oscillation or damping is too fast for its integration step.
+    """Raise an AmulettError for a device whose oscillation, damping or drives are too fast for its integration step.
 
-    Checked at the largest stiffness of both strings; a device that differs from its profile may still fail.
+    Checked at the largest stiffness of both strings; a device that differs from its profile may still fail. A drive
+    beyond its stall torque gives way at a rate that is proportional to its string's deflection: a time constant.
     """
     step = profile.loop.control_period / profile.loop.substeps
-    stiffness = 2.0 * build_tables(profile.spring).max_stiffness * profile.plant.joint_pulley_radius**2
-    swing = step * math.sqrt(stiffness / float(empty_rows(1, profile)["inertia"][0]))
-    slowing = 2.0 * step * profile.damping.d
-    if max(swing, slowing) > STABLE_STEP:
-        what = f"oscillates by {swing:.3g} rad" if swing > slowing else f"is damped by {slowing:.3g} time constants"
-        least = math.ceil(profile.loop.substeps * max(swing, slowing) / STABLE_STEP)
+    stiffness, plant, drives = build_tables(profile.spring).max_stiffness, profile.plant, profile.drives
+    joint_stiffness, inertia = 2.0 * stiffness * plant.joint_pulley_radius**2, empty_rows(1, profile)["inertia"][0]
+    swing, slowing = step * math.sqrt(joint_stiffness / float(inertia)), 2.0 * step * profile.damping.d
+    found = {f"oscillates by {swing:.3g} rad": swing, f"is damped by {slowing:.3g} time constants": slowing}
+    if drives.stall_torque is not None and drives.lag > 0.0 and drives.rate_limit_deg is not None:
+        speed = math.radians(drives.rate_limit_deg)
+        yielding = step * stiffness * plant.drive_pulley_radius**2 * speed / drives.stall_torque
+        found[f"has drives that give way by {yielding:.3g} time constants"] = yielding
+    what, most = max(found.items(), key=lambda item: item[1])
+    if most > STABLE_STEP:
+        least = math.ceil(profile.loop.substeps * most / STABLE_STEP)
         raise AmulettError(
             f"the device '{profile.name}' {what} in an integration step of {step:g} s; at most {STABLE_STEP} can be "
             f"computed: loop.substeps has to be at least {least}"

@@ -10,15 +10,16 @@ which is progressive: slope 2 k (1 - free_length/half_width) at rest, 2 k for la
 stretch of a linear spring, sqrt(half_width^2 + y^2) - half_width. Near rest that grows with y squared only, so small
 forces can hardly be estimated: the rising error at low forces of Figure 5b.
 
-The tables are uniform and interpolated by monotone cubics (PCHIP). A slack string (y < 0) has no force; beyond the
-table's end the force is constant.
+The tables are uniform and interpolated by monotone cubics (PCHIP). A slack string (y < 0) has no force. Beyond the
+table's end the force is constant, or what the profile says (`Spring.beyond`, here `Continuation`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,24 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.profile import Spring
 
 CELLS = 256
+
+
+class Continuation(NamedTuple):
+    """What follows the tables' end, x = 1 in units of their range.
+
+    The force rises by g(x) - g(1) with g(x) = slope x (1 - free_length / sqrt(width^2 + x^2)), the linear spring's
+    deflection by h(x) - h(1) with h(x) = slider sqrt(width^2 + x^2). That is the geometric model, a straight line where
+    `free_length` and `width` are 0, and constant where `slope` and `slider` are.
+    """
+
+    slope: float = 0.0  # [N]
+    free_length: float = 0.0  # [1]
+    width: float = 0.0  # [1]
+    slider: float = 0.0  # [m]
+
+
+HELD = Continuation()
+"""The force stays that of the table's end."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +65,8 @@ class SpringTables:
         The slope of the force by the string deflection [N/m] over the same square root.
     max_deflection, max_spring_deflection : float
         String deflection and linear spring's deflection at the tables' end [m].
+    beyond : Continuation
+        What follows the tables' end.
     """
 
     force: NDArray[np.float64]
@@ -54,10 +75,11 @@ class SpringTables:
     estimated_slope: NDArray[np.float64]
     max_deflection: float
     max_spring_deflection: float
+    beyond: Continuation = HELD
 
     @property
     def max_force(self) -> float:
-        """Force at which the assembly saturates [N]."""
+        """Force at the table's end [N], at which the assembly saturates if the force is held beyond."""
         return float(look_up(self.force, 1.0))
 
     @cached_property
@@ -74,16 +96,21 @@ class SpringTables:
 
     @property
     def max_stiffness(self) -> float:
-        """Steepest slope of the force between two of the table's knots [N/m]."""
-        return steepest_slope(self.force) / self.max_deflection
+        """Steepest slope of the force between two of the table's knots, or beyond its end [N/m]."""
+        return max(steepest_slope(self.force), self.beyond.slope) / self.max_deflection
 
     def force_at(self, deflection: float) -> float:
         """Return f(Delta l) [N] at a string deflection [m]."""
-        return float(look_up(self.force, deflection / self.max_deflection))
+        position = deflection / self.max_deflection
+        slope, free_length, width, _ = self.beyond
+        return float(look_up(self.force, position) + force_beyond(position, slope, free_length, width))
 
     def stiffness_at(self, deflection: float) -> float:
-        """Return the slope of f [N/m] at a string deflection [m]; 0 in a slack string and beyond the table's end."""
-        return float(look_up_slope(self.force, deflection / self.max_deflection) / self.max_deflection)
+        """Return the slope of f [N/m] at a string deflection [m]; 0 in a slack string."""
+        position = deflection / self.max_deflection
+        slope, free_length, width, _ = self.beyond
+        slopes = look_up_slope(self.force, position) + slope_beyond(position, slope, free_length, width)
+        return float(slopes / self.max_deflection)
 
     def deflection_at(self, force: float) -> float:
         """Return the string deflection [m] at a force [N]: the inverse of `force_at`.
@@ -91,7 +118,7 @@ class SpringTables:
         Raises
         ------
         AmulettError
-            If the force is negative or more than `max_force`.
+            If the force is negative or more than `max_force`, whatever follows the table's end.
         """
         if not 0.0 <= force <= self.max_force:
             raise AmulettError(f"a string force of {force} N is outside what the springs give: 0 to {self.max_force} N")
@@ -112,24 +139,49 @@ def assembly_curve(spring: Spring, deflection: NDArray[np.float64]) -> tuple[NDA
 def build_tables(spring: Spring) -> SpringTables:
     """Build the look-up tables of a spring assembly: from its measured curve if it has one, else from its geometry."""
     if spring.measured_curve is None:
-        return _geometric_tables(spring.stiffness, spring.half_width, spring.free_length, spring.max_deflection)
+        geometry = spring.stiffness, spring.half_width, spring.free_length, spring.max_deflection
+        return _geometric_tables(*geometry, spring.beyond, spring.stop_stiffness)
     curve = spring.measured_curve
     columns = (curve.deflection_m, curve.force_N, curve.spring_deflection_m or curve.deflection_m)
     start = [0.0] if curve.deflection_m[0] > 0.0 else []
     measured, measured_force, measured_spring = (np.array(start + column) for column in columns)
     deflection = np.linspace(0.0, measured[-1], CELLS + 1)
-    return _tables(
-        deflection,
-        PchipInterpolator(measured, measured_force)(deflection),
-        PchipInterpolator(measured, measured_spring)(deflection),
-    )
+    force, spring_deflection = PchipInterpolator(measured, measured_force), PchipInterpolator(measured, measured_spring)
+    tables = _tables(deflection, force(deflection), spring_deflection(deflection))
+    slope, slider = (float(measured[-1] * law.derivative()(measured[-1])) for law in (force, spring_deflection))
+    return replace(tables, beyond=_continuation(spring, tables, Continuation(slope=slope, slider=slider)))
 
 
 @lru_cache(maxsize=16)  # a step response takes less time than its tables
-def _geometric_tables(stiffness: float, half_width: float, free_length: float, max_deflection: float) -> SpringTables:
-    spring = Spring(stiffness=stiffness, half_width=half_width, free_length=free_length, max_deflection=max_deflection)
+def _geometric_tables(
+    stiffness: float,
+    half_width: float,
+    free_length: float,
+    max_deflection: float,
+    beyond: Literal["continued", "hard-stop"] | None,
+    stop_stiffness: float | None,
+) -> SpringTables:
+    spring = Spring(
+        stiffness=stiffness,
+        half_width=half_width,
+        free_length=free_length,
+        max_deflection=max_deflection,
+        beyond=beyond,
+        stop_stiffness=stop_stiffness,
+    )
     deflection = np.linspace(0.0, max_deflection, CELLS + 1)
-    return _tables(deflection, *assembly_curve(spring, deflection))
+    tables = _tables(deflection, *assembly_curve(spring, deflection))
+    law = Continuation(
+        2.0 * stiffness * max_deflection, free_length / max_deflection, half_width / max_deflection, max_deflection
+    )
+    return replace(tables, beyond=_continuation(spring, tables, law))
+
+
+def _continuation(spring: Spring, tables: SpringTables, law: Continuation) -> Continuation:
+    """Return what follows the tables' end; `law` is the spring's own."""
+    if spring.beyond == "continued":
+        return law
+    return Continuation(slope=(spring.stop_stiffness or 0.0) * tables.max_deflection)
 
 
 def _tables(
@@ -184,6 +236,30 @@ def look_up_curve(table: NDArray[np.float64], position: float) -> tuple[float, f
     value = table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
     slope = table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])
     return value, slope * cells, (2.0 * table[cell, 2] + w * 6.0 * table[cell, 3]) * cells * cells
+
+
+@compiled
+def force_beyond(position: float, slope: float, free_length: float, width: float) -> float:
+    """Return the force [N] that a string has in addition to the table's value: 0 up to its end (`Continuation`)."""
+    x = max(position, 1.0)
+    end = slope * (1.0 - free_length / math.sqrt(width * width + 1.0))
+    return slope * x * (1.0 - free_length / math.sqrt(width * width + x * x)) - end
+
+
+@compiled
+def slope_beyond(position: float, slope: float, free_length: float, width: float) -> float:
+    """Return the slope of `force_beyond` by `position` [N]; 0 up to the table's end."""
+    if position <= 1.0:
+        return 0.0
+    square = width * width + position * position
+    return slope * (1.0 - free_length * width * width / (square * math.sqrt(square)))
+
+
+@compiled
+def slider_beyond(position: float, slider: float, width: float) -> float:
+    """Return the deflection of a linear spring [m] in addition to the table's value (`Continuation`)."""
+    x = max(position, 1.0)
+    return slider * (math.sqrt(width * width + x * x) - math.sqrt(width * width + 1.0))
 
 
 @compiled

@@ -100,7 +100,7 @@ class Simulation:
 
     @property
     def max_force(self) -> float:
-        """Force at which the springs saturate [N]."""
+        """Force at the end of the springs' table [N], at which they saturate if it is held beyond."""
         self._check_alike()
         return max_force(self.parameters[0])
 
@@ -156,10 +156,12 @@ class Simulation:
         Raises
         ------
         AmulettError
-            If an initial posture needs a string force or a drive angle out of range, or a scenario's path is missing.
+            If an initial posture needs a string force or a drive angle out of range, or stalls a drive, or a scenario's
+            path is missing.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         self._check_posture(scenarios, self.which[devices // LANES])
+        self._check_stall(scenarios, self.which[devices // LANES])
         lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
         if ((lengths > 0) != (scenarios["move_count"] == layout.ON_PATH)).any():
             raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")
@@ -284,6 +286,26 @@ class Simulation:
                 f"the devices have {len(self.profiles)} profiles; ask for one device's: profile_of or parameters_of"
             )
 
+    def _check_stall(self, scenarios: NDArray[np.void], which: NDArray[np.int64]) -> None:
+        """Refuse a start in which the strings load a drive with its stall torque, so that it does not rest."""
+        stall = self.parameters["stall_torque"][which]
+        if np.isinf(stall).all():
+            return
+        # Each in a block of its own, which names its profile.
+        blocks, states = (zeros(which.size, kind) for kind in (layout.SCENARIO_BLOCK, layout.STATE_BLOCK))
+        for own, new in zip(words(blocks, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
+            own[:, :, 0] = new[..., 0]
+        kernel.settle(self.parameters, which, blocks, states, None, None, LANES * np.arange(which.size))
+        for name in ("biceps", "triceps"):
+            force = states[f"force_{name}"][:, 0]
+            load = force * scenarios[f"pulley_{name}_factor"] * self.parameters["drive_radius"][which]
+            if (load >= stall * (1.0 - 1e-9)).any():
+                worst = int(np.argmax(load / stall))
+                raise AmulettError(
+                    f"scenario {worst} starts with a string force of {force[worst]:.2f} N, a load of {load[worst]:.3g} "
+                    f"N m on the drive of the {name}; the profile's drives.stall_torque is {stall[worst]:g} N m"
+                )
+
     def _check_posture(self, scenarios: NDArray[np.void], which: NDArray[np.int64]) -> None:
         """Refuse a start that the strings cannot hold or the drives cannot reach; `which` are the profiles' indices."""
 
@@ -335,13 +357,14 @@ class Simulation:
 
 
 def max_force(parameters: Any) -> float:
-    """Return the force at which the springs of a record of `layout.PARAMETERS` saturate [N]."""
+    """Return the force at the end of the springs' table [N], by a record of `layout.PARAMETERS`."""
     return float(look_up(parameters["force_table"], 1.0))
 
 
 def max_stiffness(parameters: Any) -> float:
     """Return the joint stiffness with both strings at their largest stiffness [N m/rad], by `layout.PARAMETERS`."""
-    slope = steepest_slope(parameters["force_table"]) * parameters["inverse_max_deflection"]
+    slope = max(steepest_slope(parameters["force_table"]), float(parameters["beyond_slope"]))
+    slope *= parameters["inverse_max_deflection"]
     return float(2.0 * slope * parameters["joint_radius"] ** 2)
 
 

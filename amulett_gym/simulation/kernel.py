@@ -21,14 +21,25 @@ from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
-from amulett_gym.model.drive import drive_rate
+from amulett_gym.model.drive import drive_rate, loaded_drive_rate
 from amulett_gym.model.plant import contact_torque, deflection_biceps, deflection_triceps, joint_acceleration
 from amulett_gym.model.sensors import quantise, read_slider
-from amulett_gym.model.spring import estimate_force, inverse_look_up, look_up, look_up_slope
+from amulett_gym.model.spring import (
+    estimate_force,
+    force_beyond,
+    inverse_look_up,
+    look_up,
+    look_up_slope,
+    slider_beyond,
+    slope_beyond,
+)
 from amulett_gym.simulation import layout
 from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
 from amulett_gym.simulation.loops import begin_loop, predict_drives, run_loop
 from amulett_gym.simulation.random import noise, random_bits
+
+EXTENDED = True
+"""In place of None as `extended`: of a function that has no plain version, since it runs once, or rarely."""
 
 SENSOR_STREAMS = np.uint64(4)
 ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -84,14 +95,10 @@ def tick(p, c, s, m, paths, loop, own, block, first, end):
     predict(s, loop, own, block, first, end)
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
-    h = p.control_period / p.substeps  # of the classical Runge-Kutta method
-    for _ in range(p.substeps):
-        evaluate(p, c, s, m, first, end, 0.0, 1.0)
-        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0)
-        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0)
-        evaluate(p, c, s, m, first, end, h, 1.0)
-        step(m, first, end, h)
-    sense(p, c, s, m, first, end)
+    if p.extended:
+        move(p, c, s, m, first, end, EXTENDED)
+    else:
+        move(p, c, s, m, first, end, None)
     find_setpoints(p, c, s, paths, block, first, end)
     add_waves(p, c, s, first, end)
     track_steps(p, c, s, m, first, end)
@@ -183,16 +190,33 @@ def shake_deviation(lag, period):
     return (1.0 - q) ** 2 * math.sqrt((1.0 + q * q) / (1.0 - q * q) ** 3)
 
 
+@compiled
+def move(p, c, s, m, first, end, extended):
+    """Stages 4 to 6: integrate over the tick and read the sensors.
+
+    `extended` is None unless springs go on beyond their table or drives stall: then their code is not compiled.
+    """
+    h = p.control_period / p.substeps  # of the classical Runge-Kutta method
+    for _ in range(p.substeps):
+        evaluate(p, c, s, m, first, end, 0.0, 1.0, extended)
+        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0, extended)
+        evaluate(p, c, s, m, first, end, 0.5 * h, 2.0, extended)
+        evaluate(p, c, s, m, first, end, h, 1.0, extended)
+        step(m, first, end, h)
+    give_way(p, c, m, first, end, extended)
+    sense(p, c, s, m, first, end, extended)
+
+
 @compiled_lanes
-def evaluate(p, c, s, m, first, end, reach, weight):
+def evaluate(p, c, s, m, first, end, reach, weight, extended):
     """Stage 4: evaluate the rates of change `reach` [s] ahead by the last ones, and add them to the step's sum."""
     for i in range(first, end):
         x, v = m.angle[i] + reach * m.angle_rate[i], m.velocity[i] + reach * m.velocity_rate[i]
         a, b = m.biceps[i] + reach * m.biceps_rate[i], m.triceps[i] + reach * m.triceps_rate[i]
         m.angle_rate[i] = v
-        m.velocity_rate[i] = acceleration(p, c, i, x, v, a, b, m.push[i])
-        m.biceps_rate[i] = drive_rate(s.command_biceps[i], a, p.inverse_lag, p.rate_limit)
-        m.triceps_rate[i] = drive_rate(s.command_triceps[i], b, p.inverse_lag, p.rate_limit)
+        biceps, triceps = string_forces(p, c, i, x, a, b, extended)
+        m.velocity_rate[i] = acceleration_by(p, c, i, x, v, biceps, triceps, m.push[i])
+        m.biceps_rate[i], m.triceps_rate[i] = drive_rates(p, c, s, i, a, b, biceps, triceps, extended)
         m.angle_sum[i] += weight * m.angle_rate[i]
         m.velocity_sum[i] += weight * m.velocity_rate[i]
         m.biceps_sum[i] += weight * m.biceps_rate[i]
@@ -210,14 +234,44 @@ def step(m, first, end, h):
         clear_rates(m, i)
 
 
+@compiled
+def give_way(p, c, m, first, end, extended):
+    """Turn drives without a lag back to where their strings load them with no more than the stall torque."""
+    if extended is not None and p.inverse_lag == 0.0 and p.stall_torque < math.inf:
+        for i in range(first, end):
+            at_biceps = stretch_biceps(p, c, i, m.biceps[i], m.angle[i])
+            at_triceps = stretch_triceps(p, c, i, m.triceps[i], m.angle[i])
+            radius_biceps = p.drive_radius * c.pulley_biceps_factor[i]
+            radius_triceps = p.drive_radius * c.pulley_triceps_factor[i]
+            slip_biceps = slip(p, at_biceps, p.stall_torque / (radius_biceps * c.spring_biceps_factor[i]))
+            slip_triceps = slip(p, at_triceps, p.stall_torque / (radius_triceps * c.spring_triceps_factor[i]))
+            m.biceps[i] -= slip_biceps / (p.inverse_max_deflection * radius_biceps)
+            m.triceps[i] += slip_triceps / (p.inverse_max_deflection * radius_triceps)
+
+
+@compiled
+def slip(p, position, force):
+    """Return by how much a position is beyond the one with a string force [N], by bisection; 0 if it is not."""
+    if spring_force(p, position, EXTENDED) <= force:
+        return 0.0
+    low, high = 0.0, position
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if spring_force(p, middle, EXTENDED) < force:
+            low = middle
+        else:
+            high = middle
+    return position - 0.5 * (low + high)
+
+
 @compiled_lanes
-def sense(p, c, s, m, first, end):
+def sense(p, c, s, m, first, end, extended):
     """Stage 6: end the motion and read the sensors, for the next tick."""
     for i in range(first, end):
-        end_motion(p, c, s, m, i)
+        end_motion(p, c, s, m, i, extended)
         s.tick[i] += 1
         last_angle = s.measured_angle[i]
-        read_sensors(p, c, s, i)
+        read_sensors(p, c, s, i, extended)
         s.measured_velocity[i] = filtered_derivative(
             s.measured_velocity[i], s.measured_angle[i] - last_angle, 1.0, p.velocity_filter, p.control_period
         )
@@ -379,8 +433,59 @@ def setpoint_kick(p, s, m, i):
 @compiled
 def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
     """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
-    force_biceps = c.spring_biceps_factor[i] * look_up(p.force_table, stretch_biceps(p, c, i, drive_biceps, angle))
-    force_triceps = c.spring_triceps_factor[i] * look_up(p.force_table, stretch_triceps(p, c, i, drive_triceps, angle))
+    biceps, triceps = string_forces(p, c, i, angle, drive_biceps, drive_triceps, EXTENDED)
+    return acceleration_by(p, c, i, angle, velocity, biceps, triceps, push)
+
+
+@compiled
+def spring_force(p, position, extended):
+    """Return the force of the profile's springs [N] at a deflection, a share of the look-up tables' range."""
+    force = look_up(p.force_table, position)
+    if extended is not None:
+        force += force_beyond(position, p.beyond_slope, p.beyond_free_length, p.beyond_width)
+    return force
+
+
+@compiled
+def slider_deflection(p, position, extended):
+    """Return the linear spring's deflection [m] at a string's deflection, a share of the look-up tables' range."""
+    deflection = look_up(p.spring_table, position)
+    if extended is not None:
+        deflection += slider_beyond(position, p.beyond_slider, p.beyond_width)
+    return deflection
+
+
+@compiled
+def string_forces(p, c, i, angle, drive_biceps, drive_triceps, extended):
+    """Return the forces of both strings [N]; a drive without a lag gives way to more than its stall torque."""
+    biceps = c.spring_biceps_factor[i] * spring_force(p, stretch_biceps(p, c, i, drive_biceps, angle), extended)
+    triceps = c.spring_triceps_factor[i] * spring_force(p, stretch_triceps(p, c, i, drive_triceps, angle), extended)
+    if extended is not None and p.inverse_lag == 0.0:
+        biceps = min(biceps, p.stall_torque / (p.drive_radius * c.pulley_biceps_factor[i]))
+        triceps = min(triceps, p.stall_torque / (p.drive_radius * c.pulley_triceps_factor[i]))
+    return biceps, triceps
+
+
+@compiled
+def drive_rates(p, c, s, i, angle_biceps, angle_triceps, force_biceps, force_triceps, extended):
+    """Return the speeds of both drives [rad/s]."""
+    if extended is None:
+        biceps = drive_rate(s.command_biceps[i], angle_biceps, p.inverse_lag, p.rate_limit)
+        triceps = drive_rate(s.command_triceps[i], angle_triceps, p.inverse_lag, p.rate_limit)
+    else:
+        load = p.drive_radius / p.stall_torque
+        load_biceps = force_biceps * c.pulley_biceps_factor[i] * load
+        load_triceps = force_triceps * c.pulley_triceps_factor[i] * load
+        biceps = loaded_drive_rate(s.command_biceps[i], angle_biceps, p.inverse_lag, p.rate_limit, 1.0, load_biceps)
+        triceps = loaded_drive_rate(
+            s.command_triceps[i], angle_triceps, p.inverse_lag, p.rate_limit, -1.0, load_triceps
+        )
+    return biceps, triceps
+
+
+@compiled
+def acceleration_by(p, c, i, angle, velocity, force_biceps, force_triceps, push):
+    """Return the joint's acceleration [rad/s2] by the forces of both strings [N] (eq. 1)."""
     preload = preload_force(force_biceps, force_triceps, p.damping_by_mean)
     decay = c.friction[i] * decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
     external = push + obstacle_torque(c, i, angle, velocity)
@@ -418,7 +523,7 @@ def clear_rates(m, i):
 
 
 @compiled
-def end_motion(p, c, s, m, i):
+def end_motion(p, c, s, m, i, extended):
     """Store the state at the end of the motion, unless it is not finite, and update the metrics."""
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
     error_before = s.setpoint[i] - s.angle[i]
@@ -434,7 +539,7 @@ def end_motion(p, c, s, m, i):
     s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
     s.push_torque[i] = push
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
-    update_string_forces(p, c, s, i)
+    update_string_forces(p, c, s, i, extended)
     # Eq. 8 of the drives' own motion, and the work that they do against their strings: by the mean force in the tick.
     squares = turn_biceps * turn_biceps + turn_triceps * turn_triceps
     s.drive_effort[i] += m.counting[i] * squares / p.control_period
@@ -456,20 +561,22 @@ def end_motion(p, c, s, m, i):
 
 
 @compiled
-def update_string_forces(p, c, s, i):
+def update_string_forces(p, c, s, i, extended):
     """Set the true string forces [N] of the present state."""
-    biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
-    triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
-    s.force_biceps[i] = c.spring_biceps_factor[i] * look_up(p.force_table, biceps)
-    s.force_triceps[i] = c.spring_triceps_factor[i] * look_up(p.force_table, triceps)
+    s.force_biceps[i], s.force_triceps[i] = string_forces(
+        p, c, i, s.angle[i], s.drive_biceps[i], s.drive_triceps[i], extended
+    )
 
 
 @compiled
 def joint_stiffness(p, c, i, angle, drive_biceps, drive_triceps):
     """Return the strings' stiffness about the joint, R_2^2 (f'_1 + f'_2) [N m/rad]."""
     biceps, triceps = stretch_biceps(p, c, i, drive_biceps, angle), stretch_triceps(p, c, i, drive_triceps, angle)
-    slope_biceps = c.spring_biceps_factor[i] * look_up_slope(p.force_table, biceps)
-    slope_triceps = c.spring_triceps_factor[i] * look_up_slope(p.force_table, triceps)
+    slope_biceps, slope_triceps = look_up_slope(p.force_table, biceps), look_up_slope(p.force_table, triceps)
+    if p.extended:
+        slope_biceps += slope_beyond(biceps, p.beyond_slope, p.beyond_free_length, p.beyond_width)
+        slope_triceps += slope_beyond(triceps, p.beyond_slope, p.beyond_free_length, p.beyond_width)
+    slope_biceps, slope_triceps = c.spring_biceps_factor[i] * slope_biceps, c.spring_triceps_factor[i] * slope_triceps
     return (slope_biceps + slope_triceps) * p.inverse_max_deflection * p.joint_radius * p.joint_radius
 
 
@@ -483,7 +590,7 @@ def recorded_stiffness(p, c, i, angles, drives_biceps, drives_triceps):
 
 
 @compiled
-def read_sensors(p, c, s, i):
+def read_sensors(p, c, s, i, extended):
     """Measure the joint angle and both springs, and estimate the string forces."""
     key = c.noise_key[i]
     counter = np.uint64(s.tick[i]) * SENSOR_STREAMS
@@ -493,13 +600,13 @@ def read_sensors(p, c, s, i):
     biceps = stretch_biceps(p, c, i, s.drive_biceps[i], s.angle[i])
     triceps = stretch_triceps(p, c, i, s.drive_triceps[i], s.angle[i])
     s.measured_biceps[i] = read_slider(
-        look_up(p.spring_table, biceps),
+        slider_deflection(p, biceps, extended),
         c.slider_bias_biceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_BICEPS),
         p.slider_resolution,
         p.slider_travel,
     )
     s.measured_triceps[i] = read_slider(
-        look_up(p.spring_table, triceps),
+        slider_deflection(p, triceps, extended),
         c.slider_bias_triceps[i] + more * sensor_noise(p.slider_noise, key, counter + SLIDER_TRICEPS),
         p.slider_resolution,
         p.slider_travel,
@@ -648,7 +755,7 @@ def settle(p, which, c_blocks, s_blocks, paths, loop, devices):
         parameters = p[own]
         settle_strings(parameters, c, s, i)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
-        read_sensors(parameters, c, s, i)
+        read_sensors(parameters, c, s, i, EXTENDED)
         s.position_signal[i] = s.setpoint[i] - s.measured_angle[i]
         if not parameters.position_on_error:
             s.position_signal[i] = -s.measured_angle[i]
@@ -699,7 +806,7 @@ def settle_strings(p, c, s, i):
     s.angle[i] = angle
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
-    update_string_forces(p, c, s, i)
+    update_string_forces(p, c, s, i, EXTENDED)
     if p.tension_loop:
         output = turn_biceps if biceps_is_agonist else turn_triceps
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
@@ -714,7 +821,7 @@ def settle_strings(p, c, s, i):
     s.stiffness_setpoint[i] = math.nan  # most loops take none
     biceps = stretch_biceps(p, c, i, turn_biceps, angle)
     triceps = stretch_triceps(p, c, i, turn_triceps, angle)
-    s.measured_difference[i] = look_up(p.spring_table, biceps) - look_up(p.spring_table, triceps)
+    s.measured_difference[i] = slider_deflection(p, biceps, EXTENDED) - slider_deflection(p, triceps, EXTENDED)
     # The microcontroller knows the profile's springs only.
     biceps, triceps = s.force_biceps[i] / c.spring_biceps_factor[i], s.force_triceps[i] / c.spring_triceps_factor[i]
     s.estimate_biceps[i], s.estimate_triceps[i] = trust(p, biceps, biceps), trust(p, triceps, triceps)
@@ -738,8 +845,8 @@ def position_only_equilibrium(p, c, i, needed, apart):
     scale_triceps = p.drive_radius * c.pulley_triceps_factor[i] * p.inverse_max_deflection
     for _ in range(60):
         middle = 0.5 * (low + high)
-        biceps = look_up(p.force_table, (middle + p.position_only_offset) * scale_biceps)
-        triceps = look_up(p.force_table, (p.position_only_offset - middle - apart) * scale_triceps)
+        biceps = spring_force(p, (middle + p.position_only_offset) * scale_biceps, EXTENDED)
+        triceps = spring_force(p, (p.position_only_offset - middle - apart) * scale_triceps, EXTENDED)
         if c.spring_biceps_factor[i] * biceps - c.spring_triceps_factor[i] * triceps < needed:
             low = middle
         else:

@@ -81,6 +81,9 @@ PARAMETERS = record(
     + _fields("force_table spring_table estimate_table", "f8", CELLS, 4)
     + _fields("inverse_max_deflection max_spring_deflection damping_a damping_b damping_c damping_d")
     + _fields("damping_by_mean", "i8")
+    + _fields("extended", "i8")  # whether the next two lines matter: springs go on beyond their table, or drives stall
+    + _fields("beyond_slope beyond_free_length beyond_width beyond_slider")  # `model.spring.Continuation`
+    + _fields("stall_torque")
     + _fields("inverse_lag rate_limit command_limit")
     + _fields("encoder_resolution encoder_noise slider_resolution slider_travel slider_noise slider_end")
     + _fields("force_filter force_floor")
@@ -124,6 +127,10 @@ table of slopes over the slider's reading (`model.spring.SpringTables.estimated_
 position of the sensors' floor; the share of the way to its command that a drive turns in a control period, its inverse,
 and the largest step in it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare arm; the gains of
 `control.torque_stiffness`, 0 in other loops; the gains of `gains.Loops`, 0 where the loop has none of that name.
+
+A microcontroller's tables end at the spring's `max_deflection`, whatever the string does beyond (`Spring.beyond`): the
+largest force is that of the tables' end, so a loop asks neither for a force of the stop nor of the law continued. Its
+model of the drives is that of drives without load: it knows no stall torque.
 """
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
@@ -323,6 +330,9 @@ def pack_parameters(
         "estimate_table": tables.estimated_force,
         "inverse_max_deflection": 1.0 / tables.max_deflection,
         "max_spring_deflection": tables.max_spring_deflection,
+        "extended": tables.beyond.slope > 0.0 or tables.beyond.slider > 0.0 or drives.stall_torque is not None,
+        **{f"beyond_{name}": value for name, value in tables.beyond._asdict().items()},
+        "stall_torque": drives.stall_torque or np.inf,
         "damping_c": shifted,
         "damping_by_mean": profile.damping.preload == "mean",
         "inverse_lag": 1.0 / drives.lag if drives.lag > 0 else 0.0,

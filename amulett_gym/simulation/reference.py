@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
+from scipy.optimize import brentq
 
 from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import Pid, Profile
+from amulett_gym.profile import Pid, Profile, Spring
 from amulett_gym.simulation.layout import Control, slider_end
 from amulett_gym.simulation.trajectory import Trajectory
 
@@ -27,18 +28,43 @@ ABSOLUTE_TOLERANCE = (1e-12, 1e-10, 1e-11, 1e-11)  # joint [rad], its rate [rad/
 
 
 def string_force(profile: Profile) -> Callable[[float], float]:
-    """Return f(Delta l) [N] over a string's deflection [m]: 0 in a slack string, constant beyond the table's end."""
+    """Return f(Delta l) [N] over a string's deflection [m]: 0 in a slack string."""
     tables = build_tables(profile.spring)
     knots = np.append(tables.force[:, 0], tables.max_force)
     curve = PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots)
     end, most = tables.max_deflection, float(knots[-1])
 
+    further = _beyond(profile.spring)
+
     def force(deflection: float) -> float:
         if deflection <= 0.0:
             return 0.0
-        return float(curve(deflection)) if deflection < end else most
+        return float(curve(deflection)) if deflection < end else most + further(deflection) - further(end)
 
     return force
+
+
+def _beyond(spring: Spring) -> Callable[[float], float]:
+    """Return a function whose rise from the table's end on is that of the force [N], over the deflection [m].
+
+    A measured curve continues with its last slope.
+    """
+    if spring.beyond is None:
+        return lambda _: 0.0
+    if spring.stop_stiffness is not None:
+        stop = spring.stop_stiffness
+        return lambda y: stop * y
+    if spring.measured_curve is None:  # two linear springs, anchored half_width beside the string
+
+        def pull(y: float) -> float:
+            length = math.hypot(spring.half_width, y)
+            return 2 * spring.stiffness * (length - spring.free_length) * y / length
+
+        return pull
+    curve = spring.measured_curve
+    first = [0.0] if curve.deflection_m[0] > 0.0 else []
+    slope = float(PchipInterpolator([*first, *curve.deflection_m], [*first, *curve.force_N])(curve.deflection_m[-1], 1))
+    return lambda y: slope * y
 
 
 def decay_rate(profile: Profile, preload: float) -> float:
@@ -97,12 +123,27 @@ def replay_motion(
     inertia *= float(scenario["inertia_factor"])
     friction_inertia = (bare if profile.damping.keeps == "torque" else inertia) * float(scenario["damping_factor"])
     force = string_force(profile)
+    stall = math.inf if profile.drives.stall_torque is None else profile.drives.stall_torque
     wall = {name: float(scenario[f"obstacle_{name}"]) for name in ("angle", "side", "stiffness", "damping")}
 
     def forces(state: NDArray[np.float64]) -> tuple[float, float]:
         joint, _, biceps, triceps = state
         pull_biceps = stronger_biceps * force(biceps * to_biceps - joint * to_joint)
-        return pull_biceps, stronger_triceps * force(joint * to_joint - triceps * to_triceps)
+        pull_triceps = stronger_triceps * force(joint * to_joint - triceps * to_triceps)
+        if lag > 0.0:
+            return pull_biceps, pull_triceps
+        return min(pull_biceps, stall / to_biceps), min(pull_triceps, stall / to_triceps)
+
+    def slipped(state: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the angles at which drives without a lag are: they give way to more than the stall torque."""
+        joint, _, biceps, triceps = state
+        most_biceps, most_triceps = stall / to_biceps / stronger_biceps, stall / to_triceps / stronger_triceps
+        stretch_biceps, stretch_triceps = biceps * to_biceps - joint * to_joint, joint * to_joint - triceps * to_triceps
+        if force(stretch_biceps) > most_biceps:
+            biceps -= (stretch_biceps - _deflection(force, most_biceps, stretch_biceps)) / to_biceps
+        if force(stretch_triceps) > most_triceps:
+            triceps += (stretch_triceps - _deflection(force, most_triceps, stretch_triceps)) / to_triceps
+        return biceps, triceps
 
     def contact(joint: float, velocity: float) -> float:
         depth = (joint - wall["angle"]) * wall["side"]
@@ -124,8 +165,10 @@ def replay_motion(
         torque += push + contact(joint, velocity)
         turn_biceps = turn_triceps = 0.0
         if lag > 0.0:
-            turn_biceps = float(np.clip((biceps_command - biceps) / lag, -fastest, fastest))
-            turn_triceps = float(np.clip((triceps_command - triceps) / lag, -fastest, fastest))
+            # Under load a drive winds its string more slowly, by the straight line to the stall torque and beyond.
+            left_biceps, left_triceps = 1.0 - pull_biceps * to_biceps / stall, 1.0 - pull_triceps * to_triceps / stall
+            turn_biceps = min(max((biceps_command - biceps) / lag, -fastest), fastest * left_biceps)
+            turn_triceps = max(min((triceps_command - triceps) / lag, fastest), -fastest * left_triceps)
         return velocity, torque / inertia, turn_biceps, turn_triceps
 
     names = ("angle", "velocity", "drive_biceps", "drive_triceps")
@@ -144,9 +187,16 @@ def replay_motion(
         if not solution.success:
             raise ArithmeticError(f"tick {tick}: {solution.message}")
         state = solution.y[:, -1]
+        if lag == 0.0:
+            state[2:] = slipped(state)
         rows.append((*state, *forces(state), push, contact(state[0], state[1])))
     columns = (*names, "force_biceps", "force_triceps", "push_torque", "contact_torque")
     return dict(zip(columns, np.array(rows).T, strict=True))
+
+
+def _deflection(force: Callable[[float], float], wanted: float, beyond: float) -> float:
+    """Return the string deflection [m], less than `beyond`, at which a string has a force [N]."""
+    return float(brentq(lambda stretch: force(stretch) - wanted, 0.0, beyond, xtol=1e-16, rtol=1e-14))
 
 
 def replay_control(

@@ -63,6 +63,7 @@ _DRAWS = _DEVICE + 16
 
 _VERTICAL_TOP_DEG = 60.0
 _LASTS = 60.0  # [s]; longer than an episode
+_STRONGEST = 1.14  # largest factor by which `_vary_device` makes springs stronger, times that of the pulley's radius
 
 Rows = NDArray[np.void]
 
@@ -81,7 +82,8 @@ def sample(
     profile : Profile
         Scales external torques and gives the nominal tension and inertia.
     max_force : float, optional
-        Force at which the profile's springs saturate [N], if already known: its calculation takes most of the time.
+        Force at the end of the springs' table [N], if already known: its calculation takes most of the time. Drives
+        that stall allow less.
     split : str
         ``"shifted"`` draws from outside the ranges that all other splits share.
 
@@ -97,6 +99,8 @@ def sample(
     check_names(suite, split)
     if max_force is None:
         max_force = build_tables(profile.spring).max_force
+    if profile.drives.stall_torque is not None:
+        max_force = min(max_force, profile.drives.stall_torque / (profile.plant.drive_pulley_radius * _STRONGEST))
     rows = np.repeat(empty_rows(1, profile), keys.size)
     rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS)

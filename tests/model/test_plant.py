@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amulett_gym.model import damping
-from amulett_gym.model.drive import drive_rate
+from amulett_gym.model.drive import drive_rate, loaded_drive_rate
 from amulett_gym.model.plant import (
     contact_torque,
     deflection_biceps,
@@ -205,6 +205,22 @@ def test_drive_lags_within_its_speed_and_an_ideal_one_has_none_to_show():
     assert drive_rate(9.0, 0.0, 1 / 0.05, 10.0) == 10.0
     assert drive_rate(-9.0, 0.0, 1 / 0.05, 10.0) == -10.0
     assert drive_rate(9.0, 0.0, 0.0, math.inf) == 0.0
+
+
+@given(angles, st.floats(0, 3))
+def test_a_loaded_drive_has_the_torque_speed_line_of_a_geared_motor(angle, load):
+    # Winding is limited to 1 - load of the speed without load, and beyond stall the load turns the drive back.
+    assert loaded_drive_rate(angle + 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(10.0 * (1.0 - load))
+    assert loaded_drive_rate(angle - 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(
+        min(-10.0, 10.0 * (1.0 - load))
+    )
+    slow = loaded_drive_rate(angle + 0.1, angle, 20.0, 10.0, 1.0, load)
+    assert slow == pytest.approx(min(2.0, 10.0 * (1.0 - load)))
+    assert (
+        loaded_drive_rate(-angle - 0.1, -angle, 20.0, 10.0, -1.0, load) == -slow
+    )  # the triceps' drive winds backwards
+    assert loaded_drive_rate(angle + 0.1, angle, 20.0, 10.0, 1.0, 0.0) == drive_rate(angle + 0.1, angle, 20.0, 10.0)
+    assert loaded_drive_rate(angle + 0.1, angle, 0.0, math.inf, 1.0, load) == 0.0
 
 
 def test_lagging_drive_follows_a_held_command_exponentially():

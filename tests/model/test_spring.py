@@ -128,3 +128,44 @@ def test_profile_names_its_measured_curve_relative_to_itself(tmp_path):
     write_curve(tmp_path / "curve.csv", ("deflection_m", "force_N"), [(0, 0), (0.002, 5), (0.004, 10)])
     (tmp_path / "own.yaml").write_text("{name: own, base: testbed, spring: {measured_curve: curve.csv}}")
     assert build_tables(load_profile(tmp_path / "own.yaml").spring).max_force == pytest.approx(10)
+
+
+def beyond(share, **changes):
+    """Return a changed spring's force and its slope at a share of its table's range."""
+    tables = build_tables(Spring.model_validate({**SPRING.model_dump(), **changes}))
+    deflection = share * tables.max_deflection
+    step = 1e-6 * tables.max_deflection
+    slope = (tables.force_at(deflection + step) - tables.force_at(deflection - step)) / (2 * step)
+    assert tables.stiffness_at(deflection) == pytest.approx(slope, rel=1e-5, abs=1e-6)
+    assert tables.stiffness_at(deflection) <= tables.max_stiffness * (1 + 1e-9)
+    return tables.force_at(deflection), slope
+
+
+@given(st.floats(1.01, 10.0))
+def test_beyond_the_table_the_law_goes_on_or_a_stop_takes_over(share):
+    deflection = share * SPRING.max_deflection
+    assert beyond(share) == beyond(share, beyond="held") == (TABLES.max_force, 0.0)
+    assert beyond(share, beyond="continued")[0] == pytest.approx(closed_form(SPRING, deflection), rel=1e-12)
+    stopped, slope = beyond(share, beyond="hard-stop", stop_stiffness=4e4)
+    assert stopped == pytest.approx(TABLES.max_force + 4e4 * (deflection - SPRING.max_deflection), rel=1e-12)
+    assert slope == pytest.approx(4e4, rel=1e-5)
+
+
+@given(fractions)
+def test_what_follows_the_table_changes_nothing_in_it(fraction):
+    for changes in ({"beyond": "continued"}, {"beyond": "hard-stop", "stop_stiffness": 4e4}):
+        tables = build_tables(Spring.model_validate({**SPRING.model_dump(), **changes}))
+        deflection = fraction * TABLES.max_deflection
+        assert tables.force_at(deflection) == TABLES.force_at(deflection)
+        assert tables.max_force == TABLES.max_force  # for the loops that ask how far a string may be pulled
+        with pytest.raises(AmulettError, match="outside what the springs give"):
+            tables.deflection_at(1.01 * TABLES.max_force)
+
+
+def test_a_measured_curve_goes_on_with_its_last_slope(tmp_path):
+    curve = {"measured_curve": "deflection_m,force_N\n0,0\n0.002,5\n0.004,12\n0.006,20\n"}
+    force, slope = beyond(2.0, **curve, beyond="continued")
+    assert slope == pytest.approx(PchipInterpolator([0, 0.002, 0.004, 0.006], [0, 5, 12, 20])(0.006, 1), rel=1e-6)
+    assert force == pytest.approx(20.0 + 0.006 * slope)
+    stopped, _ = beyond(2.0, **curve, beyond="hard-stop", stop_stiffness=1e4)
+    assert stopped == pytest.approx(20.0 + 0.006 * 1e4)

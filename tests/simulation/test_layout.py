@@ -11,7 +11,7 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import BY_STIFFNESS, LOOPS, pack_loop, pack_parameters
+from amulett_gym.simulation.layout import BY_STIFFNESS, DRIVES, LOOPS, pack_loop, pack_parameters
 from amulett_gym.tasks.scenario import empty_rows
 
 
@@ -76,6 +76,14 @@ def test_a_stiffness_needs_springs_that_stiffen(control, spring, reason):
     with pytest.raises(AmulettError, match=f"control '{control}' sets the joint stiffness.*{reason}"):
         pack_loop(profile, control)
     pack_loop(profile, "co-rotation")
+
+
+@pytest.mark.parametrize("control", [*LOOPS, DRIVES])
+def test_loops_take_the_end_of_the_springs_table_whatever_follows(control):
+    held = pack_loop(load_profile("testbed"), control)
+    for spring in ({"beyond": "continued"}, {"beyond": "hard-stop", "stop_stiffness": 4e4}):
+        changed = {"name": "changed", "base": "testbed", "spring": spring, "drives": {"stall_torque": 0.3}}
+        assert pack_loop(load_profile(changed), control).tobytes() == held.tobytes()
 
 
 def test_a_lead_is_a_share_of_the_lag():

@@ -278,6 +278,11 @@ def test_however_far_an_unstable_device_gets_in_one_tick_every_number_is_finite(
     ("changes", "message"),
     [
         ({"plant": {"masses": [{"mass": 1e-3, "arm": 0.05}]}}, "oscillates by .* rad in an integration step"),
+        ({"spring": {"beyond": "hard-stop", "stop_stiffness": 5e6}}, "oscillates by .* rad in an integration step"),
+        (
+            {"spring": {"beyond": "hard-stop", "stop_stiffness": 5e5}, "drives": {"stall_torque": 0.3}},
+            "has drives that give way by .* time constants",
+        ),
         ({"damping": {"d": 1000.0}}, "is damped by .* time constants"),
     ],
 )

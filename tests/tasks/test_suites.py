@@ -106,6 +106,18 @@ def test_suites_with_gravity_can_start_on_the_other_profile(suite):
         Simulation(profile, 2000).reset(sample(suite, episode_keys(seeds, 0 * seeds, split), profile, split=split))
 
 
+@pytest.mark.parametrize("split", ["train", "shifted"])
+@pytest.mark.parametrize("suite", ["mixed", "payload"])
+def test_drives_that_stall_can_hold_every_start(suite, split):
+    profile = load_profile({"name": "weak", "base": "testbed", "drives": {"stall_torque": 0.16}})
+    keys = np.arange(400, dtype=np.uint64)
+    rows = sample(suite, keys, profile, split=split)
+    simulation = Simulation(profile, keys.size)
+    simulation.reset(rows)
+    with pytest.raises(AmulettError, match="stall_torque is 0.16 N m"):
+        simulation.reset(sample(suite, keys, load_profile("testbed"), split=split))
+
+
 def test_mixed_draws_every_family_equally_often():
     rows = sample("mixed", keys(7000), TESTBED)
     share = {

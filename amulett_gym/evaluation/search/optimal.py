@@ -237,9 +237,15 @@ def optimise(profile: Profile, row: np.void, price: Values, ticks: int, options:
     Raises
     ------
     AmulettError
-        If CasADi is missing or the scenario's setpoint is a path.
+        If CasADi is missing, the scenario's setpoint is a path, or the device has what the model lacks: springs that go
+        on beyond their table, or drives that stall.
     """
     begun = time.monotonic()
+    if profile.spring.beyond is not None or profile.drives.stall_torque is not None:
+        raise AmulettError(
+            f"the optimal control of '{profile.name}' cannot be computed: its model has springs whose force is held "
+            "beyond their table (spring.beyond: null) and drives without drives.stall_torque"
+        )
     course = read_course(profile, row, ticks)
     transcription = Transcription(profile, row, price * _UNITS, options.saturates)
     period = profile.loop.control_period

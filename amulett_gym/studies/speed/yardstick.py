@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.c.build import BUILDS, NO_COMPILER, Advance, aligned, build, compile_library, find_compiler
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import load_profile
+from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation import kernel
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import RUNNING, STATE_NAMES
@@ -53,7 +53,7 @@ KERNEL = "kernel"
 
 
 def mixed_simulation(
-    profile: str, num_devices: int, tension_law: str = "eq6", suites: Sequence[str] = SUITES
+    profile: str | Profile, num_devices: int, tension_law: str = "eq6", suites: Sequence[str] = SUITES
 ) -> Simulation:
     """Return devices at the start of the suites in turn; under ``"agent"`` the tension is a constant."""
     device = load_profile(profile)
@@ -79,7 +79,9 @@ def deviations(expected: NDArray[np.void], states: NDArray[np.void]) -> dict[str
     return largest
 
 
-def check(advance: Advance, profile: str, tension_law: str, num_devices: int = CHECKED_DEVICES) -> tuple[float, str]:
+def check(
+    advance: Advance, profile: str | Profile, tension_law: str, num_devices: int = CHECKED_DEVICES
+) -> tuple[float, str]:
     """Return the largest deviation from the kernel after `START` seconds, and the field in which it is."""
     simulation = mixed_simulation(profile, num_devices, tension_law, CHECKED_SUITES)
     scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)

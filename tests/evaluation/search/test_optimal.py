@@ -196,6 +196,13 @@ def test_a_sampled_setpoint_is_refused():
         read_course(TESTBED, pack(scenario, TESTBED)[0], 10)
 
 
+def test_a_device_that_the_model_does_not_know_is_refused():
+    for changes in ({"spring": {"beyond": "continued"}}, {"drives": {"stall_torque": 0.3}}):
+        device = load_profile({"name": "mine", "base": "testbed", **changes})
+        with pytest.raises(AmulettError, match="the optimal control of 'mine' cannot be computed"):
+            optimise(device, pack(Scenario(), device)[0], PRICES, 10)
+
+
 def test_results_are_kept_and_used_again(tmp_path, monkeypatch):
     arguments = {"suite": "mixed", "scenarios": [3, 4], "folder": tmp_path, "duration": 0.7, "options": ONE_START}
     notes = []

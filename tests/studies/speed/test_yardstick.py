@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from helpers import device
 
 from amulett_gym.c.build import BUILDS, NO_COMPILER, aligned, build, declarations, find_compiler
 from amulett_gym.profile import load_profile
@@ -26,6 +27,17 @@ def yardstick(request, tmp_path_factory):
 def test_c_advances_as_the_kernel_does(yardstick, profile, law):
     name, advance = yardstick
     deviation, field = check(advance, profile, law, num_devices=27)
+    assert deviation <= BUILDS[name].tolerance, field
+
+
+@needs_compiler
+@pytest.mark.parametrize("spring", [{"beyond": "continued"}, {"beyond": "hard-stop", "stop_stiffness": 3e4}])
+@pytest.mark.parametrize("base", PROFILES)
+def test_c_knows_what_a_string_does_beyond_its_table_and_a_drive_beyond_its_stall(yardstick, base, spring):
+    name, advance = yardstick
+    # Soft springs, so that most of their strings go beyond the table, and nearly all drives stall.
+    profile = device(base, spring={**spring, "stiffness": 6500.0}, drives={"stall_torque": 0.2})
+    deviation, field = check(advance, profile, "eq6", num_devices=27)
     assert deviation <= BUILDS[name].tolerance, field
 
 
