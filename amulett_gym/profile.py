@@ -298,7 +298,7 @@ class Profile(Group):
 
     @property
     def root(self) -> str:
-        """Name of the shipped profile that this one derives from, whose reward divisors apply; its own name if none.
+        """Name of the shipped profile that this one derives from, whose tuned laws apply; its own name if none.
 
         That is the base, unless this profile shares more groups with the shipped profile of its own name: a changed
         copy of the testbed's content derives from the testbed, which itself is based on the simulation.

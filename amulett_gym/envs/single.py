@@ -226,9 +226,11 @@ class ScalingEnv(TensionEnv):
 
     ## Rewards
 
-    Minus the weighted costs of the step, each divided by the cost of eq. 6 in a whole episode of the same suite, so
-    that the return of eq. 6 is about -1. In `mixed`, each scenario has the weights and divisors of its family, so that
-    all families have the same weight:
+    Minus the weighted costs of the step, each divided by the cost of eq. 6 in a whole episode of the same suite on the
+    same device, so that the return of eq. 6 is about -1. These divisors are frozen for the shipped profiles; on another
+    device eq. 6 is measured when an environment first needs it, which takes tenths of a second, and is then kept (see
+    `envs.eq6_costs`). In `mixed`, each scenario has the weights and divisors of its family, so that all families have
+    the same weight:
 
     - `position` (0.5): position ISE (eq. 7), by the true angle;
     - `effort` (0.45): ISAV (eq. 8) of both drives, summed over control ticks, without the contribution of a jump of
