@@ -81,12 +81,9 @@ class FeedforwardFeedback(CoRotation):
     stiffness_filter: Filter = Field(default=0.1, description="time constant of the estimated stiffness [s]; 0: none")
 
 
-class FeedbackLinearisation(Following):
-    """Gains of `control.feedback_linearisation`."""
+class FeedbackLinearisation(EquilibriumPoint):
+    """Gains of `control.feedback_linearisation`; only its feed-forward near slack strings has a lead."""
 
-    lead: Lead = Field(
-        default=1.0, description="lead of the feed-forward near slack strings, as a share of drives.lag [1]"
-    )
     bandwidth: Bandwidth = Field(default=25.0, description="triple pole of the position error [rad/s]")
     tension_bandwidth: float = Field(default=8.0, ge=0, le=1000, description="pole of the tension error [rad/s]")
     observer_bandwidth: Bandwidth = Field(default=80.0, description="of the joint's rate and its disturbance [rad/s]")

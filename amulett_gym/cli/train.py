@@ -40,7 +40,6 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from amulett_gym import DRIVES_ID
-    from amulett_gym.envs.action import TENSION_RANGE
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
     from amulett_gym.profile import load_profile
     from amulett_gym.storage.provenance import process_words
@@ -57,9 +56,8 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
-        # Amulett/Drives-v0 has no loop; its default one is the paper's.
-        tensions = TENSION_RANGE if config.env.id == DRIVES_ID else tuple(config.env.tension_range)
-        device, loops = load_profile(config.env.profile), (config.env.control,)
+        device, tensions = load_profile(config.env.profile), tuple(config.env.tension_range)
+        loops = () if config.env.id == DRIVES_ID else (config.env.control,)
         print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)

@@ -19,6 +19,7 @@ from amulett_gym.storage.writing import output_folder, write_json, write_text
 if TYPE_CHECKING:
     from amulett_gym.evaluation.search.laws import Recipe
     from amulett_gym.reporting.table import Table
+    from amulett_gym.simulation.layout import Control
 
 HELP = "tune a law or a loop's gains for a device and a suite; the same command continues an interrupted search"
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
@@ -39,7 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     laws = "constant (a tension), eq6-tuned (4 parameters), parametric (18), or gains: those of the loop in --control"
     parser.add_argument("law", metavar="LAW", help=laws)
-    control = "loops that play, or all of them: tuned one by one, alike (default: decentralized, the paper's)"
+    control = (
+        "loops that play, or all that fit the device: tuned one by one, alike (default: decentralized, the paper's)"
+    )
     parser.add_argument("--control", nargs="+", default=["decentralized"], metavar="LOOP", help=control)
     track = (
         "cost that is minimised: schedule or full-control (default: schedule for a law in the paper's loop, else "
@@ -60,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted search in it is continued")
     write = "also replace the package's parameters of this law, for a shipped device"
     parser.add_argument("--write", action="store_true", help=write)
-    add_json(parser, "the tuned law's file")
+    add_json(parser, "the tuned law's file; of several loops each by its name, and those skipped")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -75,11 +78,13 @@ def run(arguments: argparse.Namespace) -> int:
     loop, law = split_loop(arguments.law)
     if loop:
         raise AmulettError(f"'{arguments.law}' names a loop; write {law} --control {loop}")
-    recipes, profile = _recipes(arguments), arguments.profile
+    (recipes, skipped), profile = _recipes(arguments), arguments.profile
     if arguments.write:
         for recipe in recipes:
             check_shippable(recipe)
     show, words = printer(arguments), _command(arguments)
+    for each, reason in skipped.items():
+        show(f"Without {each}, which does not fit this device: {reason}.")
     loops = tuple(recipe.control for recipe in recipes)
     print_remarks(device_remarks(recipes[0].device(), loops=loops, suite=recipes[0].suite))
     try:
@@ -98,7 +103,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.write:
         written += [str(ship(recipe, content)) for recipe, content in tuned]
     if arguments.json:
-        print_json({recipe.control: content for recipe, content in tuned} if several else contents[0])
+        every = {recipe.control: content for recipe, content in tuned} | ({"skipped": skipped} if skipped else {})
+        print_json(every if several else contents[0])
     show((_costs(tuned) if several else _in_words(contents[0])).text(), wrap=False)
     for recipe, content in tuned:
         if ends := at_ends(recipe, content):
@@ -113,18 +119,26 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _recipes(arguments: argparse.Namespace) -> list[Recipe]:
-    """Return the recipe of each loop."""
-    from amulett_gym.simulation.layout import CONTROLS
+def _recipes(arguments: argparse.Namespace) -> tuple[list[Recipe], dict[Control, str]]:
+    """Return the recipe of each loop, and the loops that `all` skips with the reasons."""
+    from amulett_gym.profile import load_profile
+    from amulett_gym.simulation.layout import CONTROLS, unfit_loops
 
+    skipped: dict[Control, str] = {}
     controls = arguments.control
     if controls == ["all"]:
-        controls = [control for control in CONTROLS if control != "position-only"]
+        skipped = unfit_loops(load_profile(arguments.profile))
+        controls = [control for control in CONTROLS if control != "position-only" and control not in skipped]
+    elif "all" in controls:
+        loops = " ".join(control for control in controls if control != "all")
+        raise AmulettError(f"--control all stands alone; write --control all, or the loops without it: {loops}")
     if len(set(controls)) < len(controls):
         raise AmulettError(f"--control names a loop twice: {' '.join(controls)}")
     sizes = {name: getattr(arguments, name) for name in ("law", "suite", "profile", "seeds", "validation", "track")}
     recipes = read_recipes({**sizes, "control": controls})
-    return recipes if arguments.budget is None else [recipe.within(arguments.budget) for recipe in recipes]
+    if arguments.budget is not None:
+        recipes = [recipe.within(arguments.budget) for recipe in recipes]
+    return recipes, skipped
 
 
 def read_recipes(config: Mapping[str, Any]) -> list[Recipe]:

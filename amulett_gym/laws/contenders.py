@@ -116,9 +116,9 @@ def split_loop(name: str) -> tuple[str, str]:
 
 
 def loops_of(contenders: Iterable[Contender]) -> tuple[Control, ...]:
-    """Return the loops in which contenders act; in `Amulett/Drives-v0`, which has none, the paper's."""
+    """Return the loops in which contenders act; those of `Amulett/Drives-v0` act in none."""
     loops = [contender.env_keywords.get("control", CONTROLS[0]) for contender in contenders]
-    return tuple(dict.fromkeys(CONTROLS[0] if loop == DRIVES else loop for loop in loops))
+    return tuple(dict.fromkeys(loop for loop in loops if loop != DRIVES))
 
 
 def in_loop(contender: C, loop: str) -> C:
@@ -267,7 +267,7 @@ def bundle_folder(name: str) -> Path:
                 f"there acts, written without a loop; other loops are {', '.join(sorted(CONTROLS))}"
             )
         raise unknown("control loop", loop, CONTROLS)
-    if loop == DRIVES and (user_path(law) / MANIFEST).is_file() | (user_path(law) / "best" / MANIFEST).is_file():
+    if loop == DRIVES and any((user_path(law) / place / MANIFEST).is_file() for place in ("", "best")):
         raise AmulettError(f"'{name}' is no contender: write '{law}'; a policy trained in {DRIVES_ID} acts there")
     if slash:
         hint = nearest(loop, LOOPS) if len(folder.parts) == 2 else ""

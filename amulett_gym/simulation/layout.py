@@ -401,6 +401,17 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     return packed
 
 
+def unfit_loops(profile: Profile) -> dict[Control, str]:
+    """Return the loops of `LOOPS` whose needs a device does not meet, each with the reason."""
+    found = {}
+    for loop in LOOPS:
+        try:
+            pack_loop(profile, loop)
+        except AmulettError as error:
+            found[loop] = str(error).rstrip(".")
+    return found
+
+
 def _check_forces(gains: Group, tables: SpringTables, control: Control) -> None:
     """Raise an AmulettError if the springs do not reach a string force that a loop needs."""
     for name in STRING_FORCES:

@@ -170,6 +170,7 @@ def test_the_track_decides_which_cost_is_minimised(place, capsys):
         (["constant", "--out", "dev.yaml"], "is a file"),
         (["gains", "--control", "cascade", "cascade", "--out", "x"], "--control names a loop twice: cascade cascade"),
         (["gains", "--control", "all", "--write", "--out", "x"], "gains of the paper's loop stay"),
+        (["gains", "--control", "all", "cascade", "--out", "x"], "all stands alone; .* the loops without it: cascade"),
         (["constant", "--processes", "0", "--out", "x"], "--processes is 0; it has to be at least 1"),
     ],
 )
@@ -235,9 +236,24 @@ def test_gains_of_several_loops_are_one_profile(place, capsys, monkeypatch):
 
 def test_all_are_the_loops_that_take_a_tension():
     words = ["tune-law", "gains", "--control", "all", "--budget", "20000", "--out", "x"]
-    recipes = tune_law._recipes(build_parser().parse_args(words))
+    recipes, skipped = tune_law._recipes(build_parser().parse_args(words))
+    assert skipped == {}
     assert [recipe.control for recipe in recipes] == ["decentralized", *LOOPS]
     assert len({recipe.episodes for recipe in recipes}) == 1 and recipes[0].episodes <= 20_000
+
+
+def test_all_skips_loops_that_do_not_fit_the_device_and_says_why(place, capsys, monkeypatch):
+    (place / "dev.yaml").write_text("{name: linear, base: testbed, spring: {free_length: 0}}")
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # other processes would not have the short recipes
+    words = ["tune-law", "constant", "--control", "all", "--profile", "dev.yaml", *SEARCH[2:]]
+    assert main([*words, "--out", "tuned"]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Without torque-stiffness, which does not fit this device: control 'torque-stiffness' sets the joint" in out
+    assert "co-rotation, start 3: cost" in out
+    assert main([*words, "--out", "tuned", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed.pop("skipped")) == {"torque-stiffness", "feedforward-feedback"}
+    assert set(printed) == {"decentralized", *LOOPS} - {"torque-stiffness", "feedforward-feedback"}
 
 
 def test_a_folder_holds_one_law(place, capsys):

@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 from helpers import PROFILES, device
 
+from amulett_gym import DRIVES_ID
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.evaluation.remarks import device_remarks
+from amulett_gym.laws.contenders import Contender, loops_of, parse_contender
 from amulett_gym.profile import load_profile
-from amulett_gym.simulation.layout import CONTROLS
+from amulett_gym.simulation.layout import CONTROLS, DRIVES
 
 MY_DEVICE = Path(__file__).parents[2] / "configs" / "my_device.yaml"
 STIFF = {"name": "stiff", "base": "testbed", "spring": {"stiffness": 250_000.0}}
@@ -98,6 +100,12 @@ def test_remarks_say_where_eq6_fails_or_cannot_be_measured():
     for profile, remark in zip((fast, weak), said, strict=True):
         assert [each for each in device_remarks(profile, suite="steps") if "eq6" in each] == [remark]
         assert not any("eq6" in each for each in device_remarks(profile))
+
+
+def test_an_environment_without_a_loop_is_not_diagnosed():
+    drives = Contender("mine", {"control": DRIVES}, env_id=DRIVES_ID)
+    assert loops_of([drives, parse_contender("cascade/eq6"), parse_contender("eq6")]) == ("cascade", "decentralized")
+    assert device_remarks(load_profile(STIFF), loops=loops_of([drives])) == []
 
 
 @pytest.mark.parametrize(

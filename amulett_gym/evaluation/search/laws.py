@@ -523,11 +523,9 @@ def following(law: Law, vectors: Values, trials: Trials) -> Choose:
 
 
 def _content(recipe: Recipe, searched: Sequence[_Start]) -> dict[str, Any]:
-    starts, train, validation = (
-        {start.seed: start.result for start in searched},
-        searched[0].train,
-        searched[0].validation,
-    )
+    starts = {start.seed: start.result for start in searched}
+    train = searched[0].train
+    validation = searched[0].validation
     law, loop = recipe.space(), recipe.control in LOOPS or recipe.law == GAINS
     chosen = min(starts, key=lambda seed: starts[seed]["validation"])
     described = {}

@@ -12,14 +12,14 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL, SCHEDULE
 from amulett_gym.envs.settings import ControlLoop, CostTrack
-from amulett_gym.errors import unknown
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.runner import MOST_EPISODES
 from amulett_gym.laws.contenders import CONSTANT, contender_names, split_loop
 from amulett_gym.laws.parametric import LAWS
 from amulett_gym.learning import load_learning
 from amulett_gym.profile import Positive, Profile, load_profile
 from amulett_gym.settings import Group, configs_folder, describe, find_config
-from amulett_gym.simulation.layout import CONTROLS, LOOPS, Control
+from amulett_gym.simulation.layout import CONTROLS, LOOPS, Control, unfit_loops
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.tasks.suites import suite_names
 
@@ -386,8 +386,19 @@ def recipe_folder(path: str | Path | None) -> Path:
 
 
 def load_profile_of(description: Benchmark, folder: Path) -> Profile:
-    """Return the device that a description names; a file's path is relative to the description's `folder`."""
-    return load_profile(profile_of(description, folder))
+    """Return the device that a description names; a file's path is relative to the description's `folder`.
+
+    Raises AmulettError if it cannot be read, or does not fit a loop of the description.
+    """
+    profile = load_profile(profile_of(description, folder))
+    unfit = {loop: why for loop, why in unfit_loops(profile).items() if loop in description.loops}
+    if unfit:
+        others = ", ".join(loop for loop in description.loops if loop not in unfit)
+        raise AmulettError(
+            f"loops of the benchmark do not fit the device '{profile.name}'; write loops: [{others}]. "
+            f"{'. '.join(f'{loop}: {why}' for loop, why in unfit.items())}"
+        )
+    return profile
 
 
 def profile_of(description: Benchmark, folder: Path) -> str | Path:

@@ -84,7 +84,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
 
 
 def _unusual(protocol: Protocol, contender: Contender) -> list[Any]:
-    """Return what else a run depends on where it is not the usual, with which it is left out, as in older files."""
+    """Return settings of a run that differ from the usual ones; usual ones add nothing, so older digests stay valid."""
     found: list[Any] = []
     if not _prices_are_frozen():
         found.append(control_prices(protocol.profile, protocol.suite))

@@ -20,6 +20,7 @@ from amulett_gym.laws.contenders import constant_tension, split_loop
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure, FuncFormatter
 from amulett_gym.reporting.words import pretty
+from amulett_gym.simulation.layout import DRIVES
 from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.studies.benchmark.description import PAPER_STEP, PAPERS, loop_of, named
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
@@ -378,7 +379,8 @@ def worst_figure(evidence: Evidence, found: Content) -> Figure:
 def _main(evidence: Evidence) -> list[str]:
     learned = [name for name, entry in evidence.entries.items() if entry.kind in ("learned", "reference")]
     if evidence.description.track == FULL_CONTROL:
-        drawn = [name for name in learned if name in (evidence.description.best_learned, "drives")]
+        best = evidence.description.best_learned
+        drawn = [name for name in learned if name == best or evidence.entries[name].loop == DRIVES]
         return [YARDSTICK, *evidence.best_constants(), *(drawn or learned[:MOST_MEMBERS])]
     asked = (YARDSTICK, evidence.best_constant(), TUNED_EQ6, TUNED_LAW, POSITION_ONLY, *learned[:MOST_MEMBERS])
     return [name for name in dict.fromkeys(asked) if name in evidence.entries]

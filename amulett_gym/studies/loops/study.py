@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import METRICS
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate, play_alone
@@ -17,7 +16,7 @@ from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
 from amulett_gym.settings import merge
-from amulett_gym.simulation.layout import LOOPS, Control, pack_loop
+from amulett_gym.simulation.layout import LOOPS, Control, unfit_loops
 from amulett_gym.simulation.trajectory import Trajectory
 
 SUITE = "paper-step"
@@ -40,17 +39,6 @@ COLUMNS = (
     *("drive_effort", "drive_work", "resting_stiffness", "push_deflection"),
 )
 """Metrics of the table: those of the paper's Tables 2 to 5, and those in which loops differ most."""
-
-
-def unfit_loops(profile: Profile) -> dict[Control, str]:
-    """Return the loops whose needs a device does not meet, each with the reason."""
-    found = {}
-    for loop in LOOPS:
-        try:
-            pack_loop(profile, loop)
-        except AmulettError as error:
-            found[loop] = str(error)
-    return found
 
 
 def contenders(loops: Iterable[str] = LOOPS) -> list[str]:
@@ -170,7 +158,7 @@ def table(study: Study) -> Table:
             "they did not settle."
         )
     for loop, reason in study.skipped.items():
-        note += f" Without {loop}, which does not fit this device: {reason.rstrip('.')}."
+        note += f" Without {loop}, which does not fit this device: {reason}."
     return Table("", ("contender", *(metric.heading for metric in shown)), rows, note)
 
 

@@ -12,6 +12,7 @@ from amulett_gym.studies.benchmark.description import (
     PAPERS,
     Benchmark,
     load_benchmark,
+    load_profile_of,
     quick,
     recipe_folder,
     training_recipe,
@@ -105,6 +106,18 @@ def test_a_schedule_is_named_by_the_loop_in_which_it_is_trained(name, changes, m
     learned = {"learned": {name: {"set": changes, "seeds": [0]}}, "best_learned": name, "ablations": []}
     with pytest.raises(AmulettError, match=message):
         required_runs(Benchmark(track="full-control", **learned), ROOT, Path("runs"))
+
+
+def test_loops_that_do_not_fit_the_device_are_named_with_those_that_do(tmp_path):
+    (tmp_path / "linear.yaml").write_text("{name: linear, base: testbed, spring: {free_length: 0}}")
+    description = Benchmark.model_validate({**FULL, "profile": "linear.yaml"})
+    with pytest.raises(
+        AmulettError, match=r"device 'linear'; write loops: \[decentralized, .*torque-stiffness: control"
+    ):
+        load_profile_of(description, tmp_path)
+    fit = [loop for loop in description.loops if loop not in ("torque-stiffness", "feedforward-feedback")]
+    assert load_profile_of(description.model_copy(update={"loops": fit}), tmp_path).name == "linear"
+    assert load_profile_of(description.model_copy(update={"loops": []}), tmp_path).name == "linear"
 
 
 def test_schedules_are_trained_on_the_device_of_the_benchmark(tmp_path):
