@@ -277,6 +277,11 @@ class Profile(Group):
     name: str = Field(min_length=1, max_length=200, description="name of the device in reports")
     base: str | None = Field(default=None, description="shipped profile whose values apply where none is given")
     description: str = Field(default="", description="one line for `amulett list`")
+    divisors_of: str | None = Field(
+        default=None,
+        description="shipped profile by whose costs of eq. 6 costs are divided, so that devices with other gains of "
+        "the paper's loop have the same unit; null: this device's own costs",
+    )
     plant: Plant = Field(description="arm and pulleys")
     spring: Spring = Field(description="spring assembly in each string")
     damping: Damping = Field(description="decay rate over the preload")
@@ -285,6 +290,13 @@ class Profile(Group):
     loop: Loop = Field(description="controllers")
     loops: Loops = Field(default=Loops(), description="gains of the other loops of `amulett_gym.control`")
     variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
+
+    @field_validator("divisors_of")
+    @classmethod
+    def _check_divisors_of(cls, name: str | None) -> str | None:
+        if name is not None and name not in profile_names():
+            raise unknown("shipped profile", name, profile_names())
+        return name
 
     @model_validator(mode="after")
     def _check_lag(self) -> Profile:

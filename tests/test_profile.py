@@ -179,3 +179,8 @@ def test_profiles_survive_yaml():
     for name in profile_names():
         content = yaml.safe_load(yaml.safe_dump(load_profile(name).model_dump()))
         assert load_profile(content) == load_profile(name)
+
+
+def test_costs_may_be_divided_by_those_of_a_shipped_profile_only():
+    with pytest.raises(AmulettError, match=r"divisors_of.*'testbad'.*testbed"):
+        load_profile({"base": "testbed", "name": "mine", "divisors_of": "testbad"})

@@ -139,12 +139,15 @@ def measure(profile: Profile, suite: str) -> Eq6Costs | None:
     return Eq6Costs(mean=mean, families=dict(zip(families_of(suite), families, strict=True)), failed=failed)
 
 
-def same_device(profile: Profile) -> str | None:
-    """Return the name of the shipped profile with the same device and gains of the paper's loop; None if there is none.
+def shipped_costs(profile: Profile) -> str | None:
+    """Return the name of the shipped profile whose costs of eq. 6 a profile has; None if they have to be measured.
 
+    It is the one that the profile names in `divisors_of`, or one with the same device and gains of the paper's loop.
     What is not compared has no influence on the costs of eq. 6: names, sources and the gains of other loops.
     """
-    return profile.name if is_shipped(profile) else _shipped_digests().get(device_digest(profile))
+    if profile.divisors_of is not None or is_shipped(profile):
+        return profile.divisors_of or profile.name
+    return _shipped_digests().get(device_digest(profile))
 
 
 def device_digest(profile: Profile) -> str:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.envs.eq6_costs import Eq6Costs, eq6_costs, same_device
+from amulett_gym.envs.eq6_costs import Eq6Costs, eq6_costs, shipped_costs
 from amulett_gym.envs.reward import COST_TERMS, SCHEDULE, Track, default_weights
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAMILIES
@@ -68,11 +68,11 @@ def divisors_are(profile: Profile, suite: str) -> Literal["frozen", "measured"]:
 
 
 def _measured(profile: Profile, suite: str) -> Eq6Costs | None:
-    return eq6_costs(profile, suite) if same_device(profile) is None else None
+    return eq6_costs(profile, suite) if shipped_costs(profile) is None else None
 
 
 def _frozen_owner(profile: Profile) -> str:
-    return same_device(profile) or (profile.root if profile.root in _frozen()["divisors"] else "testbed")
+    return shipped_costs(profile) or (profile.root if profile.root in _frozen()["divisors"] else "testbed")
 
 
 def prices(

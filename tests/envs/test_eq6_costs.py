@@ -17,7 +17,7 @@ from helpers import HELD_DRIVES, device
 
 from amulett_gym import ENV_IDS
 from amulett_gym.envs import eq6_costs as module
-from amulett_gym.envs.eq6_costs import NO_CONTACT, Eq6Costs, device_digest, eq6_costs, measure, same_device
+from amulett_gym.envs.eq6_costs import NO_CONTACT, Eq6Costs, device_digest, eq6_costs, measure, shipped_costs
 from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
@@ -99,12 +99,12 @@ def test_names_sources_and_gains_of_other_loops_make_no_other_device(name):
     plain["drives"] = {**plain["drives"], "sources": {}}
     same = load_profile({**plain, "name": other, "base": None, "description": "x"})
     assert device_digest(same) == device_digest(shipped)
-    assert same_device(same) == same_device(shipped) == name
-    assert same_device(shipped.model_copy(update={"loops": load_profile(other).loops})) == name
+    assert shipped_costs(same) == shipped_costs(shipped) == name
+    assert shipped_costs(shipped.model_copy(update={"loops": load_profile(other).loops})) == name
     for group, key in (("plant", "drive_pulley_radius"), ("loop", "switch_filter"), ("sensors", "force_filter")):
         content = shipped.model_dump()
         changed = load_profile(merge(content, {group: {key: content[group][key] * 1.01 + 1e-4}}))
-        assert same_device(changed) is None and device_digest(changed) != device_digest(shipped)
+        assert shipped_costs(changed) is None and device_digest(changed) != device_digest(shipped)
 
 
 def test_measured_once_by_content(count, fresh, monkeypatch):

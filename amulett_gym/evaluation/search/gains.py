@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
+from amulett_gym.envs.eq6_costs import shipped_costs
 from amulett_gym.errors import AmulettError
 from amulett_gym.gains import Following, Loops, group_name
 from amulett_gym.laws.parametric import Parameter, Space
@@ -122,10 +123,15 @@ def gains_of(control: str, profile: Profile, reference: str = "") -> Gains:
 
 
 def profile_text(profile: Profile, changes: Mapping[str, Any]) -> str:
-    """Return a profile file with changed groups, based on a shipped profile if `profile` is one."""
+    """Return a profile file with changed groups, based on a shipped profile if `profile` is one.
+
+    With other gains of the paper's loop, it still has a shipped profile's unit of costs (`divisors_of`).
+    """
     own: dict[str, Any] = {"name": f"{profile.name}-tuned", "base": profile.name}
     if not is_shipped(profile):
         own = profile.model_dump(mode="json", exclude_defaults=True)
+    if "loop" in changes and (unit := shipped_costs(profile)) is not None:
+        own["divisors_of"] = unit
     return to_yaml(merge(own, changes))
 
 

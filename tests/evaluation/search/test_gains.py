@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from amulett_gym.envs.reward import FULL_CONTROL
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.reward import FULL_CONTROL, TRACKS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search import laws as tuning
@@ -147,6 +148,10 @@ def test_gains_of_the_papers_loop_are_tuned_as_the_others_but_never_shipped(tmp_
     costs = mean_costs(space, np.array([space.start(), space.start()]), train, np.arange(3), FULL_CONTROL)
     own = train.control_costs(np.arange(3), held([10.0] * 3)).mean()
     assert costs.tolist() == [pytest.approx(own, rel=1e-6)] * 2
+    own = load_profile(tmp_path / "profile.yaml")
+    assert own.divisors_of == "testbed"
+    for track in TRACKS:  # the same unit as before, so that the costs can be compared
+        np.testing.assert_array_equal(prices(own, "mixed", track=track), prices(TESTBED, "mixed", track=track))
     with pytest.raises(AmulettError, match="gains of the paper's loop stay"):
         tuning.check_shippable(recipe)
 
