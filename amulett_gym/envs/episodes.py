@@ -21,11 +21,12 @@ from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
-from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Loop, Paths
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.batch import Simulation, max_force
+from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, SCENARIO, Loop, Paths
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
-from amulett_gym.tasks.suites import episode_keys, families_of, sample
+from amulett_gym.tasks.suites import draw_devices, episode_keys, families_of, sample
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
 """Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
@@ -58,15 +59,18 @@ class Episodes:
         Entries of an action: 2 in the loop `drives`, else 1.
     started : ndarray of bool, shape (N,)
         Devices that have started an episode.
+    profiles : tuple of Profile
+        The fleet, or the one profile of all devices.
     """
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
-        self.settings, self.profile, self.privileged = settings, settings.profile, settings.privileged
+        self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
+        self.names = None if settings.fleet is None else np.array([profile.name for profile in settings.fleet])
         self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if settings.privileged else 0)
         self.action_size = 2 if settings.control == DRIVES else 1
-        self.simulation = Simulation(self.profile, num_devices, settings.control, settings.tension_law)
-        self._constants = np.zeros(1, dtype=transition.SETTINGS)
-        self._constants["ticks"] = settings.ticks
+        self.simulation = Simulation(self.profiles, num_devices, settings.control, settings.tension_law)
+        self._constants = np.zeros(len(self.profiles), dtype=transition.SETTINGS)
+        self._constants["ticks"] = [settings.ticks(profile) for profile in self.profiles]
         self._constants["low"], self._constants["high"] = settings.tension_range
         self._constants["mean_angle"] = np.radians(settings.mean_angle_deg or 0.0)
         self._constants["cost_cap"] = COST_CAP
@@ -74,16 +78,20 @@ class Episodes:
         self._constants["horizon"] = settings.failure_horizon
         self._constants["full_control"] = settings.track == FULL_CONTROL
         self._constants["prices"] = np.nan
-        self._set_prices([FAMILIES.index(family) for family in families_of(settings.suite)])
+        self._families = np.array([FAMILIES.index(family) for family in families_of(settings.suite)])
+        if settings.fleet is None:
+            self._set_prices(np.zeros(1, dtype=np.int64), self._families)
         simulation = self.simulation
+        if (which := self.dealt(0)) is not None:
+            simulation.which[...] = which
         blocks = simulation.which, simulation.scenarios, simulation.states
         self._arrays = simulation.parameters, self._constants, *blocks
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
-        self._max_force = simulation.max_force
-        masses = self.profile.plant.masses
-        self._bare_inertia = np.array([inertia([item.mass for item in masses], [item.arm for item in masses])])
+        self._max_forces = [max_force(parameters) for parameters in simulation.parameters]
+        masses = [profile.plant.masses for profile in self.profiles]
+        self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
@@ -92,7 +100,40 @@ class Episodes:
     @property
     def agent_period(self) -> float:
         """Time between two actions [s]."""
-        return int(self._constants["ticks"][0]) * self.simulation.control_period
+        return int(self._constants["ticks"][0]) * float(self.simulation.parameters["control_period"][0])
+
+    def profile_of(self, device: int) -> Profile:
+        """Return the profile of one device's present episode."""
+        return self.simulation.profile_of(device)
+
+    def names_of(self, devices: NDArray[np.int64] | None = None) -> NDArray[np.str_]:
+        """Return the names of the given devices' (None: all) profiles in the fleet, shape (len(devices),)."""
+        assert self.names is not None
+        of_blocks = self.names[self.simulation.which]
+        if devices is None:
+            return np.repeat(of_blocks, LANES)[: self.simulation.num_devices]
+        return of_blocks[devices // LANES]
+
+    def drawn(self) -> NDArray[np.int64] | None:
+        """Return the index of each block's profile as the key of its first device draws it for the present episode.
+
+        None without a fleet.
+        """
+        if self.names is None:
+            return None
+        first = slice(None, None, LANES)
+        keys = episode_keys(self._keys[first], self._episodes[first], self.settings.split)
+        return draw_devices(keys, len(self.profiles))
+
+    def dealt(self, offset: int) -> NDArray[np.int64] | None:
+        """Return the index of each block's profile if each has as many blocks, beginning with profile `offset`.
+
+        The blocks of a profile are neighbours: its tables stay in the processor's cache. None without a fleet.
+        """
+        if self.names is None:
+            return None
+        blocks, count = self.simulation.which.size, self.names.size
+        return (np.arange(blocks) * count // blocks + offset % count) % count
 
     def seed(self, devices: NDArray[np.int64], seeds: Seeds, generator: np.random.Generator) -> None:
         """Choose the given devices' next episodes.
@@ -112,20 +153,100 @@ class Episodes:
         self._episodes[devices] += np.uint64(1)
 
     def start(
-        self, devices: NDArray[np.int64], scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] | None = None
+        self,
+        devices: NDArray[np.int64],
+        scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario] | None = None,
+        which: NDArray[np.int64] | None = None,
+        names: Sequence[str | None] | None = None,
     ) -> Observations:
         """Start the given devices' episodes; return the observations.
 
-        Without `scenarios`, one for each device, the devices' keys draw them.
+        Parameters
+        ----------
+        devices : ndarray of int, shape (K,)
+        scenarios : sequence, optional
+            One for each of them; None: their keys draw them.
+        which : ndarray of int, shape (blocks,), optional
+            Index of each block's profile in the fleet; None: unchanged.
+        names : sequence of str or None, optional
+            Profile of each of the devices in the fleet, which comes before `which`; so does that of a scenario.
+
+        Raises
+        ------
+        AmulettError
+            If a scenario is wrong, a name is unknown, or the devices of a block differ.
         """
-        keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
-        rows = sample(self.settings.suite, keys, self.profile, self._max_force, self.settings.split)
-        paths = None
-        if scenarios:
-            rows, paths = self._packed(scenarios, rows["noise_key"])
-        self.simulation.reset(rows, devices, paths)
+        loaded = [load_scenario(scenario) for scenario in scenarios or ()]
+        before = self.simulation.which.copy()
+        try:
+            if which is not None:
+                self.simulation.which[...] = which
+            if self.names is not None:
+                self._assign(devices, self._wanted(devices, names, loaded))
+            elif names is not None:
+                raise AmulettError(
+                    "the option 'device' chooses a device of a fleet; make the environment with fleet=..."
+                )
+            keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
+            self._set_prices(self.simulation.which[devices // LANES], self._families)
+            rows, paths = self._sampled(devices, keys), None
+            if loaded:
+                rows, paths = self._packed(devices, loaded, rows["noise_key"])
+            self.simulation.reset(rows, devices, paths)
+        except AmulettError:
+            self.simulation.which[...] = before  # the old episodes are still there
+            raise
         self.started[devices] = True
         return self.observe(devices)
+
+    def _sampled(self, devices: NDArray[np.int64], keys: Keys) -> NDArray[np.void]:
+        """Return the scenarios that the episodes' keys draw, for each device's own profile."""
+        suite, split = self.settings.suite, self.settings.split
+        which = self.simulation.which[devices // LANES]
+        kinds = np.unique(which)
+        if kinds.size == 1:
+            return sample(suite, keys, self.profiles[kinds[0]], self._max_forces[kinds[0]], split)
+        rows = np.zeros(keys.size, dtype=SCENARIO)
+        for kind in kinds:
+            own = which == kind
+            rows[own] = sample(suite, keys[own], self.profiles[kind], self._max_forces[kind], split)
+        return rows
+
+    def _wanted(
+        self, devices: NDArray[np.int64], names: Sequence[str | None] | None, scenarios: Sequence[Scenario]
+    ) -> dict[int, str]:
+        """Return the profile's name of each device for which there is one."""
+        wanted = {int(device): name for device, name in zip(devices, names or (), strict=False) if name is not None}
+        for device, scenario in zip(devices.tolist(), scenarios, strict=False):
+            if (name := scenario.device.name) is not None and wanted.setdefault(device, name) != name:
+                raise AmulettError(
+                    f"device {device} is to be '{wanted[device]}'; its scenario is of the device '{name}'"
+                )
+        return wanted
+
+    def _assign(self, devices: NDArray[np.int64], wanted: Mapping[int, str]) -> None:
+        """Give the blocks of these devices, which all begin an episode, the profiles wanted."""
+        assert self.names is not None
+        given: dict[int, tuple[int, str]] = {}
+        for device, name in wanted.items():
+            if name not in self.names.tolist():
+                raise unknown("device", str(name), self.names.tolist())
+            first, other = given.setdefault(device // LANES, (device, name))
+            if other != name:
+                raise AmulettError(
+                    f"device {first} is to be '{other}' and device {device} '{name}'; {LANES} devices in turn are one "
+                    "block, which has one profile"
+                )
+        for block, (device, name) in given.items():
+            index = self.names.tolist().index(name)
+            lanes = np.arange(block * LANES, min((block + 1) * LANES, self.started.size))
+            others = np.setdiff1d(lanes[self.started[lanes]], devices)
+            if others.size and index != self.simulation.which[block]:
+                raise AmulettError(
+                    f"device {device} is to be '{name}', and device {others[0]} of the same block of {LANES}, which is "
+                    f"not reset, is '{self.names_of(others)[0]}'; reset all of the block"
+                )
+            self.simulation.assign(block, index)
 
     def observe(self, devices: NDArray[np.int64] | None = None) -> Observations:
         """Return the given devices' (None: all) present observations, shape (len(devices), observation_size)."""
@@ -264,11 +385,18 @@ class Episodes:
 
     def unpacked(self, device: int) -> Scenario:
         """Return the scenario of one device's present episode; errors as `scenario`."""
-        return unpack(self.scenario(device), self.simulation.read_path(device))
+        found = unpack(self.scenario(device), self.simulation.read_path(device))
+        if self.names is None:
+            return found
+        name = str(self.names_of(np.array([device]))[0])
+        return found.model_copy(update={"device": found.device.model_copy(update={"name": name})})
 
     def steps(self) -> NDArray[np.int64]:
         """Return the number of agent steps of each device's episode, shape (N,)."""
-        return self.simulation.read("tick") // self._constants["ticks"][0]
+        passed, ticks = self.simulation.read("tick"), self._constants["ticks"]
+        if ticks.size == 1:
+            return passed // ticks[0]
+        return passed // np.repeat(ticks[self.simulation.which], LANES)[: passed.size]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""
@@ -283,36 +411,44 @@ class Episodes:
                 f"a snapshot of {count} device{'s' * (count > 1)} does not fit: this environment has {here}"
             )
         self.simulation.set_state(state["simulation"])
-        self._set_prices(self.simulation.scenarios["family"])
+        for block, own in enumerate(self.simulation.which):
+            self._set_prices(own, self.simulation.scenarios["family"][block])
         for name, array in self._state.items():
             array[...] = state[name]
 
-    def _set_prices(self, families: ArrayLike) -> None:
-        """Set the prices of families, by their index, that have none yet: what nothing needs is not measured."""
-        table, settings = self._constants["prices"][0], self.settings
-        missing = np.unique(families)
-        missing = missing[np.isnan(table[missing, 0])]
-        if missing.size:
-            found = prices(self.profile, settings.suite, settings.reward_weights, settings.track, missing)
-            table[missing] = found * list(_REWARDED.values())
+    def _set_prices(self, which: ArrayLike, families: ArrayLike) -> None:
+        """Set the prices of families in profiles, by their indices, that have none yet.
+
+        What nothing needs is not measured: with a fleet, a device's prices are found when it begins an episode.
+        """
+        settings = self.settings
+        for own in np.unique(which):
+            table = self._constants["prices"][own]
+            missing = np.unique(families)
+            missing = missing[np.isnan(table[missing, 0])]
+            if missing.size:
+                weights, track = settings.reward_weights, settings.track
+                found = prices(self.profiles[own], settings.suite, weights, track, missing)
+                table[missing] = found * list(_REWARDED.values())
 
     @property
     def _state(self) -> dict[str, NDArray[Any]]:
         return {"keys": self._keys, "episodes": self._episodes, "started": self.started}
 
     def _packed(
-        self, scenarios: Sequence[str | Path | Mapping[str, Any] | Scenario], noise_keys: Keys
+        self, devices: NDArray[np.int64], loaded: Sequence[Scenario], noise_keys: Keys
     ) -> tuple[NDArray[np.void], list[NDArray[np.void]]]:
-        loaded = [load_scenario(scenario) for scenario in scenarios]
         if self.privileged and any(scenario.has_path for scenario in loaded):
             raise AmulettError(
                 f"a privileged observation holds at most {MAX_MOVES} moves and no sampled setpoint; "
                 "make the environment without privileged=True"
             )
-        rows = np.concatenate([pack(scenario, self.profile) for scenario in loaded])
+        of_devices = zip(devices.tolist(), loaded, strict=True)
+        rows = np.concatenate([pack(scenario, self.profile_of(device)) for device, scenario in of_devices])
         drawn = np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
-        self._set_prices(rows["family"])
+        for device, row in zip(devices.tolist(), rows, strict=True):
+            self._set_prices(self.simulation.which[device // LANES], row["family"])
         return rows, [pack_path(scenario) for scenario in loaded]
 
 

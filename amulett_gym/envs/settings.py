@@ -12,10 +12,11 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, fi
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, RewardFunction, Track, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
+from amulett_gym.fleet import load_fleet, names_or_contents
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
-from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, TENSION_LAWS, Control
+from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, TENSION_LAWS, Control, pack_loop
 from amulett_gym.tasks.scenario import empty_rows
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
@@ -72,6 +73,9 @@ def _check_steps(steps: int) -> int:
 
 # Types of keywords, shared with recipes and bundles.
 AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
+AnyFleet = Annotated[
+    tuple[Profile, ...] | None, BeforeValidator(lambda fleet: None if fleet is None else load_fleet(fleet))
+]
 Suite = Annotated[str, _one_of("suite", suite_names())]
 Split = Annotated[str, _one_of("split", SPLITS)]
 ControlLoop = Annotated[Control, BeforeValidator(_check_control)]
@@ -95,6 +99,10 @@ class Settings(Group):
         default="testbed",
         validate_default=True,
         description="device: a shipped profile's name, a YAML file, a mapping or a Profile",
+    )
+    fleet: AnyFleet = Field(
+        default=None,
+        description="devices instead of one profile, of which each episode has one: a name, a file or a list",
     )
     suite: Suite = Field(default="steps", description="suite that scenarios are drawn from; see `tasks.suites`")
     split: Split = Field(
@@ -166,15 +174,27 @@ class Settings(Group):
         return self
 
     @model_validator(mode="after")
-    def _check_times(self) -> Self:
-        _check_step(self.profile)
-        _ticks(self.agent_period, self.profile.loop.control_period)
+    def _check_devices(self) -> Self:
+        if self.fleet is not None and "profile" in self.model_fields_set:
+            raise AmulettError("profile and fleet are both given; give one of them")
+        for device in self.devices:
+            try:
+                _check_step(device)
+                self.ticks(device)
+                if self.fleet is not None and self.control in (*LOOPS, DRIVES):
+                    pack_loop(device, self.control)
+            except AmulettError as error:
+                raise error if self.fleet is None else AmulettError(f"'{device.name}' of the fleet: {error}") from error
         return self
 
     @property
-    def ticks(self) -> int:
-        """Control ticks in an agent step."""
-        return _ticks(self.agent_period, self.profile.loop.control_period)
+    def devices(self) -> tuple[Profile, ...]:
+        """The fleet, or the one profile."""
+        return (self.profile,) if self.fleet is None else self.fleet
+
+    def ticks(self, profile: Profile) -> int:
+        """Return the number of a device's control ticks in an agent step."""
+        return _ticks(self.agent_period, profile.loop.control_period)
 
     @property
     def mean_angle_deg(self) -> float | None:
@@ -210,14 +230,16 @@ class Settings(Group):
     def keywords(self) -> dict[str, Any]:
         """Return the given keywords as JSON types, for making the environment again.
 
-        A shipped profile is a name, another one a mapping. Left out are keywords that do not change an episode
-        (`render_mode`, `threads`, `num_envs`, `max_episode_steps`) and `reward_fn`, which is code.
+        A shipped profile is a name, another one a mapping; so are those of a fleet. Left out are keywords that do not
+        change an episode (`render_mode`, `threads`, `num_envs`, `max_episode_steps`) and `reward_fn`, which is code.
         """
         others = VectorSettings.model_fields.keys() - Settings.model_fields.keys()
         given = self.model_fields_set - others - {"render_mode"}
         found = self.model_dump(mode="json", include=given)
         if "profile" in found and is_shipped(self.profile):
             found["profile"] = self.profile.name
+        if self.fleet is not None:
+            found["fleet"] = names_or_contents(self.fleet)
         return found
 
 
@@ -258,21 +280,26 @@ class DrivesSettings(Settings):
 
     @model_validator(mode="after")
     def _check_mean_angle(self) -> Self:
-        limit = self.profile.drives.command_limit_deg
-        if self.mean_angle_range is not None and limit is not None and self.mean_angle_range > limit:
+        limit = self._command_limit_deg
+        if self.mean_angle_range is not None and self.mean_angle_range > limit:
             raise AmulettError(
                 f"mean_angle_range is {self.mean_angle_range:g} deg; the profile's command_limit_deg is {limit:g}"
             )
         return self
 
     @property
+    def _command_limit_deg(self) -> float:
+        """The smallest limit of the devices [deg]."""
+        return min(device.drives.command_limit_deg or math.inf for device in self.devices)
+
+    @property
     def mean_angle_deg(self) -> float:
-        """Mean drive angle at action +1 [deg]."""
+        """Mean drive angle at action +1 [deg]; in a fleet that of the device whose drives turn the farthest."""
         if self.mean_angle_range is not None:
             return self.mean_angle_range
-        plant, limit = self.profile.plant, self.profile.drives.command_limit_deg
-        quarter = max(round(90.0 * plant.joint_pulley_radius / plant.drive_pulley_radius), 1)
-        return float(quarter if limit is None else min(quarter, limit))
+        plants = [device.plant for device in self.devices]
+        ratio = max(plant.joint_pulley_radius / plant.drive_pulley_radius for plant in plants)
+        return float(min(max(round(90.0 * ratio), 1), self._command_limit_deg))
 
 
 class DrivesVectorSettings(DrivesSettings, VectorSettings):
@@ -292,6 +319,8 @@ def _replace_action_range(given: dict[str, Any], by_factor: bool) -> None:
         return
     if "tension_range" in given:
         raise AmulettError("action_range and tension_range are the same; give tension_range only")
+    if given.get("fleet") is not None:
+        raise AmulettError("action_range is not for a fleet; use tension_range=(low, high), in N")
     given["profile"] = load_profile(given.get("profile", "testbed"))
     unit = given["profile"].variable_stiffness.nominal_tension if by_factor else 1.0
     try:

@@ -16,10 +16,11 @@ from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, MAY_BE_MISSING, METRICS, READINGS
 from amulett_gym.errors import AmulettError
+from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.scenario import Scenario
 
-RESET_OPTIONS = ("scenario",)
+RESET_OPTIONS = ("scenario", "device")
 _DEVICE = np.zeros(1, dtype=np.int64)
 
 
@@ -63,13 +64,18 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     def __init__(self, **keywords: Any) -> None:
         self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
-        self.profile, self.tension_range = settings.profile, settings.tension_range
+        self.tension_range = settings.tension_range
         self.episodes = Episodes(1, settings)
         self.observation_space, self.action_space = spaces_of(self.episodes)
         self._action_shape = (self.episodes.action_size,)
         self.render_mode = settings.render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
         self._renderer: Any = None
+
+    @property
+    def profile(self) -> Profile:
+        """The device; with a fleet, that of the present episode."""
+        return self.episodes.profile_of(0)
 
     @property
     def scenario(self) -> Scenario:
@@ -87,19 +93,21 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             At least 0. It fixes scenarios and noise of this and all later episodes. Without any seed so far, they come
             from `np_random`.
         options : dict, optional
-            ``{"scenario": ...}``: a `Scenario`, a mapping or a JSON or YAML file to play instead of a drawn one.
+            ``"scenario"``: a `Scenario`, a mapping or a JSON or YAML file to play instead of a drawn one.
+            ``"device"``: name of a device of the fleet, instead of a drawn one. A scenario may name one, too.
 
         Raises
         ------
         AmulettError
-            If an option is unknown or the scenario is wrong.
+            If an option or the device is unknown or the scenario is wrong.
         gymnasium.error.Error
             If the seed is no whole number of at least 0.
         """
         super().reset(seed=seed)
-        seeds, scenario = device_seeds(seed, 1), checked_options(options, RESET_OPTIONS).get("scenario")
+        seeds, options = device_seeds(seed, 1), checked_options(options, RESET_OPTIONS)
         self.episodes.seed(_DEVICE, seeds, self.np_random)
-        observation = self.episodes.start(_DEVICE, None if scenario is None else [scenario])[0]
+        scenarios, names = ([options[key]] if options.get(key) is not None else None for key in RESET_OPTIONS)
+        observation = self.episodes.start(_DEVICE, scenarios, self.episodes.drawn(), names)[0]
         if self._renderer is not None:
             self._renderer.clear()
         if self.render_mode == "human":
@@ -166,8 +174,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
-    @staticmethod
-    def _info(report: NDArray[np.float64]) -> dict[str, Any]:
+    def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
         values = report[0].tolist()
         info: dict[str, Any] = dict(zip(READINGS, values[FIRST_READING:FIRST_METRIC], strict=True))
         info["failure"] = FAILURES[int(info["failure"])]
@@ -177,6 +184,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             for name in names:
                 if math.isnan(found[name]):
                     found[name] = _NOT_REACHED
+        if self.episodes.names is not None:
+            info["device"] = self.profile.name
         return info
 
 
@@ -310,11 +319,22 @@ class ScalingEnv(TensionEnv):
       `info["failure"]` names the limit.
     - Truncation: after `max_episode_steps`, 500 by default, which is 10 s.
 
+    ## Fleets
+
+    With `fleet=[...]`, each episode has one of several devices; they may differ in everything but what the agent does:
+    the control loop, the range of tensions and the agent period have to fit all. The episode's key draws the device,
+    each with the same probability; `reset(options={"device": name})` or a scenario's `device.name` chooses it.
+    `info["device"]` names it. Scenarios, divisors of the reward and observations' scales are the device's own. In the
+    vector environment, a block of eight neighbouring devices has one device of the fleet for all episodes, so use at
+    least eight times as many devices as the fleet has.
+
     ## Arguments
 
     | Keyword             | Default           | Meaning                                                              |
     |---------------------|-------------------|----------------------------------------------------------------------|
     | `profile`           | `"testbed"`       | `"testbed"`, `"simulation"`, a YAML file or a mapping                |
+    | `fleet`             | None              | devices instead of `profile`, see above: a list of profiles, or a    |
+    |                     |                   | YAML or JSON file with one                                           |
     | `suite`             | `"steps"`         | one of the suites below                                              |
     | `split`             | `"train"`         | `"train"`, `"validation"`, `"held-out"`: disjoint scenarios; or      |
     |                     |                   | `"shifted"`: outside their ranges                                    |

@@ -20,10 +20,11 @@ from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSett
 from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
 from amulett_gym.errors import AmulettError
+from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAILURES, RUNNING
 from amulett_gym.tasks.scenario import Scenario
 
-RESET_OPTIONS = ("scenario", "reset_mask")
+RESET_OPTIONS = ("scenario", "device", "reset_mask")
 _FAILURES = np.array(FAILURES)
 
 
@@ -33,6 +34,11 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     Device i, reset with seed s, plays the same episodes as the single environment after ``reset(seed=s + i)``. A device
     whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0
     (autoreset mode NEXT_STEP). ``info`` has the single environment's keys with arrays of length `num_envs`.
+
+    With a `fleet`, devices 0 to 7, 8 to 15, ... are blocks, and all devices of a block are one of the fleet in all
+    episodes: each of the fleet has as many blocks, give or take one, which are neighbours. ``reset(seed=s)`` of all
+    devices begins with number s of the fleet, counted round; the option `device` chooses them. The single environment
+    plays the same episodes on the same device, which its option `device` has to name.
 
     Keywords: those of the single environment, `num_envs`, `max_episode_steps` (None is the default, 500, and -1 no
     limit, as in `gymnasium.make`) and `threads`, which share the devices: the number changes no bit of the results.
@@ -51,7 +57,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def __init__(self, **keywords: Any) -> None:
         self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
-        self.profile, self.tension_range = settings.profile, settings.tension_range
+        self.tension_range = settings.tension_range
         self.num_envs, self.max_episode_steps = settings.num_envs, settings.max_episode_steps
         self._limit = math.inf if settings.max_episode_steps == NO_LIMIT else settings.max_episode_steps
         self.render_mode = settings.render_mode
@@ -62,6 +68,11 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self.action_space = _batched(self.single_action_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._renderers: list[Any] = []
+
+    @property
+    def profile(self) -> Profile:
+        """The device; AmulettError with a fleet of several, see `settings.devices` and ``info["device"]``."""
+        return self.episodes.simulation.profile
 
     @property
     def scenarios(self) -> list[Scenario]:
@@ -80,27 +91,27 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         options : dict, optional
             ``"reset_mask"``: ndarray of bool, shape (num_envs,), the devices to reset.
             ``"scenario"``: one scenario for all devices that are reset, or a list with one for each of them.
+            ``"device"``: name of the fleet's device that all of them have, or a list of names; all of a block of eight
+            have the same. Without it, a block keeps its device, unless all are reset with a seed.
 
         Raises
         ------
         AmulettError
-            If an option is unknown, or the mask, the number of seeds or a scenario is wrong.
+            If an option is unknown, or the mask, the number of seeds, a scenario or a device is wrong.
         gymnasium.error.Error
             If a seed is no whole number of at least 0.
         """
         options = checked_options(options, RESET_OPTIONS)
         mask = self._mask(options.get("reset_mask"))
         devices, seeds = np.flatnonzero(mask), device_seeds(seed, self.num_envs)[mask]
-        scenarios = options.get("scenario")
-        if scenarios is not None:
-            scenarios = list(scenarios) if isinstance(scenarios, list | tuple) else [scenarios] * devices.size
-            if len(scenarios) != devices.size:
-                raise AmulettError(f"{len(scenarios)} scenarios were given for the {devices.size} devices to reset")
+        scenarios, names = (_for_each(options.get(key), key, devices.size) for key in RESET_OPTIONS[:2])
         if isinstance(seed, int | np.integer):
             super().reset(seed=int(seed))
         self.episodes.seed(devices, seeds, self.np_random)
         self._ended[mask] = False
-        observations = self.episodes.start(devices, scenarios)
+        all_seeded = devices.size == self.num_envs and seeds[0] is not None
+        which = self.episodes.dealt(seeds[0]) if all_seeded else None
+        observations = self.episodes.start(devices, scenarios, which, names)
         if devices.size < self.num_envs:
             observations = self.episodes.observe()  # of all devices
         self._clear_renderers(devices)
@@ -167,7 +178,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
         observations, report = self._next_episodes(devices)
         self._ended[devices] = False
-        return observations, self._info(report)
+        return observations, self._info(report, devices)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3)."""
@@ -221,13 +232,14 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise AmulettError(f"reset_mask is {mask!r}; it has to be an ndarray of bool, shape ({self.num_envs},)")
         return mask
 
-    @staticmethod
-    def _info(report: NDArray[np.float64]) -> dict[str, Any]:
+    def _info(self, report: NDArray[np.float64], devices: NDArray[np.int64] | None = None) -> dict[str, Any]:
         info: dict[str, Any] = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
         failures = info["failure"].astype(np.int64)
         info["failure"] = _FAILURES[failures] if failures.any() else np.zeros(failures.size, dtype=_FAILURES.dtype)
         info["reward_terms"] = dict(zip(TERMS, report.T[FIRST_TERM:FIRST_READING], strict=True))
         info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True))
+        if self.episodes.names is not None:
+            info["device"] = self.episodes.names_of(devices)
         return info
 
 
@@ -253,6 +265,16 @@ class DrivesVectorEnv(TensionVectorEnv):
     def mean_angle_range(self) -> float:
         """Mean drive angle at action +1 [deg]."""
         return self.settings.mean_angle_deg
+
+
+def _for_each(option: Any, what: str, count: int) -> list[Any] | None:
+    """Return a reset's option for each of the devices to reset; None without it."""
+    if option is None:
+        return None
+    found = list(option) if isinstance(option, list | tuple) else [option] * count
+    if len(found) != count:
+        raise AmulettError(f"{len(found)} {what}s were given for the {count} devices to reset")
+    return found
 
 
 def _batched(space: Space[Any], count: int) -> Space[Any]:

@@ -137,9 +137,10 @@ class TrainingEnv(Group):
         """Refuse an id that would make Gymnasium import a module, and a profile that would have a file read."""
         if self.id not in ENV_IDS:
             raise unknown("environment", self.id[:100], ENV_IDS)
-        profile = self.keywords.get("profile", {})
-        if not isinstance(profile, dict) and profile not in profile_names():
-            raise unknown("profile", str(profile)[:100], profile_names())
+        fleet = self.keywords.get("fleet") or []
+        for profile in (self.keywords.get("profile", {}), *(fleet if isinstance(fleet, list) else [fleet])):
+            if not isinstance(profile, dict) and profile not in profile_names():
+                raise unknown("profile", str(profile)[:100], profile_names())
         return self
 
 

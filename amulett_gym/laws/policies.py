@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,12 +82,23 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
     elif is_tuned(name):
-        act = _tuned(name, base.profile, tension_range, base.episodes.agent_period)
+        act = _tuned(name, _profile_for(name, base), tension_range, base.episodes.agent_period)
     elif name in ("eq6-held", "eq6-held-printed"):
-        act = _eq6(base.profile, tension_range, printed=name == "eq6-held-printed")
+        act = _eq6(_profile_for(name, base), tension_range, printed=name == "eq6-held-printed")
     else:
         act = _from_bundle(read_bundle(bundle_folder(name)), base)
     return _for_one_or_many(act, base.episodes.observation_size)
+
+
+def _profile_for(name: str, env: Any) -> Profile:
+    """Return the profile that a law acts by; refuse a fleet whose devices need different ones."""
+    first, *others = env.episodes.profiles
+    if others and (is_tuned(name) or any(other.variable_stiffness != first.variable_stiffness for other in others)):
+        raise AmulettError(
+            f"'{name}' acts by the parameters of one device; the {len(others) + 1} devices of this environment's fleet "
+            "differ in them. Make one with profile=..., or use a constant, a policy bundle or a function of your own"
+        )
+    return cast(Profile, first)
 
 
 def own_policy(act: Callable[..., Any], env: Any, name: str | None = None) -> Policy:

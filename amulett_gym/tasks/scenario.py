@@ -186,6 +186,9 @@ class Payload(Group):
 class Device(Group):
     """Deviations of this device from its profile; its microcontroller knows the profile only."""
 
+    name: str | None = Field(
+        default=None, min_length=1, max_length=200, description="profile, one of a fleet; null: the environment's"
+    )
     spring_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
     spring_triceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the spring's force [1]")
     pulley_biceps: float = Field(default=1.0, ge=0.5, le=2, description="factor of the drive pulley's radius R_1 [1]")
@@ -332,8 +335,14 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
     Raises
     ------
     AmulettError
-        If the initial angle is beyond the profile's limit, or the obstacle is too stiff for the integration step.
+        If the initial angle is beyond the profile's limit, the obstacle is too stiff for the integration step, or the
+        scenario names another profile.
     """
+    if scenario.device.name not in (None, profile.name):
+        raise AmulettError(
+            f"scenario: 'device.name' is '{scenario.device.name}'; this device is '{profile.name}'. Delete the name to "
+            "play it on another device, or make an environment with a fleet"
+        )
     limit = profile.plant.angle_limit_deg
     if abs(scenario.initial_angle_deg) >= limit:
         raise AmulettError(

@@ -51,7 +51,7 @@ START = 0.5
 CONTACT_SUITES = ("contact", "mixed")
 """Suites with obstacles."""
 
-_SCENARIO_STREAM, _NOISE_STREAM = 0, 1
+_SCENARIO_STREAM, _NOISE_STREAM, _FLEET_STREAM = 0, 1, 2
 _PAPER_STEP, _STEPS, _REACH, _TRACK, _PICK_PLACE, _CONTACT, _HOLD_PUSH, _PAYLOAD, _MIXED = range(len(SUITES))
 _FIRST_FAMILY = FAMILIES.index("paper-step")
 _HORIZONTAL, _VERTICAL = (ORIENTATIONS.index(plane) for plane in ("horizontal", "vertical"))
@@ -137,6 +137,11 @@ def episode_keys(device_keys: NDArray[np.uint64], episodes: NDArray[np.uint64], 
     if split not in SPLITS:
         raise unknown("split", split, SPLITS)
     return derive_keys(derive_keys(device_keys, SPLITS[split]), episodes)
+
+
+def draw_devices(keys: NDArray[np.uint64], count: int) -> NDArray[np.int64]:
+    """Return the index of each episode's device in a fleet of `count` devices, drawn uniformly by the keys."""
+    return (uniform(derive_keys(keys, _FLEET_STREAM), 1)[:, 0] * count).astype(np.int64)
 
 
 def suite_names() -> list[str]:

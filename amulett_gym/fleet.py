@@ -1,0 +1,92 @@
+"""A *fleet*: several devices, of which each episode, or each block of a vector environment, has one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.profile import Profile, is_shipped, load_profile, parse_profile
+from amulett_gym.settings import find_config
+from amulett_gym.storage.reading import parse_json, read_text, visible
+from amulett_gym.storage.safe_yaml import parse_yaml
+
+MAX_BYTES = 20_000_000
+"""Size of the largest file accepted: some thousand profiles."""
+
+
+def fleet_names() -> tuple[str, ...]:
+    """Return the names of the shipped fleets."""
+    with resources.as_file(resources.files("amulett_gym") / "fleets") as folder:
+        return tuple(path.stem for path in visible(folder, "*.yaml")) if folder.is_dir() else ()
+
+
+def load_fleet(fleet: str | Path | Sequence[str | Path | Mapping[str, Any] | Profile]) -> tuple[Profile, ...]:
+    """Return the validated profiles of a fleet.
+
+    Parameters
+    ----------
+    fleet : str, Path or sequence
+        A shipped fleet's name, a YAML or JSON file with a list of profiles, or such a list: names, files, mappings or
+        Profiles (see `profile.load_profile`). Files that a file names are relative to its folder.
+
+    Raises
+    ------
+    AmulettError
+        If the name or file is unknown, the list is empty, a profile is wrong, or two have the same name.
+    """
+    if isinstance(fleet, str | Path):
+        return _read(fleet)
+    if not isinstance(fleet, Sequence):
+        raise AmulettError(f"fleet is {fleet!r}; it has to be a name, a YAML or JSON file, or a list of profiles")
+    return _checked([_loaded(item, place) for place, item in enumerate(fleet)])
+
+
+def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
+    """Return a fleet as JSON types: shipped profiles by their names, others by their content."""
+    return [each.name if is_shipped(each) else each.model_dump(mode="json") for each in fleet]
+
+
+def _read(fleet: str | Path) -> tuple[Profile, ...]:
+    if str(fleet) in fleet_names():
+        with resources.as_file(resources.files("amulett_gym") / "fleets" / f"{fleet}.yaml") as path:
+            return _listed(path)
+    if Path(fleet).suffix.lower() not in (".yaml", ".yml", ".json"):
+        raise unknown("fleet", str(fleet), [*fleet_names(), "<file>.yaml", "<file>.json"])
+    return _listed(find_config(fleet, "fleet"))
+
+
+def _listed(path: Path) -> tuple[Profile, ...]:
+    what = f"fleet '{path}'"
+    parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
+    content = parse(read_text(path, "fleet", MAX_BYTES), what)
+    if not isinstance(content, list):
+        raise AmulettError(f"{what} has to hold a list of profiles, not {type(content).__name__}")
+    try:
+        return _checked([_loaded(item, place, path) for place, item in enumerate(content)])
+    except AmulettError as error:
+        raise AmulettError(f"{what}: {error}") from error
+
+
+def _loaded(item: Any, place: int, path: Path | None = None) -> Profile:
+    """Return the profile at a place of the list; files are relative to the folder of `path`, the fleet's file."""
+    try:
+        if isinstance(item, Mapping) and path is not None:
+            return parse_profile(dict(item), path)
+        if isinstance(item, str) and Path(item).suffix:
+            item = find_config(item, "profile", Path() if path is None else path.parent)
+        return load_profile(item)
+    except AmulettError as error:
+        raise AmulettError(f"profile {place}: {error}") from error
+
+
+def _checked(profiles: list[Profile]) -> tuple[Profile, ...]:
+    if not profiles:
+        raise AmulettError("a fleet needs at least one profile; the list is empty")
+    name, count = Counter(profile.name for profile in profiles).most_common(1)[0]
+    if count > 1:
+        raise AmulettError(f"{count} profiles of the fleet have the name '{name}'; their names have to differ")
+    return tuple(profiles)

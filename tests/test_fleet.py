@@ -1,0 +1,68 @@
+"""Reading fleets."""
+
+import json
+from pathlib import Path
+
+import pytest
+from helpers import device
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.fleet import fleet_names, load_fleet, names_or_contents
+from amulett_gym.profile import load_profile
+
+HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.5, "arm": 0.13}]}}
+
+
+def test_profiles_of_every_kind_make_a_fleet(tmp_path):
+    (tmp_path / "mine.json").write_text(json.dumps({**HEAVY, "name": "mine"}))
+    own = device("testbed")
+    fleet = load_fleet(["testbed", HEAVY, tmp_path / "mine.json", own])
+    assert [profile.name for profile in fleet] == ["testbed", "heavy", "mine", "testbed-test"]
+    assert fleet[0] == load_profile("testbed") and fleet[3] is own
+    assert load_fleet(fleet) == fleet
+    again = names_or_contents(fleet)
+    assert again[0] == "testbed" and load_fleet(json.loads(json.dumps(again))) == fleet
+
+
+def test_a_file_names_files_in_its_folder(tmp_path, monkeypatch):
+    folder = tmp_path / "devices"
+    folder.mkdir()
+    (folder / "curve.csv").write_text("deflection_m,force_N\n" + "\n".join(f"{k / 1000},{k * k}" for k in range(7)))
+    (folder / "mine.yaml").write_text(json.dumps({**HEAVY, "name": "mine"}))
+    curved = {"name": "curved", "base": "testbed", "spring": {"measured_curve": "curve.csv"}}
+    for suffix in ("yaml", "json"):
+        (folder / f"fleet.{suffix}").write_text(json.dumps(["simulation", "mine.yaml", curved]))
+        fleet = load_fleet(folder / f"fleet.{suffix}")
+        assert [profile.name for profile in fleet] == ["simulation", "mine", "curved"]
+        assert fleet[2].spring.measured_curve is not None
+    monkeypatch.chdir(folder)
+    assert load_fleet("fleet.yaml") == fleet
+
+
+@pytest.mark.parametrize(
+    ("fleet", "message"),
+    [
+        ([], "at least one profile"),
+        (["testbed", "testbed"], "2 profiles of the fleet have the name 'testbed'"),
+        (["testbed", {**HEAVY, "plant": {"masss": 1}}], "profile 1: .*did you mean 'masses'"),
+        (["testbad"], "profile 0: unknown profile 'testbad'.*did you mean 'testbed'"),
+        ("plausibel", r"unknown fleet 'plausibel'; choose from .*<file>.yaml"),
+        ("missing.yaml", "cannot read fleet 'missing.yaml'"),
+        (3, "it has to be a name, a YAML or JSON file, or a list"),
+    ],
+)
+def test_a_wrong_fleet_is_refused(fleet, message):
+    with pytest.raises(AmulettError, match=message):
+        load_fleet(fleet)
+
+
+def test_a_file_has_to_hold_a_list(tmp_path):
+    path = Path(tmp_path / "one.yaml")
+    path.write_text(json.dumps(HEAVY))
+    with pytest.raises(AmulettError, match="has to hold a list of profiles, not dict"):
+        load_fleet(path)
+
+
+def test_shipped_fleets_can_be_loaded():
+    for name in fleet_names():
+        assert len(load_fleet(name)) > 1
