@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.eq6_costs import eq6_costs
+from amulett_gym.envs.eq6_costs import eq6_costs, shipped_costs
 from amulett_gym.envs.prices import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.laws.contenders import Contender, split_loop
@@ -54,6 +54,8 @@ def device_remarks(
 
 
 def _remarks_on_costs(profile: Profile, suite: str) -> list[str]:
+    if shipped_costs(profile) is not None:
+        return []
     costs, scenarios = eq6_costs(profile, suite), f"training scenarios of {suite} on the {profile.name}"
     if costs is None:
         why = "it cannot begin them, or they have too many integration steps"

@@ -100,6 +100,8 @@ def test_remarks_say_where_eq6_fails_or_cannot_be_measured():
     for profile, remark in zip((fast, weak), said, strict=True):
         assert [each for each in device_remarks(profile, suite="steps") if "eq6" in each] == [remark]
         assert not any("eq6" in each for each in device_remarks(profile))
+        of_testbed = profile.model_copy(update={"divisors_of": "testbed"})  # which eq. 6 plays well
+        assert not any("eq6" in each for each in device_remarks(of_testbed, suite="steps"))
 
 
 def test_an_environment_without_a_loop_is_not_diagnosed():
