@@ -1,10 +1,15 @@
 """Altered scenarios differ from the headline's in one thing."""
 
-import numpy as np
+from dataclasses import replace
 
-from amulett_gym.evaluation.runner import Protocol
+import numpy as np
+import pytest
+
+from amulett_gym.evaluation.runner import Protocol, play_alone
 from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import load_profile
+from amulett_gym.studies.benchmark import altered
 from amulett_gym.studies.benchmark.altered import alter
 from amulett_gym.tasks.scenario import pack, unpack
 
@@ -39,3 +44,14 @@ def test_wrong_parameters_alone():
     for name in own:
         assert set(np.round(ratios[name].astype(np.float64), 5).tolist()) == {0.8, 1.2}
     np.testing.assert_array_equal(ratios["spring_biceps_factor"] > 1, ratios["spring_triceps_factor"] > 1)
+
+
+@pytest.mark.parametrize(("change", "size", "none"), [("noise-x2", "NOISE", 1.0), ("wrong-parameters", "OFF", 0.0)])
+def test_a_change_of_nothing_plays_to_the_same_bits(monkeypatch, change, size, none):
+    few, eq6 = replace(PROTOCOL, episodes=16), parse_contender("eq6")
+    usual = play_alone(few, eq6)
+    monkeypatch.setattr(altered, size, none)
+    again = play_alone(alter(few, change), eq6)
+    for name, values in usual.values.items():
+        np.testing.assert_array_equal(again.values[name], values, err_msg=name)
+    assert again.families.tolist() == usual.families.tolist() and again.failures == usual.failures
