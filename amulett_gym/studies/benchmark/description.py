@@ -148,9 +148,10 @@ class Benchmark(Group):
         },
         description="name of a learned entry -> its training runs",
     )
-    best_learned: str = Field(
+    best_learned: str | None = Field(
         default="ppo",
-        description="the entry that the claims are about; full-control only: auto, in the loop of the best constant",
+        description="the entry that the claims are about; full-control only: auto, in the loop of the best constant, "
+        "or null: none",
     )
     ablations: list[str] = Field(
         default=list(COST_TERMS), description="reward terms left out, one at a time, in further trainings of that entry"
@@ -222,6 +223,9 @@ class Benchmark(Group):
         if self.best_learned == AUTO:
             if self.learned and (self.track == SCHEDULE or self.ablations):
                 raise ValueError("best_learned is 'auto'; this is for the track full-control, without ablations")
+        elif self.best_learned is None:
+            if self.track == SCHEDULE or self.ablations:
+                raise ValueError("best_learned is null; this is for the track full-control, without ablations")
         elif self.learned and self.best_learned not in self.learned:
             raise unknown("learned entry", self.best_learned, self.learned)
         elif self.learned and self.learned[self.best_learned].reference:
@@ -243,13 +247,14 @@ class Benchmark(Group):
         pairs += [(self.headline, change) for change in self.altered]
         return [pair for pair in pairs if pair != (PAPER_STEP, "shifted")]
 
-    def in_best_loop(self, loop: str) -> Benchmark:
+    def in_best_loop(self, loop: str, trained: Mapping[str, str]) -> Benchmark:
         """Return the description with what depends on the loop of the best constant, which is known only later.
 
         These are the further seeds of what is learned there, and `best_learned` if it is auto: what is learned there,
-        first of all an entry with such seeds; if nothing is, the first entry.
+        first of all an entry with such seeds; None if nothing is. `trained` is the loop of each learned entry, by its
+        recipe (`runs.trained_loops`): a name without a loop does not show that the entry acts in `Amulett/Drives-v0`.
         """
-        there = [name for name in self.learned if loop_of(name) == loop and not self.learned[name].reference]
+        there = [name for name in self.learned if trained[name] == loop and not self.learned[name].reference]
         more = [name for name in there if self.learned[name].best_loop_seeds]
         learned = dict(self.learned)
         for name in more:
@@ -258,7 +263,7 @@ class Benchmark(Group):
         learned = {name: entry.model_copy(update={"best_loop_seeds": []}) for name, entry in learned.items()}
         best = self.best_learned
         if best == AUTO and self.learned:
-            best = [*more, *there, *self.learned][0]
+            best = next(iter([*more, *there]), None)
         return self.model_copy(update={"learned": learned, "best_learned": best})
 
     def constant_names(self) -> list[str]:
@@ -296,12 +301,22 @@ def _by_loop(learned: Any, loops: Sequence[Any]) -> Any:
         own = dict(entry) if isinstance(entry, Mapping) else entry.model_dump() if isinstance(entry, Learned) else {}
         chosen = loops if own.get("loops") == "all" else own.get("loops") or []
         if not chosen or not isinstance(chosen, list) or any(loop not in loops for loop in chosen):
-            spread[name] = entry
-            continue
-        for loop in chosen:
-            changes = [f"env.control={loop}", f"env.track={FULL_CONTROL}", f"env.tension_range={[*_range(loop)]}"]
-            spread[named(loop, name)] = {**own, "loops": [], "set": [*changes, *(own.get("set") or [])]}
+            new = {name: entry}
+        else:
+            new = {
+                named(loop, name): {**own, "loops": [], "set": [*_changes(loop), *(own.get("set") or [])]}
+                for loop in chosen
+            }
+        for each in new:
+            if each in spread:
+                raise ValueError(f"two learned entries would be called '{each}'; give one of them another name")
+        spread |= new
     return spread
+
+
+def _changes(loop: Control) -> list[str]:
+    """Return the changes of a recipe that is learned in a loop."""
+    return [f"env.control={loop}", f"env.track={FULL_CONTROL}", f"env.tension_range={[*_range(loop)]}"]
 
 
 def _range(loop: Control) -> tuple[float, float]:
@@ -317,7 +332,7 @@ QUICK_EPISODES, QUICK_SEEDS, QUICK_STEPS, QUICK_BUDGET = 20, 2, 131_072, 12_000
 
 
 def quick(description: Benchmark) -> Benchmark:
-    """Return a small benchmark of the same parts, about a minute of CPU time, as a test of the installation.
+    """Return a small benchmark of the same parts, minutes of CPU time, as a test of the installation.
 
     The headline suite, `contact`, `hold-push` and `paper-step`, few scenarios, every fourth constant, two seeds of
     short training of the entry that the claims are about, no ablations, a shallow search. On *full control* the paper's
@@ -325,12 +340,13 @@ def quick(description: Benchmark) -> Benchmark:
     all that is learned in these loops, with one seed, and one more in the best. Claims are not judged by it.
     """
     wanted = (description.headline, "contact", "hold-push", PAPER_STEP)
-    auto = description.best_learned == AUTO
-    loops = [*([] if auto else [loop_of(description.best_learned)]), *LOOPS]
+    best = description.best_learned
+    auto = best is None or best == AUTO
+    loops = [*([] if best is None or best == AUTO else [loop_of(best)]), *LOOPS]
     loops = [PAPERS, *[loop for loop in dict.fromkeys(loops) if loop in description.loops and loop != PAPERS][:2]]
     learned = {}
     for name, entry in description.learned.items():
-        if (loop_of(name) in loops) if auto else (name == description.best_learned):
+        if (loop_of(name) in loops) if auto else (name == best):
             short = [
                 f"total_steps={QUICK_STEPS}",
                 f"validation.every_steps={QUICK_STEPS // 2}",

@@ -18,6 +18,7 @@ from amulett_gym.reporting.words import number, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.by_loop import answers
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
+from amulett_gym.studies.benchmark.description import loop_of
 from amulett_gym.studies.benchmark.results import Content, write_worst
 from amulett_gym.studies.benchmark.stages import Evidence
 from amulett_gym.studies.benchmark.tables import FOLDER as TABLES
@@ -115,7 +116,9 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
     costs = number(results[law]["ratio"][YARDSTICK]["mean"])
     cost = METRICS[COST_OF[found.get("track", SCHEDULE)]].name
     if best is None:
-        return f"Nothing was learned. The best tuned law, {law}, has {costs} of eq. 6's {cost} in {scenarios}."
+        others = any(entry["kind"] == "learned" for entry in found["entries"].values())
+        where = f" in {loop_of(found['constants']['overall'])}, the loop of the best constant" if others else ""
+        return f"Nothing was learned{where}. The best tuned law, {law}, has {costs} of eq. 6's {cost} in {scenarios}."
     seeds = len(found["entries"][best]["seeds"])
     text = (
         f"{best}, over {seeds} training seed{'s' if seeds > 1 else ''}, has "

@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import split_loop
 from amulett_gym.learning import advice, load_learning, not_installed
+from amulett_gym.simulation.layout import DRIVES
 from amulett_gym.storage.provenance import differences
 from amulett_gym.storage.reading import read_json, read_text
 from amulett_gym.storage.safe_yaml import read_yaml
@@ -61,13 +62,18 @@ def required_runs(description: Benchmark, recipes: Path, folder: Path) -> list[T
             _check_period(description, name, config)
             _check_loop(description, name, config)
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
-    if description.ablations and description.learned:
+    if description.ablations and description.learned and description.best_learned is not None:
         best = description.learned[description.best_learned]
         for term in description.ablations:
             name, seed = ablation_name(description.best_learned, term), best.seeds[0]
             config = training_recipe(best, seed, recipes, [*device, f"env.reward_weights.{term}=0.0"])
             runs.append(TrainingRun(name, seed, config, folder / name / f"seed-{seed}"))
     return runs
+
+
+def trained_loops(runs: Sequence[TrainingRun]) -> dict[str, str]:
+    """Return the loop in which each entry is trained; `DRIVES` of those in `Amulett/Drives-v0`, which has none."""
+    return {run.entry: DRIVES if run.config.env.id == DRIVES_ID else run.config.env.control for run in runs}
 
 
 def _check_period(description: Benchmark, name: str, config: Any) -> None:
@@ -87,6 +93,10 @@ def _check_loop(description: Benchmark, name: str, config: Any) -> None:
     if description.track == FULL_CONTROL and config.env.track != FULL_CONTROL:
         raise AmulettError(
             f"learned entry '{name}' is trained on the track {config.env.track}; set env.track={FULL_CONTROL}"
+        )
+    if config.env.id == DRIVES_ID and description.learned[name].best_loop_seeds:
+        raise AmulettError(
+            f"learned entry '{name}' is trained in {DRIVES_ID}, which has no loop; best_loop_seeds has to be empty"
         )
     if config.env.id in ENV_IDS[:2] and control != loop_of(name):
         raise AmulettError(f"learned entry '{name}' is trained in the loop {control}; call it '{own}'")

@@ -45,6 +45,7 @@ from amulett_gym.studies.benchmark.runs import (
     required_runs,
     train_missing,
     train_run,
+    trained_loops,
 )
 
 DESCRIPTION = "description.json"
@@ -184,9 +185,11 @@ def run_benchmark(
         load_casadi()
     reference.check_starts(description)
     check_frozen(description.suites, description.track)
-    # Which loop gets the further seeds does not matter to the checks: the same scenarios are drawn in each.
-    first = description.in_best_loop(next(map(loop_of, description.learned), PAPERS))
     runs_folder = out / RUNS if runs is None else user_path(runs)
+    trained = trained_loops(required_runs(description, recipes, runs_folder))
+    # Which loop gets the further seeds does not matter to the checks: the same scenarios are drawn in each.
+    more = (trained[name] for name, entry in description.learned.items() if entry.best_loop_seeds)
+    first = description.in_best_loop(next(more, PAPERS), trained)
     needed = required_runs(first, recipes, runs_folder)
     chosen = {**description.model_dump(mode="json"), "profile": profile.model_dump(mode="json")}
     chosen["runs"] = None if runs is None else str(runs)
@@ -222,7 +225,7 @@ def run_benchmark(
         tried = _try_constants(description, out / EPISODES, protocol, laws, processes, progress)
         constant = best_in(tried[description.headline])
         say(f"best constant on train of {description.headline}: {constant}")
-        description = description.in_best_loop(loop_of(constant))
+        description = description.in_best_loop(loop_of(constant), trained)
         needed = required_runs(description, recipes, runs_folder)
         missing = check_runs(needed)
         say(f"{len(needed) - len(missing)} of {len(needed)} training runs are there")
@@ -386,15 +389,20 @@ def best_in(costs: dict[str, float], loop: str | None = None) -> str:
 def _hand_made(description: Benchmark, own: Sequence[Contender]) -> list[Entry]:
     """Return the entries without training: laws, constants, the caller's contenders."""
     names = list(dict.fromkeys([YARDSTICK, *description.law_names()]))
-    for name in description.contenders:
-        if parse_contender(name).env_id == DRIVES_ID:
+    listed, schedule = [parse_contender(name) for name in description.contenders], description.track != FULL_CONTROL
+    for contender in (*listed, *(own if schedule else ())):
+        if contender.env_id == DRIVES_ID:
             raise AmulettError(
-                f"contender '{name}' was trained in {DRIVES_ID}; a benchmark compares such policies as learned entries "
-                f"by their recipe, on the track {FULL_CONTROL}"
+                f"contender '{contender.name}' was trained in {DRIVES_ID}; a benchmark compares such policies as "
+                f"learned entries by their recipe, on the track {FULL_CONTROL}"
             )
-        if (loop := split_loop(name)[0]) not in ("", PAPERS) and description.track != FULL_CONTROL:
+    acting = [(contender, split_loop(contender.name)[0]) for contender in listed]
+    acting += [(contender, str(contender.env_keywords.get("control", PAPERS))) for contender in own]
+    for contender, loop in acting:
+        if schedule and loop in LOOPS:
             raise AmulettError(
-                f"contender '{name}' is in the loop {loop}; the track is {description.track}. Set track: {FULL_CONTROL}"
+                f"contender '{contender.name}' is in the loop {loop}; the track is {description.track}. Set track: "
+                f"{FULL_CONTROL}"
             )
     contenders = [parse_contender(name) for name in names]
     for contender in contenders:
@@ -444,7 +452,8 @@ def _learned(description: Benchmark, runs: Sequence[TrainingRun]) -> list[Entry]
     kinds: dict[str, Kind] = {
         name: "reference" if entry.reference else "learned" for name, entry in description.learned.items()
     }
-    kinds |= {ablation_name(description.best_learned, term): "ablation" for term in description.ablations}
+    best = description.best_learned
+    kinds |= {ablation_name(best, term): "ablation" for term in description.ablations if best is not None}
     entries = []
     for name in dict.fromkeys(run.entry for run in runs):
         own = [run for run in runs if run.entry == name]
@@ -459,7 +468,7 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
     """Return the mean capped cost of some laws on the validation scenarios of the headline entry."""
     description = evidence.description
     config = next((run.config for run in evidence.runs if run.entry == description.best_learned), None)
-    if config is None or config.env.suite != description.headline:
+    if description.best_learned is None or config is None or config.env.suite != description.headline:
         return {}
     there = replace(
         evidence.protocol, split="validation", episodes=config.validation.episodes, seed=config.validation.seed

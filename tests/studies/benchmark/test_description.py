@@ -17,7 +17,7 @@ from amulett_gym.studies.benchmark.description import (
     recipe_folder,
     training_recipe,
 )
-from amulett_gym.studies.benchmark.runs import required_runs
+from amulett_gym.studies.benchmark.runs import required_runs, trained_loops
 
 ROOT = Path(__file__).parents[3]
 FULL = {"track": "full-control", "learned": {}, "ablations": []}
@@ -66,15 +66,44 @@ def test_the_shipped_file_of_full_control_is_of_all_loops_and_laws():
 
 
 def test_the_loop_of_the_best_constant_gets_more_seeds():
-    description = load_benchmark(ROOT / "configs" / "full_control.yaml")
+    path = ROOT / "configs" / "full_control.yaml"
+    description = load_benchmark(path)
     assert description.best_learned == "auto" and {len(entry.seeds) for entry in description.learned.values()} == {1}
+    trained = trained_loops(required_runs(description, path.parent, Path("runs")))
+    assert trained["drives"] == "drives" and trained["ppo"] == PAPERS
     for loop, name in (("cascade", "cascade/ppo"), (PAPERS, "ppo")):
-        best = description.in_best_loop(loop)
+        best = description.in_best_loop(loop, trained)
         assert best.best_learned == name and len(best.learned[name].seeds) >= 3
         assert all(entry.seeds == [0] for other, entry in best.learned.items() if other != name)
         assert Benchmark.model_validate(best.model_dump()) == best
-    own = Benchmark.model_validate({**FULL, "learned": {"drives": {"seeds": [0]}}, "best_learned": "auto"})
-    assert own.in_best_loop("cascade").best_learned == "drives"
+
+
+def test_nothing_learned_in_the_best_loop_is_no_best_learned():
+    drives, reference = {"seeds": [0]}, {"seeds": [0], "reference": True}
+    own = Benchmark.model_validate({**FULL, "learned": {"drives": drives, "causal": reference}, "best_learned": "auto"})
+    trained = {"drives": "drives", "causal": PAPERS}
+    for loop in ("cascade", PAPERS):
+        best = own.in_best_loop(loop, trained)
+        assert best.best_learned is None and Benchmark.model_validate(best.model_dump()) == best
+    assert own.in_best_loop(PAPERS, {**trained, "drives": PAPERS}).best_learned == "drives"
+    with pytest.raises(ValueError, match="best_learned is null; this is for the track full-control"):
+        Benchmark(best_learned=None)
+
+
+def test_further_seeds_without_a_loop_are_refused():
+    changes = ["env.id=Amulett/Drives-v0", "env.track=full-control", "env.tension_range=[0.0, 15.0]"]
+    entry = {"set": changes, "seeds": [0], "best_loop_seeds": [1]}
+    description = Benchmark.model_validate({**FULL, "learned": {"drives": entry}, "best_learned": "auto"})
+    with pytest.raises(AmulettError, match="'drives' is trained in Amulett/Drives-v0.*best_loop_seeds has to be empty"):
+        required_runs(description, ROOT, Path("runs"))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_two_learned_entries_of_one_name_are_refused(turned):
+    entries = [("ppo", {"loops": ["co-rotation"], "seeds": [0]}), ("co-rotation/ppo", {"seeds": [1]})]
+    learned = dict(reversed(entries) if turned else entries)
+    with pytest.raises(ValueError, match="two learned entries would be called 'co-rotation/ppo'"):
+        Benchmark.model_validate({**FULL, "learned": learned, "best_learned": "auto"})
 
 
 @pytest.mark.parametrize(

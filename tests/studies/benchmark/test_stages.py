@@ -465,6 +465,15 @@ def test_a_policy_of_a_loop_is_named_with_it(tmp_path):
         AmulettError, match="was trained in Amulett/Drives-v0; a benchmark compares such policies as le"
     ):
         bench(tmp_path, {**LAWS, "contenders": [str(drives)]})
+    for own, message in (
+        (parse_contender("cascade/eq6"), "contender 'cascade/eq6' is in the loop cascade; the track is schedule"),
+        (parse_contender(mine), "is in the loop cascade; the track is schedule"),
+        (Own("mine", {"control": "cascade"}, act=len), "contender 'mine' is in the loop cascade"),
+        (parse_contender(str(drives)), "was trained in Amulett/Drives-v0"),
+    ):
+        with pytest.raises(AmulettError, match=message):
+            bench(tmp_path, LAWS, own=[own])
+    assert not (tmp_path / "out").exists()
 
 
 def test_kept_episodes_know_what_they_depend_on(monkeypatch):
