@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import __version__
+from amulett_gym.envs.prices import divisors_owner
 from amulett_gym.envs.reward import FULL_CONTROL
-from amulett_gym.evaluation.metrics import UNITS
+from amulett_gym.evaluation.metrics import UNITS, control_cost, control_prices
 from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.evaluation.search.optimal import OptimalCosts
@@ -125,11 +126,12 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         },
         "validation": evidence.validation,
         "results": results,
+        **({"paper_gains": _paper_gains(evidence)} if evidence.paper_gains else {}),
         "families": _by_family(evidence),
         "profiles": _profiles(evidence),
         "references": _references(evidence, hand),
         "training": _training(evidence),
-        "worst": _worst(evidence, hand) if best is not None else [],
+        "worst": _worst(evidence, best, hand) if best is not None else [],
     }
 
 
@@ -204,6 +206,7 @@ def _numbers(
     if evidence.description.track == FULL_CONTROL:
         commands, eq6 = (each["cost"] - each["cost_tension"] for each in (values, yardstick))
         found["ratio_of_commands"] = _ratio(commands, eq6[0], evidence).plain()
+        found["settling"] = _settling(evidence, values, draws)
     for metric, numbers in found["metrics"].items():
         numbers["ratio_to_eq6"] = _ratio(values[metric], yardstick[metric][0], evidence).plain()
     return {
@@ -217,10 +220,41 @@ def _numbers(
     }
 
 
+def _settling(evidence: Evidence, values: dict[str, Values], draws: Draws) -> Content:
+    """Return the number of setpoint steps, of those that settled, and the mean time of all.
+
+    A step that did not settle counts as long as an episode.
+    """
+    steps, settled = values["setpoint_steps"], values["steps_settled"]
+    lost = evidence.description.duration * (steps - settled)
+    with np.errstate(invalid="ignore"):
+        times = (np.nan_to_num(values["settling_time"]) * settled + lost) / np.where(steps > 0, steps, np.nan)
+    return {"time": nested_mean(times, draws).plain(), "settled": int(settled.sum()), "steps": int(steps.sum())}
+
+
 def _failures(played: Played) -> Content:
     found = count_failures(played.values["failed"] > 0)
     reasons = Counter(reason for member in played.reasons for reason in member if reason)
     return {"count": found.count, "total": found.total, "low": found.low, "high": found.high, "reasons": dict(reasons)}
+
+
+def _paper_gains(evidence: Evidence) -> Content:
+    """Return by suite the cost of eq. 6 with the paper's gains, held-out, and entries' costs relative to it.
+
+    The cost has the divisors of the benchmark's profile, as those of all entries have.
+    """
+    found: Content = {}
+    for suite, run in evidence.paper_gains.items():
+        prices = control_prices(evidence.profile, suite, run.families)
+        eq6 = control_cost(run.values, run.values["cost_failure"], prices)
+        results = evidence.played[suite, "held-out"]
+        costs = {name: results[name].values[evidence.metric] for name in shown(evidence, suite)}
+        found[suite] = {
+            "cost": float(eq6.mean()),
+            "unit": divisors_owner(evidence.profile, suite),
+            "ratio": {name: _ratio(cost, eq6, evidence).plain() for name, cost in costs.items()},
+        }
+    return found
 
 
 def _by_family(evidence: Evidence) -> Content:
@@ -328,6 +362,7 @@ def _goal(evidence: Evidence, suite: str, searched: Searched, hand: str) -> Cont
         **searched.evidence,
         "cost": float(goal.mean()),
         "ratio_to_eq6": _ratio(goal[None], eq6, evidence).plain(),
+        "ratio_to_constant": _ratio(goal[None], start, evidence).plain(),
         "entries_to_eq6": {name: _ratio(cost, eq6, evidence).plain() for name, cost in costs.items()},
         "score": {name: _share(start, cost, goal, evidence).plain() for name, cost in costs.items()},
         "share_from_hand": {name: _share(by_hand, cost, goal, evidence).plain() for name, cost in costs.items()},
@@ -370,9 +405,9 @@ def _training(evidence: Evidence) -> Content:
     return found
 
 
-def _worst(evidence: Evidence, hand: str) -> list[Content]:
+def _worst(evidence: Evidence, best: str, hand: str) -> list[Content]:
     """Return the learned entry's worst scenarios of the headline suite, held-out, compared with the best tuned law."""
-    results, best, metric = evidence.headline(), evidence.description.best_learned, evidence.metric
+    results, metric = evidence.headline(), evidence.metric
     learned, law = results[best].values[metric].mean(axis=0), results[hand].values[metric][0]
     order = np.argsort(law - learned, kind="stable")[:WORST]
     found = []

@@ -21,7 +21,7 @@ from amulett_gym.evaluation.search.optimal import OptimalCosts, optimal_costs
 from amulett_gym.evaluation.search.transcription import load_casadi
 from amulett_gym.laws.contenders import Contender, Own, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import NO_COPIES, Copies
-from amulett_gym.profile import Profile
+from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import find_config
 from amulett_gym.simulation.layout import LOOPS
@@ -32,7 +32,15 @@ from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
 from amulett_gym.studies.benchmark.altered import alter
-from amulett_gym.studies.benchmark.description import PAPERS, Benchmark, Learned, load_profile_of, loop_of, named
+from amulett_gym.studies.benchmark.description import (
+    PAPER_STEP,
+    PAPERS,
+    Benchmark,
+    Learned,
+    load_profile_of,
+    loop_of,
+    named,
+)
 from amulett_gym.studies.benchmark.episodes import Played, file_label, played
 from amulett_gym.studies.benchmark.frozen import check_frozen, hashes, seed_overlap
 from amulett_gym.studies.benchmark.processes import Job, work_ahead
@@ -47,6 +55,7 @@ from amulett_gym.studies.benchmark.runs import (
     train_run,
     trained_loops,
 )
+from amulett_gym.tasks.hashes import PROFILE
 
 DESCRIPTION = "description.json"
 """File by which a benchmark's folder is recognised."""
@@ -98,6 +107,7 @@ class Evidence:
     overlap: dict[str, int]  # from `frozen.seed_overlap`
     tuned: dict[str, dict[str, Any]] = field(default_factory=dict)  # law tuned here -> its file's content
     optimal: OptimalCosts | None = None
+    paper_gains: dict[str, Run] = field(default_factory=dict)  # suite -> eq. 6 with these, held-out; none: not other
 
     @property
     def metric(self) -> str:
@@ -232,6 +242,7 @@ def run_benchmark(
         evidence = _work(
             description, out, protocol, laws, tried, needed, found_hashes, overlap, say, progress, processes
         )
+        evidence = replace(evidence, paper_gains=_with_paper_gains(evidence, out / EPISODES))
         if not description.optimal:
             return replace(evidence, tuned=tuned)
         scenarios = range(description.seed, description.seed + description.optimal)
@@ -379,6 +390,25 @@ def _plays(
         for entry in entries
         for label, member in zip(entry.file_labels(), entry.members, strict=True)
     ]
+
+
+def _with_paper_gains(evidence: Evidence, folder: Path) -> dict[str, Run]:
+    """Return eq. 6's runs, held-out, in the paper's loop with the gains of the shipped profile, the paper's.
+
+    They are of the headline and of the paper's step, on the track *full control*; none if the profile has these gains.
+    """
+    profile, description = evidence.profile, evidence.description
+    gains = load_profile(profile.root if profile.root in profile_names() else PROFILE).loop
+    loop = profile.loop.model_copy(update={"position": gains.position, "tension": gains.tension})
+    papers = profile.model_copy(update={"loop": loop})
+    if description.track != FULL_CONTROL or papers == profile:
+        return {}
+    suites = [suite for suite in dict.fromkeys((description.headline, PAPER_STEP)) if suite in description.suites]
+    contender = evidence.entries[YARDSTICK].members[0]
+    there = replace(evidence.protocol, profile=papers, split="held-out")
+    return {
+        suite: played(folder / "paper-gains", YARDSTICK, replace(there, suite=suite), contender) for suite in suites
+    }
 
 
 def best_in(costs: dict[str, float], loop: str | None = None) -> str:
