@@ -17,8 +17,10 @@ from amulett_gym.storage.writing import output_folder
 
 HELP = "search for the parameters that the paper does not print (about 20 minutes on two cores)"
 EXAMPLES = """  amulett identify --out runs/identify
+  amulett identify --spring-end stall --out runs/identify-stall
   amulett identify --seeds 1 --population 30 --generations 10 --refinement 5 --steps 2 --out runs/short
 """
+SPRING_ENDS = ("held", "continued", "hard-stop", "stall")  # of `studies.paper.reproduction.Readings.spring_end`
 _COUNTS = {
     "population": "candidates in a generation",
     "generations": "generations of each start",
@@ -35,6 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     for name, text in _COUNTS.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: as the shipped study)")
+    parser.add_argument(
+        "--spring-end",
+        choices=SPRING_ENDS,
+        default=SPRING_ENDS[0],
+        help="what ends the spring's curve: the force is held at its end, the law goes on, a stop takes over, or "
+        "the law goes on and drives stall (default: held)",
+    )
     cores = os.cpu_count() or 1
     parser.add_argument("--processes", type=int, default=cores, metavar="N", help="parallel searches (default: cores)")
     parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
@@ -65,8 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
         progress.update()
 
     with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out), progress:
-        words = _command(arguments.out, recipe)
-        content = study(arguments.out, recipe, Readings(), arguments.processes, report, arguments.overwrite, words)
+        words = _command(arguments.out, recipe, arguments.spring_end)
+        readings = Readings(spring_end=arguments.spring_end)
+        content = study(arguments.out, recipe, readings, arguments.processes, report, arguments.overwrite, words)
     if arguments.json:
         print_json(content)
     show(in_words(content))
@@ -74,6 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _command(out: str, recipe: Any) -> list[str]:
+def _command(out: str, recipe: Any, spring_end: str) -> list[str]:
     sizes = [word for name in _COUNTS for word in (f"--{name}", str(getattr(recipe, name)))]
-    return ["amulett", "identify", "--seeds", *map(str, recipe.seeds), *sizes, "--out", out]
+    end = [] if spring_end == SPRING_ENDS[0] else ["--spring-end", spring_end]
+    return ["amulett", "identify", "--seeds", *map(str, recipe.seeds), *sizes, *end, "--out", out]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from amulett_gym.identification.parameters import PARAMETERS, Values, pack, unpack
+from amulett_gym.identification.parameters import PARAMETERS, Free, Values, of, pack, unpack
 from amulett_gym.identification.search import Cost
 
 DETERMINED = 0.2
@@ -17,7 +17,14 @@ AT_BOUND = 0.01
 
 
 def ensemble(
-    cost: Cost, seed: int, candidates: Values, *, limit: float, walkers: int, steps: int
+    cost: Cost,
+    seed: int,
+    candidates: Values,
+    *,
+    limit: float,
+    walkers: int,
+    steps: int,
+    parameters: tuple[Free, ...] = PARAMETERS,
 ) -> list[dict[str, float]]:
     """Return equally good parameter sets: all places of a random walk of many walkers below a limit of the cost.
 
@@ -32,10 +39,12 @@ def ensemble(
         Largest cost.
     walkers, steps : int
         Largest number of walkers; moves that each tries.
+    parameters : tuple of Free
+        What is searched.
     """
     rng = np.random.default_rng(seed)
     within = [vector for vector in candidates[rng.permutation(len(candidates))] if cost(vector) <= limit]
-    places = np.array(within[:walkers]).reshape(-1, len(PARAMETERS))
+    places = np.array(within[:walkers]).reshape(-1, len(parameters))
     members = list(places)
     count, size = places.shape
     for _ in range(steps if count > 1 else 0):
@@ -47,7 +56,7 @@ def ensemble(
             if accept and ((moved >= 0.0) & (moved <= 1.0)).all() and cost(moved) <= limit:
                 places[k] = moved
                 members.append(moved)
-    return [unpack(vector) for vector in members]
+    return [unpack(vector, parameters) for vector in members]
 
 
 def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, float, bool]]:
@@ -58,9 +67,10 @@ def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, flo
     """
     places = np.array([pack(member) for member in members])
     begin, end = places.min(axis=0), places.max(axis=0)
-    low, high = unpack(begin), unpack(end)
+    free = of(members[0])
+    low, high = unpack(begin, free), unpack(end, free)
     determined = (end - begin <= DETERMINED) & (begin > AT_BOUND) & (end < 1.0 - AT_BOUND)
     return {
-        free.name: (float(f"{low[free.name]:.3g}"), float(f"{high[free.name]:.3g}"), bool(known))
-        for free, known in zip(PARAMETERS, determined, strict=True)
+        item.name: (float(f"{low[item.name]:.3g}"), float(f"{high[item.name]:.3g}"), bool(known))
+        for item, known in zip(free, determined, strict=True)
     }

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import STABLE_STEP, Profile, load_profile
+from amulett_gym.settings import merge
 
 Values = NDArray[np.float64]
 
@@ -111,29 +112,56 @@ PARAMETERS = (
 )
 """Parameters that the paper does not print and data might determine."""
 
+SPRING_ENDS = ("held", "continued", "hard-stop", "stall")
+"""What may end the spring's curve: `Spring.beyond`; ``stall``: the law continued, with drives that stall."""
 
-def unpack(vector: Values) -> dict[str, float]:
-    """Return the named parameters of a search vector, whose numbers go from 0 to 1 between the bounds.
+OWN = {
+    "hard-stop": Free(
+        "stop_stiffness",
+        5e3,
+        2e5,
+        "N/m",
+        "a stop of printed parts, to 0.25 m of a 1 mm steel cable (E A / L), twice over",
+    ),
+    "stall": Free(
+        "stall_torque", 0.15, 2.0, "N m", "a micro servo's 1.5 kgf cm, to the 20 kgf cm of a large hobby servo"
+    ),
+}
+"""The parameter that an end of the spring's curve has of its own, by `SPRING_ENDS`."""
+
+
+def searched(spring_end: str = "held") -> tuple[Free, ...]:
+    """Return the parameters to search with an end of the spring's curve: `PARAMETERS`, and its own."""
+    return (*PARAMETERS, OWN[spring_end]) if spring_end in OWN else PARAMETERS
+
+
+def unpack(vector: Values, free: tuple[Free, ...] = PARAMETERS) -> dict[str, float]:
+    """Return the named parameters of a search vector, whose numbers go from 0 to 1 between the bounds of `free`.
 
     Every vector gives devices that a profile allows: a lag too short for the control period is raised to the least one.
     """
-    parameters = _between_bounds(vector)
+    parameters = _between_bounds(vector, free)
     return {**parameters, "testbed.lag": max(parameters["testbed.lag"], _least_lag(parameters))}
 
 
-def allowed(vector: Values) -> bool:
+def allowed(vector: Values, free: tuple[Free, ...] = PARAMETERS) -> bool:
     """Return whether `unpack` leaves a vector unchanged, as every candidate of a search has to be."""
-    parameters = _between_bounds(vector)
+    parameters = _between_bounds(vector, free)
     return parameters["testbed.lag"] >= _least_lag(parameters)
 
 
 def pack(parameters: Mapping[str, float]) -> Values:
     """Return the search vector of named parameters, the inverse of `unpack`."""
-    return np.array([free.place(parameters[free.name]) for free in PARAMETERS])
+    return np.array([free.place(parameters[free.name]) for free in of(parameters)])
 
 
-def _between_bounds(vector: Values) -> dict[str, float]:
-    return {free.name: free.value(place) for free, place in zip(PARAMETERS, vector.tolist(), strict=True)}
+def of(parameters: Mapping[str, float]) -> tuple[Free, ...]:
+    """Return what was searched for a set of named parameters."""
+    return (*PARAMETERS, *(free for free in OWN.values() if free.name in parameters))
+
+
+def _between_bounds(vector: Values, free: tuple[Free, ...]) -> dict[str, float]:
+    return {item.name: item.value(place) for item, place in zip(free, vector.tolist(), strict=True)}
 
 
 def _least_lag(parameters: Mapping[str, float]) -> float:
@@ -141,7 +169,15 @@ def _least_lag(parameters: Mapping[str, float]) -> float:
     return parameters["testbed.control_period"] / load_profile("testbed").loop.substeps / STABLE_STEP
 
 
-def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+def spring_end_changes(spring_end: str, **own: float) -> dict[str, dict[str, Any]]:
+    """Return the changes of a profile by an end of the spring's curve (`SPRING_ENDS`); `own`: see `OWN`."""
+    spring: dict[str, Any] = {"beyond": {"held": None, "stall": "continued"}.get(spring_end, spring_end)}
+    stop = own.get("stop_stiffness") if spring_end == "hard-stop" else None
+    stall = own.get("stall_torque") if spring_end == "stall" else None
+    return {"spring": {**spring, "stop_stiffness": stop}, "drives": {"stall_torque": stall}}
+
+
+def profile_changes(parameters: Mapping[str, float], spring_end: str = "held") -> dict[str, dict[str, Any]]:
     """Return the changes of each device's profile by a set of parameters, in the profile's own keys.
 
     Numbers have five significant digits, in the search too, so that a written profile is the one that was found.
@@ -163,6 +199,9 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
             "max_deflection": _digits(deflection),
         },
     }
+    if spring_end != "held":
+        own = {free.name: _digits(p[free.name]) for free in OWN.values() if free.name in p}
+        shared = merge(shared, spring_end_changes(spring_end, **own))
     changes: dict[str, dict[str, Any]] = {}
     for device in ("simulation", "testbed"):
         position = {"derivative_filter": _digits(p[f"{device}.position_filter"])}
@@ -173,7 +212,10 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
             "loop": {"position": position, "position_only": position, "tension": tension},
         }
     testbed = changes["testbed"]
-    testbed["drives"] = {"lag": _digits(p["testbed.lag"]), "rate_limit_deg": _digits(p["testbed.rate_limit"])}
+    testbed["drives"] = testbed.get("drives", {}) | {
+        "lag": _digits(p["testbed.lag"]),
+        "rate_limit_deg": _digits(p["testbed.rate_limit"]),
+    }
     noise, period = _digits(p["testbed.slider_noise"]), p["testbed.control_period"]
     weight = period / (SWITCH_FILTER + period)
     difference = noise * math.sqrt(2.0 * weight / (2.0 - weight))  # standard deviation, after the low-pass
@@ -187,14 +229,16 @@ def profile_changes(parameters: Mapping[str, float]) -> dict[str, dict[str, Any]
     return changes
 
 
-def devices(parameters: Mapping[str, float]) -> dict[str, Profile]:
+def devices(parameters: Mapping[str, float], spring_end: str = "held") -> dict[str, Profile]:
     """Return both shipped devices, the simulation and the testbed, with a set of parameters instead of theirs.
+
+    `spring_end` is one of `SPRING_ENDS`, whose own parameter has to be in the set.
 
     Raises AmulettError if a profile does not allow one of the values.
     """
     return {
         name: load_profile({"base": name, "name": f"{name}-identified", **changes})
-        for name, changes in profile_changes(parameters).items()
+        for name, changes in profile_changes(parameters, spring_end).items()
     }
 
 

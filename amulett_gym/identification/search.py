@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from amulett_gym.identification.parameters import PARAMETERS, Values, pack, unpack
+from amulett_gym.identification.parameters import PARAMETERS, Free, Values, pack, unpack
 
 Cost = Callable[[Values], float]
 """Search vector -> cost, the smaller the better."""
@@ -24,7 +24,13 @@ class Fit:
 
 
 def search(
-    cost: Cost, seed: int, *, generations: int, population: int | Values, fixed: Mapping[str, float] | None = None
+    cost: Cost,
+    seed: int,
+    *,
+    generations: int,
+    population: int | Values,
+    fixed: Mapping[str, float] | None = None,
+    parameters: tuple[Free, ...] = PARAMETERS,
 ) -> Fit:
     """Return the parameters of least cost that differential evolution finds.
 
@@ -36,12 +42,14 @@ def search(
         Number of candidates, drawn between the bounds; or the search vectors of the first generation.
     fixed : mapping of str to float, optional
         Parameters that are not varied.
+    parameters : tuple of Free
+        What is searched.
     """
     rng = np.random.default_rng(seed)
     if isinstance(population, int):
-        population = rng.uniform(size=(population, len(PARAMETERS)))
-    free = np.array([item.name not in (fixed or {}) for item in PARAMETERS])
-    template = pack({**unpack(np.full(len(PARAMETERS), 0.5)), **(fixed or {})})
+        population = rng.uniform(size=(population, len(parameters)))
+    free = np.array([item.name not in (fixed or {}) for item in parameters])
+    template = pack({**unpack(np.full(len(parameters), 0.5), parameters), **(fixed or {})})
 
     def whole(part: Values) -> Values:
         vector = template.copy()
@@ -58,4 +66,6 @@ def search(
         atol=1e-4,
         polish=False,
     )
-    return Fit(float(found.fun), unpack(whole(found.x)), np.array([whole(part) for part in found.population]))
+    return Fit(
+        float(found.fun), unpack(whole(found.x), parameters), np.array([whole(part) for part in found.population])
+    )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from amulett_gym.identification.ensemble import ensemble, spread
-from amulett_gym.identification.parameters import PARAMETERS, pack, unpack
+from amulett_gym.identification.parameters import OWN, PARAMETERS, pack, searched, unpack
 
 
 def outside_box(vector):
@@ -21,6 +21,15 @@ def test_the_walk_covers_what_is_as_good_evenly():
     assert np.abs(places - 0.5).max() <= 0.2 + 0.5 / 5  # `choices` are rounded to the middle of theirs
     assert late.mean() == pytest.approx(0.5, abs=0.02)
     assert late.std() == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
+
+
+def test_the_own_parameter_of_an_end_of_the_springs_curve_is_walked_too():
+    free = searched("hard-stop")
+    begin = np.random.default_rng(0).uniform(0.3, 0.7, (20, len(free)))
+    members = ensemble(lambda vector: 0.0, 1, begin, limit=1.0, walkers=20, steps=3, parameters=free)
+    assert len({member["stop_stiffness"] for member in members}) > 20
+    low, high, _ = spread(members)["stop_stiffness"]
+    assert OWN["hard-stop"].low <= low < high <= OWN["hard-stop"].high
 
 
 def test_no_walk_begins_where_the_cost_is_too_high():

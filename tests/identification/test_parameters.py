@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amulett_gym.identification.parameters import PARAMETERS, allowed, devices, pack, same_device, unpack
+from amulett_gym.identification.parameters import (
+    OWN,
+    PARAMETERS,
+    SPRING_ENDS,
+    allowed,
+    devices,
+    of,
+    pack,
+    same_device,
+    searched,
+    unpack,
+)
 from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
@@ -66,6 +77,23 @@ def test_a_lag_too_short_for_the_control_period_is_raised_and_no_candidate():
     corner[names.index("testbed.control_period")] = 0.0
     assert allowed(corner)
     assert unpack(corner)["testbed.lag"] == pytest.approx(0.003)
+
+
+@pytest.mark.parametrize("end", SPRING_ENDS)
+def test_an_end_of_the_springs_curve_has_a_parameter_of_its_own_at_most(end):
+    free = searched(end)
+    assert free[: len(PARAMETERS)] == PARAMETERS and free[len(PARAMETERS) :] == ((OWN[end],) if end in OWN else ())
+    vector = np.full(len(free), 0.5)
+    parameters = unpack(vector, free)
+    assert of(parameters) == free and allowed(vector, free)
+    assert pack(parameters) == pytest.approx(vector, abs=0.11)  # the control period has five places
+    for profile in devices(parameters, end).values():
+        assert profile.spring.beyond == {"held": None, "stall": "continued"}.get(end, end)
+        own = {"stop_stiffness": profile.spring.stop_stiffness, "stall_torque": profile.drives.stall_torque}
+        for name, value in own.items():
+            assert (value is None) == (name not in parameters)
+            assert value is None or value == pytest.approx(parameters[name], rel=1e-4)
+    assert devices(parameters)["testbed"] == devices(unpack(vector[: len(PARAMETERS)]))["testbed"]
 
 
 def test_names_and_sources_make_no_other_device():

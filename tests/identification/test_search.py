@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from amulett_gym.identification.parameters import PARAMETERS, pack, unpack
+from amulett_gym.identification.parameters import OWN, PARAMETERS, pack, searched, unpack
 from amulett_gym.identification.search import search
 
 GOAL = np.linspace(0.2, 0.8, len(PARAMETERS))
@@ -26,6 +26,13 @@ def test_a_seed_gives_the_same_search_and_another_one_a_different():
     assert (first.cost, first.parameters) == (again.cost, again.parameters)
     np.testing.assert_array_equal(first.population, again.population)
     assert other.parameters != first.parameters
+
+
+def test_other_parameters_can_be_searched():
+    free = searched("stall")
+    found = search(lambda vector: abs(vector[-1] - 0.7), 1, generations=12, population=20, parameters=free)
+    assert found.population.shape == (20, len(PARAMETERS) + 1)
+    assert found.parameters["stall_torque"] == pytest.approx(OWN["stall"].value(0.7), rel=0.1)
 
 
 def test_what_is_fixed_stays_and_a_population_is_where_the_search_begins():

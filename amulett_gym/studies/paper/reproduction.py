@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.control.agonist import BICEPS
 from amulett_gym.errors import unknown
+from amulett_gym.identification.parameters import spring_end_changes
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
@@ -89,6 +90,11 @@ class Readings:
         The drives whose ISAV includes the setpoint's jump, which passes through the position controller's proportional
         and derivative term. As section 2.2 is written, both drives receive it; but one column of Table 5 is 29 to
         108 000 times smaller than the other.
+    spring_end
+        What ends the spring's curve at the end of its table, of which the paper says nothing: the force is held there
+        (``held``), however far the string is pulled, as in a look-up table that is clipped; the law goes on
+        (``continued``); a stop behind the spring takes over (``hard-stop``); or the law goes on and drives stall
+        (``stall``). It limits the torque at the joint, and so decides the simulated steps.
     isav_columns
         Whether Table 5's columns are headed by the other drive's name: the agonist of a flexion is the biceps, and
         receives the jump, but the small numbers are headed "biceps".
@@ -106,6 +112,7 @@ class Readings:
     isav_unit: Literal["deg", "rad"] = "rad"
     isav_kick: Literal["agonist", "both", "neither"] = "agonist"
     isav_columns: Literal["swapped", "as-printed"] = "swapped"
+    spring_end: Literal["held", "continued", "hard-stop", "stall"] = "held"
 
 
 ALTERNATIVES: tuple[tuple[str, str], ...] = (
@@ -124,6 +131,9 @@ ALTERNATIVES: tuple[tuple[str, str], ...] = (
     ("isav_kick", "both"),
     ("isav_kick", "neither"),
     ("isav_columns", "as-printed"),
+    ("spring_end", "continued"),
+    ("spring_end", "hard-stop"),
+    ("spring_end", "stall"),
 )
 """Readings that are tried, each alone, instead of the default."""
 
@@ -138,6 +148,10 @@ BOUNDS = {
     ("isav", "testbed"): (1 / 3, 3.0),
 }
 """Metric and device -> least and largest ratio of ours to the paper's number at which that number is explained."""
+
+SPRING_END_VALUES = {"stop_stiffness": 4e4, "stall_torque": 0.3}
+"""Of the readings `spring_end` without a fit: a braided string of 0.25 m behind the spring [N/m]; the load at which a
+force of 21.7 N on the shipped drive pulley stalls [N m], a small gear motor's."""
 
 SAME = 0.01
 """Distances from the paper that differ by less are the same."""
@@ -214,7 +228,7 @@ def reproduce(profiles: Mapping[str, Profile] | None = None) -> Reproduction:
     return Reproduction(devices, readings, rows(readings), alternatives)
 
 
-_SIMULATED = ("eq6", "damping", "preload", "wiring", "agonist", "floor", "derivative_on")
+_SIMULATED = ("eq6", "damping", "preload", "wiring", "agonist", "floor", "derivative_on", "spring_end")
 """Readings that change what the device does; the others change how it is measured."""
 
 
@@ -256,7 +270,12 @@ def measure(
 
 
 def apply_readings(profile: Profile, readings: Readings) -> Profile:
-    """Return a profile with the readings that concern the device and its loop."""
+    """Return a profile with the readings that concern the device and its loop.
+
+    A stop or a stall torque that the profile does not have is that of `SPRING_END_VALUES`.
+    """
+    own = {"stop_stiffness": profile.spring.stop_stiffness, "stall_torque": profile.drives.stall_torque}
+    given = SPRING_END_VALUES | {name: value for name, value in own.items() if value is not None}
     derivative = {"derivative_on": readings.derivative_on}
     changes = {
         "damping": {"fit": readings.damping, "preload": readings.preload},
@@ -269,7 +288,7 @@ def apply_readings(profile: Profile, readings: Readings) -> Profile:
             "position_only": derivative,
         },
     }
-    return load_profile(merge(profile.model_dump(), changes))
+    return load_profile(merge(merge(profile.model_dump(), changes), spring_end_changes(readings.spring_end, **given)))
 
 
 def paper_step(profile: Profile, configuration: str, eq6: str = "text", noise_seed: int = 1) -> Scenario:

@@ -63,6 +63,7 @@ READINGS = {
     "isav_unit": "unit of ISAV",
     "isav_kick": "drives whose jump at the step counts in the ISAV",
     "isav_columns": "columns of Table 5",
+    "spring_end": "what ends the spring's curve",
 }
 """Readings in words; one that is not here goes by its name."""
 
@@ -281,13 +282,14 @@ def readings_table(evidence: Evidence) -> Table:
     refitted = {(item["reading"], item["choice"]): item for item in found["readings_refitted"]}
 
     def line(name: str, rows: Sequence[Row], again: Mapping[str, Any], moves: Sequence[str]) -> list[str]:
-        return [name, *_counts(rows), *moves, str(again["explained"]), f"{again['cost']:.1f}"]
+        fit = [str(again["explained"]), f"{again['cost']:.1f}"] if again else ["", ""]
+        return [name, *_counts(rows), *moves, *fit]
 
     body = [line("as chosen", reproduction.rows, found, ["", ""])]
     for (name, choice), rows in reproduction.alternatives.items():
         moves = moved(rows, reproduction.rows)
         counts = [str(moves.count(way)) for way in ("nearer", "farther")]
-        body.append(line(f"{READINGS.get(name, name)}: `{choice}`", rows, refitted[name, choice], counts))
+        body.append(line(f"{READINGS.get(name, name)}: `{choice}`", rows, refitted.get((name, choice), {}), counts))
     weights = " and ".join(f"{METRICS[metric]} {weight:g}" for metric, weight in WEIGHTS.items() if weight != 1.0)
     least = found["ensemble"]["least_cost"]
     above = sorted({f"{start['cost'] - least:.1f}" for start in found["starts"]}, key=float)
@@ -299,8 +301,9 @@ def readings_table(evidence: Evidence) -> Table:
         "Each line changes one of the chosen interpretations of what the paper leaves open. The columns: how many "
         "numbers of each table are explained (of 8, 8, 8 and 16); how many numbers are closer to the paper's, and how "
         "many are less close, than with the chosen interpretations; how many of all 40 are explained after all "
-        "parameters are fitted again with this interpretation, and the cost of that fit. The cost is a smooth count of "
-        "the rows that are outside their bounds; it grows slightly with the distance from them. Weights of rows: "
+        "parameters are fitted again with this interpretation, and the cost of that fit (empty: not fitted). The cost "
+        "is a smooth count of the rows that are outside their bounds; it grows slightly with the distance from them. "
+        "Weights of rows: "
         f"{weights}, all others 1. The search is not exact: its independent starts ended "
         f"{' to '.join(dict.fromkeys((above[0], above[-1])))} above the lowest cost found, so smaller differences of "
         f"cost are not significant. The chosen interpretations: {taken}.",

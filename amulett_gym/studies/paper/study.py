@@ -24,6 +24,7 @@ from amulett_gym.evaluation.processes import in_processes
 from amulett_gym.identification.ensemble import DETERMINED, ensemble, spread
 from amulett_gym.identification.parameters import (
     CERTAIN,
+    OWN,
     PARAMETERS,
     Values,
     allowed,
@@ -32,6 +33,7 @@ from amulett_gym.identification.parameters import (
     pack,
     profile_changes,
     same_device,
+    searched,
     unpack,
 )
 from amulett_gym.identification.search import Cost, search
@@ -110,7 +112,8 @@ def reproduced(
 
     Raises AmulettError if a device cannot hold a posture at which a configuration starts.
     """
-    return compare(measure(devices(parameters), readings, repetitions, duration, first_key), readings)
+    found = devices(parameters, readings.spring_end)
+    return compare(measure(found, readings, repetitions, duration, first_key), readings)
 
 
 def residual(row: Row) -> float:
@@ -131,13 +134,14 @@ def cost(residuals: Sequence[float], weights: Sequence[float] | None = None) -> 
 
 def objective(readings: Readings, without: str | None = None) -> Cost:
     """Return the cost as a function of the search vector; `without` leaves out one configuration, on both devices."""
+    free = searched(readings.spring_end)
 
     def value(vector: Values) -> float:
         worst = cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
-        if not allowed(vector):
+        if not allowed(vector, free):
             return worst
         try:
-            rows = reproduced(unpack(vector), readings, 1, SIMULATED)
+            rows = reproduced(unpack(vector, free), readings, 1, SIMULATED)
         except AmulettError:  # springs too weak for a starting posture
             return worst
         seen = [row for row in rows if row.cell.configuration != without]
@@ -259,7 +263,8 @@ def shipped() -> dict[str, Any]:
 def profile_text(device: str, content: Mapping[str, Any]) -> str:
     """Return a profile of one device with the identified values, each with its source, as YAML."""
     spread = {entry["name"]: entry for entry in content["spread"]}
-    changes = profile_changes({name: entry["value"] for name, entry in spread.items()})[device]
+    spring_end = content["readings"]["spring_end"]
+    changes = profile_changes({name: entry["value"] for name, entry in spread.items()}, spring_end)[device]
 
     def source(name: str) -> str:
         entry = spread[name]
@@ -298,6 +303,13 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
             "tie_width": "assumed: one standard deviation of the difference's noise",
         }
         sources["drives"] = {"lag": source("testbed.lag"), "rate_limit_deg": source("testbed.rate_limit")}
+    if spring_end != "held":
+        assumed = f"assumed: the reading {spring_end} of what ends the spring's curve"
+        sources["spring"]["beyond"] = assumed
+        sources["drives"] = sources.get("drives", {}) | {"stall_torque": assumed}
+        if spring_end in OWN:
+            group, name = {"hard-stop": ("spring", "stop_stiffness")}.get(spring_end, ("drives", "stall_torque"))
+            sources[group][name] = source(name)
     groups = {group: {**values, "sources": sources[group]} for group, values in changes.items()}
     profile = {
         "name": f"{device}-identified",
@@ -331,18 +343,34 @@ def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
     if "members" in call:
         count, least, parameters = most_explained(taken, call["members"])
         return {"cost": least, "explained": count, "parameters": parameters}
-    value = objective(taken, call.get("without"))
+    value, free = objective(taken, call.get("without")), searched(taken.spring_end)
     if "candidates" in call:
         sizes = {key: call[key] for key in ("limit", "walkers", "steps")}
-        return ensemble(value, call["seed"], np.array(call["candidates"]), **sizes)
+        return ensemble(value, call["seed"], np.array(call["candidates"]), **sizes, parameters=free)
     population = call["population"] if isinstance(call["population"], int) else np.array(call["population"])
-    found = search(value, call["seed"], generations=call["generations"], population=population, fixed=call.get("fixed"))
+    if not isinstance(population, int) and population.shape[1] != len(free):
+        population = _with_own(population, len(free), call["seed"])
+    found = search(
+        value,
+        call["seed"],
+        generations=call["generations"],
+        population=population,
+        fixed=call.get("fixed"),
+        parameters=free,
+    )
     return {
         "cost": found.cost,
         "explained": sum(row.explained for row in reproduced(found.parameters, taken, duration=SIMULATED)),
         "parameters": found.parameters,
         "population": found.population.tolist(),
     }
+
+
+def _with_own(population: Values, size: int, seed: int) -> Values:
+    """Return candidates for another end of the spring's curve: without its predecessor's parameter, with its own."""
+    shared = population[:, : min(len(PARAMETERS), size)]
+    own = np.random.default_rng(seed).uniform(size=(len(shared), size - shared.shape[1]))
+    return np.concatenate([shared, own], axis=1)
 
 
 def _inputs(call: Mapping[str, Any], readings: Readings) -> str:
@@ -353,7 +381,7 @@ def _inputs(call: Mapping[str, Any], readings: Readings) -> str:
             "call": call,
             "readings": asdict(readings),
             "devices": {name: bare(profile.model_dump()) for name, profile in middle.items()},
-            "parameters": [asdict(free) for free in PARAMETERS],
+            "parameters": [asdict(free) for free in (*PARAMETERS, *OWN.values())],
             "cost": [sorted((*key, *bound) for key, bound in BOUNDS.items()), WEIGHTS, ROBUST, OUT_OF_REACH],
             "paper": [asdict(PROTOCOL), [asdict(cell) for cell in TABLES_2_TO_5]],
             "measured": [SIMULATED, MEASUREMENT_TIME],
@@ -418,7 +446,7 @@ def _content(recipe: Recipe, readings: Readings, stages: Mapping[str, Any]) -> d
                 "determined": found[free.name][2],
                 "source": free.source,
             }
-            for free in PARAMETERS
+            for free in searched(readings.spring_end)
         ],
         "ensemble": {"members": len(members), "least_cost": least, "equal_cost": EQUAL},
         "starts": [{"seed": seed, **numbers(f"start-{seed}")} for seed in recipe.seeds],
@@ -569,7 +597,8 @@ def read_study(folder: str | Path) -> OwnStudy:
     content = read_json(path, "study")
     _check(content, f"study '{path}'")
     profiles = {name: load_profile(Path(folder) / f"{name}.yaml") for name in DEVICES}
-    expected = devices({entry["name"]: entry["value"] for entry in content["spread"]})
+    values = {entry["name"]: entry["value"] for entry in content["spread"]}
+    expected = devices(values, content["readings"]["spring_end"])
     for name, profile in profiles.items():
         if not same_device(profile, expected[name]):
             raise AmulettError(

@@ -17,6 +17,7 @@ from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.identification.parameters import PARAMETERS
 from amulett_gym.profile import load_profile
+from amulett_gym.settings import merge
 from amulett_gym.studies.paper import results
 from amulett_gym.studies.paper.figures import CAPTIONS, undamped_below
 from amulett_gym.studies.paper.report import MARKS, block, in_words
@@ -37,6 +38,7 @@ from amulett_gym.studies.paper.reproduction import (
     step_response,
 )
 from amulett_gym.studies.paper.results import Evidence, content, gather
+from amulett_gym.studies.paper.study import WEIGHTS, cost, residual
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5, published
 from amulett_gym.tasks.suites import START
 
@@ -155,6 +157,25 @@ def test_a_reading_of_the_loop_reaches_the_device():
     for pid in (profile.loop.position, profile.loop.tension, profile.loop.position_only):
         assert pid.derivative_on == "measurement"
     assert profile.loop.position.kp == load_profile("testbed").loop.position.kp
+
+
+@pytest.mark.parametrize(
+    ("end", "beyond", "stop", "stall"),
+    [
+        ("held", None, None, None),
+        ("continued", "continued", None, None),
+        ("hard-stop", "hard-stop", 4e4, None),
+        ("stall", "continued", None, 0.3),
+    ],
+)
+def test_what_ends_the_springs_curve_is_a_reading(end, beyond, stop, stall):
+    for device in DEVICES:
+        profile = apply_readings(load_profile(device), Readings(spring_end=end))
+        found = profile.spring.beyond, profile.spring.stop_stiffness, profile.drives.stall_torque
+        assert found == (beyond, stop, stall)
+    own = load_profile({"name": "mine", "base": "testbed", "drives": {"stall_torque": 0.5}})
+    assert apply_readings(own, Readings(spring_end="stall")).drives.stall_torque == 0.5
+    assert apply_readings(own, Readings()).drives.stall_torque is None
 
 
 def test_default_readings_are_the_shipped_profiles():
@@ -300,6 +321,30 @@ def test_the_documents_numbers_are_those_of_the_command(evidence):
 
 if __name__ == "__main__":
     PINNED.write_text(json.dumps({place(row): row.ours for row in reproduce().rows}, indent=1) + "\n")
+
+
+def test_the_document_says_what_the_end_of_the_springs_curve_decides(evidence):
+    text = " ".join(DOCUMENT.read_text().split(BEGIN)[0].split())
+    reproduction = evidence.reproduction
+    taken, stalled = reproduction.rows, reproduction.alternatives["spring_end", "stall"]
+    counts = [sum(row.explained for row in rows) for rows in (stalled, taken)]
+    assert "explain {} numbers instead of {}".format(*counts) in text
+    costs = [
+        cost([residual(row) for row in rows], [WEIGHTS[row.cell.metric] for row in rows]) for rows in (stalled, taken)
+    ]
+    assert "({:.1f} instead of {:.1f})".format(*costs) in text
+    simulation = reproduction.profiles["simulation"]
+    for end in ("continued", "hard-stop"):
+        rows = reproduction.alternatives["spring_end", end]
+        assert all(row.failed == (row.cell.profile == "simulation") for row in rows)
+        quick = load_profile(merge(simulation.model_dump(), {"plant": {"velocity_limit_deg": 1e5}}))
+        response = step_response(apply_readings(quick, Readings(spring_end=end)), "position-only")
+        assert bool(response.failures) == (end == "hard-stop")
+        if end == "continued":
+            found = response.position_ise[0], response.rise_time["settling"][0]
+            assert (
+                "falls from 118 to {:.0f} deg² s and the rise time grows from 0.26 to {:.2f} s".format(*found) in text
+            )
 
 
 def test_the_text_of_the_document_agrees_with_its_generated_part(evidence):

@@ -15,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from amulett_gym.cli import main
 from amulett_gym.identification.ensemble import ensemble
-from amulett_gym.identification.parameters import PARAMETERS, devices, pack, same_device, unpack
+from amulett_gym.identification.parameters import PARAMETERS, devices, pack, same_device, searched, unpack
 from amulett_gym.identification.search import search
 from amulett_gym.profile import load_profile
 from amulett_gym.studies.paper import reproduction, study
@@ -49,6 +50,50 @@ def test_what_no_device_can_be_costs_most_and_is_not_simulated(monkeypatch):
     most = cost([study.OUT_OF_REACH] * 40)
     monkeypatch.setattr(study, "reproduced", lambda *_: pytest.fail("simulated"))
     assert objective(Readings())(corner) == most
+
+
+@pytest.mark.parametrize("end", ["continued", "hard-stop", "stall"])
+def test_a_fit_of_another_end_of_the_springs_curve_has_its_own_parameter(end):
+    """From candidates of the end that was taken, as a study has them."""
+    begin = np.random.default_rng(0).uniform(size=(5, len(PARAMETERS))).tolist()
+    call = {"seed": 1, "generations": 1, "population": begin, "reading": {"spring_end": end}}
+    found = study._do_stage(call, asdict(Readings()))
+    assert list(found["parameters"]) == [free.name for free in searched(end)]
+    assert found["cost"] == objective(Readings(spring_end=end))(pack(found["parameters"]))
+    back = study._do_stage(
+        call | {"population": found["population"], "reading": {}, "generations": 0}, asdict(Readings())
+    )
+    assert list(back["parameters"]) == [free.name for free in PARAMETERS]
+
+
+def test_stalling_drives_explain_about_as_many_rows_as_a_held_force(parameters):
+    """The held force is what an ideal drive with a stall torque does, and nearly what the testbed's drives do."""
+    held, stalled = (
+        reproduced({**parameters, "stall_torque": 0.3}, Readings(spring_end=end), 2, study.SIMULATED)
+        for end in ("held", "stall")
+    )
+    assert abs(sum(row.explained for row in held) - sum(row.explained for row in stalled)) <= 2
+    moved = [abs(np.log(one.ratio / other.ratio)) for one, other in zip(held, stalled, strict=True) if one.ratio]
+    assert 0.0 < max(moved[:16]) < 0.05  # rise times and position ISEs
+
+
+@pytest.mark.parametrize("end", ["continued", "hard-stop", "stall"])
+def test_a_written_profile_has_the_end_of_the_springs_curve_and_its_source(content, parameters, end):
+    values = {**parameters, "stall_torque": 0.4, "stop_stiffness": 3e4}
+    entries = [
+        {"name": free.name, "value": values[free.name], "unit": free.unit, "low": 0.0, "high": 1.0, "determined": True}
+        for free in searched(end)
+    ]
+    found = {**content, "spread": entries, "readings": asdict(Readings(spring_end=end))}
+    values = {entry["name"]: entry["value"] for entry in entries}
+    for name in DEVICES:
+        profile = load_profile(yaml.safe_load(study.profile_text(name, found)))
+        assert same_device(profile, devices(values, end)[name])
+        assert profile.spring.sources["beyond"].startswith("assumed: ")
+        if end == "stall":
+            assert profile.drives.sources["stall_torque"].startswith("identified: stall_torque 0.4 N m")
+        if end == "hard-stop":
+            assert profile.spring.sources["stop_stiffness"].startswith("identified: stop_stiffness 3e+04 N/m")
 
 
 def test_scaling_all_lengths_and_the_inertia_changes_no_row(parameters):
