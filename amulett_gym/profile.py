@@ -175,7 +175,8 @@ class Drives(WithOptions):
         ge=1e-4,
         le=1e4,
         description="load at which a drive stalls [N m]; null: none. The rate at which it winds its string falls "
-        "linearly with the load, from rate_limit_deg to 0 at stall_torque, and on: a larger load drives it back. A "
+        "linearly with the load, from rate_limit_deg to 0 at stall_torque, and on: a larger load drives it back, at "
+        "most at rate_limit_deg. A "
         "drive without lag is at its command, as far as the load allows",
     )
 

@@ -238,8 +238,8 @@ INLINE real decay_rate(Parameters p, real preload) {
 INLINE real drive_rate(Parameters p, real command, real angle, double sense, real load) {
     if (!p->extended) return least(greatest((command - angle) * p->inverse_lag, all(-p->rate_limit)), all(p->rate_limit));
     if (p->inverse_lag == 0.0) return all(0.0);
-    real winding = greatest(sense * (command - angle) * p->inverse_lag, all(-p->rate_limit));
-    return sense * least(winding, p->rate_limit * (1.0 - load));
+    real winding = least(sense * (command - angle) * p->inverse_lag, p->rate_limit * (1.0 - load));
+    return sense * greatest(winding, all(-p->rate_limit));
 }
 
 INLINE real quantise(real value, double resolution) {

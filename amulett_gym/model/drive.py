@@ -2,8 +2,9 @@
 
 A drive with a stall torque has the straight torque-speed line of a geared DC motor: the largest rate at which it winds
 its string falls with the string's torque, from the rate limit without load to 0 at the stall torque. A load beyond
-stall drives it back along the same line. The alternative, a drive that a load cannot turn, would need a self-locking
-gear, and could hold a string at any force; then only the spring's end would limit the torque at the joint.
+stall drives it back along the same line, up to the rate limit. The alternative, a drive that a load cannot turn, would
+need a self-locking gear, and could hold a string at any force; then only the spring's end would limit the torque at the
+joint.
 """
 
 from __future__ import annotations
@@ -37,5 +38,5 @@ def loaded_drive_rate(
     """
     if inverse_lag == 0.0:
         return 0.0
-    winding = max(sense * (command - angle) * inverse_lag, -rate_limit)
-    return sense * min(winding, rate_limit * (1.0 - load))
+    winding = min(sense * (command - angle) * inverse_lag, rate_limit * (1.0 - load))
+    return sense * max(winding, -rate_limit)

@@ -167,8 +167,8 @@ def replay_motion(
         if lag > 0.0:
             # Under load a drive winds its string more slowly, by the straight line to the stall torque and beyond.
             left_biceps, left_triceps = 1.0 - pull_biceps * to_biceps / stall, 1.0 - pull_triceps * to_triceps / stall
-            turn_biceps = min(max((biceps_command - biceps) / lag, -fastest), fastest * left_biceps)
-            turn_triceps = max(min((triceps_command - triceps) / lag, fastest), -fastest * left_triceps)
+            turn_biceps = max(min((biceps_command - biceps) / lag, fastest * left_biceps), -fastest)
+            turn_triceps = min(max((triceps_command - triceps) / lag, -fastest * left_triceps), fastest)
         return velocity, torque / inertia, turn_biceps, turn_triceps
 
     names = ("angle", "velocity", "drive_biceps", "drive_triceps")

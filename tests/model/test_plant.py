@@ -210,12 +210,12 @@ def test_drive_lags_within_its_speed_and_an_ideal_one_has_none_to_show():
 @given(angles, st.floats(0, 3))
 def test_a_loaded_drive_has_the_torque_speed_line_of_a_geared_motor(angle, load):
     # Winding is limited to 1 - load of the speed without load, and beyond stall the load turns the drive back.
-    assert loaded_drive_rate(angle + 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(10.0 * (1.0 - load))
-    assert loaded_drive_rate(angle - 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(
-        min(-10.0, 10.0 * (1.0 - load))
+    assert loaded_drive_rate(angle + 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(
+        max(10.0 * (1.0 - load), -10.0)
     )
+    assert loaded_drive_rate(angle - 9.0, angle, 20.0, 10.0, 1.0, load) == pytest.approx(-10.0)
     slow = loaded_drive_rate(angle + 0.1, angle, 20.0, 10.0, 1.0, load)
-    assert slow == pytest.approx(min(2.0, 10.0 * (1.0 - load)))
+    assert slow == pytest.approx(max(min(2.0, 10.0 * (1.0 - load)), -10.0))
     assert (
         loaded_drive_rate(-angle - 0.1, -angle, 20.0, 10.0, -1.0, load) == -slow
     )  # the triceps' drive winds backwards
