@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Trials
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.batch import Simulation
 from amulett_gym.studies.benchmark.description import Altered
-from amulett_gym.tasks.scenario import Device, Scenario, unpack
+from amulett_gym.tasks.scenario import Device, Scenario, pack, unpack
 
 NOISE = 2.0
 """Factor of the sensors' noise."""
@@ -23,13 +26,16 @@ def alter(protocol: Protocol, change: Altered) -> Protocol:
 
     ``noise-x2``: twice the standard deviation of the sensors' noise. ``wrong-parameters``: the rate of both springs,
     the inertia and the damping are 20 % above or below what they were, drawn for each scenario; loops do not know.
+    Where weaker springs could not hold the scenario's begin, they are stronger.
     """
     scenarios = [unpack(row) for row in Trials(protocol).rows]
     if change == "noise-x2":
         devices = [{"noise": min(NOISE * one.device.noise, 10.0)} for one in scenarios]
     else:
-        signs = np.random.default_rng(0).choice((1.0 - OFF, 1.0 + OFF), (len(scenarios), 3)).tolist()
-        devices = [_off(one.device, *factors) for one, factors in zip(scenarios, signs, strict=True)]
+        factors = np.random.default_rng(0).choice((1.0 - OFF, 1.0 + OFF), (len(scenarios), 3))
+        weaker = [_with(one, _off(one.device, *each)) for one, each in zip(scenarios, factors.tolist(), strict=True)]
+        factors[[not _can_begin(protocol.profile, one) for one in weaker], 0] = 1.0 + OFF
+        devices = [_off(one.device, *each) for one, each in zip(scenarios, factors.tolist(), strict=True)]
     changed = (_with(scenario, device) for scenario, device in zip(scenarios, devices, strict=True))
     return replace(protocol, scenarios=tuple(changed))
 
@@ -41,6 +47,14 @@ def _off(device: Device, spring: float, inertia: float, damping: float) -> dict[
         "inertia": device.inertia * inertia,
         "damping": device.damping * damping,
     }
+
+
+def _can_begin(profile: Profile, scenario: Scenario) -> bool:
+    try:
+        Simulation(profile).reset(pack(scenario, profile))
+    except AmulettError:
+        return False
+    return True
 
 
 def _with(scenario: Scenario, changes: dict[str, float]) -> Scenario:

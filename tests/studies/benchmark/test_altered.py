@@ -9,6 +9,7 @@ from amulett_gym.evaluation.runner import Protocol, play_alone
 from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation.batch import Simulation
 from amulett_gym.studies.benchmark import altered
 from amulett_gym.studies.benchmark.altered import alter
 from amulett_gym.tasks.scenario import pack, unpack
@@ -55,3 +56,10 @@ def test_a_change_of_nothing_plays_to_the_same_bits(monkeypatch, change, size, n
     for name, values in usual.values.items():
         np.testing.assert_array_equal(again.values[name], values, err_msg=name)
     assert again.families.tolist() == usual.families.tolist() and again.failures == usual.failures
+
+
+def test_springs_are_not_so_weak_that_a_scenario_cannot_begin():
+    full = replace(PROTOCOL, episodes=400, seed=0)  # in some, a weak spring, a weight and an obstacle load one string
+    rows = np.concatenate([pack(scenario, full.profile) for scenario in alter(full, "wrong-parameters").scenarios])
+    Simulation(full.profile, 400).reset(rows)
+    assert 0.4 < (rows["spring_biceps_factor"] < 1.0).mean() < 0.6
