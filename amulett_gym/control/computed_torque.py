@@ -6,9 +6,9 @@ angle)::
 
     tau_d = J (r_x'' + k_v (r_x' - v) + k_p e + k_i int e) + 2 delta J r_x' + M_m sin(x)
 
-The damping torque compensates friction, with delta of Figure 3 at the co-contraction. Where the springs' largest force
-leaves too little for the torque, the co-contraction is lowered, but not below `least_tension`. The integral stops where
-the springs give no more torque.
+The damping torque compensates friction, with delta of Figure 3 at the co-contraction asked for. Where the springs'
+largest force leaves too little for the torque, the co-contraction is lowered, but not below `least_tension`; delta
+stays. The integral stops where the springs give no more torque.
 
 The low level brings each drive there by the inverse of its model (`control.drive_model`), since the device does not
 measure its drives::

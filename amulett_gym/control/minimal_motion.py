@@ -5,7 +5,7 @@ least the co-contraction asked for, each drive goes to the pair nearest to where
 The torque, the co-contraction that it leaves, and the low level that moves the drives, are those of
 `control.computed_torque`. Strings once tight stay tight until the motion lets them go: softening alone is a motion that
 is not needed. The encoder's noise moves the pair to and fro, and of each such motion a little goes towards softer: at
-rest on the testbed the co-contraction drifts by 0.05 to 0.25 N a second, down to the one asked for.
+rest the co-contraction drifts slowly down to the one asked for.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ Then the joint is a double integrator of its error, J e'' = -tau with e = r_x - 
 is tau = k_0 int e + k_1 e + k_2 e'; the integral is an addition, against errors of the model. The torque that the
 reference motion needs by the model is added. Inverse statics at the measured angle turn torque and stiffness into drive
 angles, and the inverse of the drives' model turns those into commands: u = e + lambda (e_d - e) + T r_x'/r. It is the
-reference's rate that is led, not the measured one, whose noise T/r amplifies. Taking the measured one where the
-position error asks for more torque than the springs give (`control.computed_torque.followed_rate`) changes nothing on
-pushes, and less than 0.3 % on contact, where the effort of the commands rises by 2 %.
+reference's rate that is led, not the measured one, whose noise T/r amplifies. Nor is the measured one taken where the
+position error asks for more torque than the springs give (`control.computed_torque.followed_rate`): this would hardly
+change the motion, and increase the effort of the commands on contact.
 
 The strings' stiffness K resists fast pushes only: the torque does not depend on the angle but by the regulator, so a
 lasting push meets k_1, then the integral. What is left of the drives' lag, T/lambda, limits the regulator: without

@@ -394,7 +394,10 @@ def headroom(p, s, i):
 
 @compiled_lanes
 def find_needed_torque(p, g, s, q, first, end):
-    """Set the torque [N m] that the reference motion needs, with the bare arm: its `exp` slows a longer stage down."""
+    """Set the torque [N m] that the reference motion needs, with the bare arm.
+
+    It is a stage of its own, since in the longer stages that use it, the `exp` of `decay_rate` would slow all lanes.
+    """
     for i in range(first, end):
         angle = choose(g.loop == TORQUE_STIFFNESS, s.measured_angle[i], q.reference[i])
         decay = decay_rate(s.tension_setpoint[i], p.damping_a, p.damping_b, p.damping_c, p.damping_d)

@@ -459,6 +459,26 @@ def test_the_step_of_the_paper_is_as_good_as_a_prototype(control, tension, ise, 
     assert (simulation.read("inside_since") - simulation.read("step_start")).mean() < 1.1 * settling
 
 
+@pytest.mark.parametrize("control", LOOPS)
+def test_the_joint_rests_after_a_step_but_for_slack_strings_in_some_loops(control):
+    tensions = np.array([0.0, 2.0, 5.0, 10.0])
+    keys = episode_keys(np.zeros(4, dtype=np.uint64), np.zeros(4, dtype=np.uint64), "held-out")
+    simulation = Simulation(TESTBED, 4, control)
+    simulation.reset(sample("paper-step", keys, TESTBED))
+    simulation.command_tension(tensions)
+    simulation.advance(1200)  # 3 s
+    angles = []
+    for _ in range(200):
+        simulation.advance(4)
+        angles.append(simulation.read("angle").copy())
+    swing = np.degrees(np.std(angles, axis=0))
+    assert swing[2:].max() < 0.1
+    if control in ("torque", "minimal-motion", "computed-torque"):
+        assert swing[1] < 0.1
+    else:
+        assert swing[0] > 1.0
+
+
 def test_a_device_far_from_its_profile_does_not_run_away_in_the_torque_loop():
     # Its pulleys make the drive model predict a string beyond its spring's end, which is not there.
     keys = episode_keys(np.array([62, 133], dtype=np.uint64), np.zeros(2, dtype=np.uint64), "shifted")
