@@ -18,7 +18,7 @@ from stable_baselines3.sac.policies import SACPolicy
 
 from amulett_agents.networks import ACTIVATIONS, AsymmetricPolicy, StandardInputs, policy_inputs, visible_entries
 from amulett_agents.wrappers import ActorView
-from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
+from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
@@ -141,6 +141,8 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     scales = OBSERVATION_SCALES
     if settings.privileged and not isinstance(model.policy, AsymmetricPolicy):
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
+        if settings.fleet is not None:
+            names, scales = names + FLEET_PRIVILEGED, {**scales, **FLEET_SCALES}
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
     view = unwrap_vec_wrapper(env, ActorView)

@@ -85,7 +85,7 @@ class Content(Group):
     """Content of ``run.json``."""
 
     config: dict[str, Any]
-    profile: dict[str, Any]
+    profile: dict[str, Any] = Field(description="the device, or those of a fleet by name")
     model: ModelState
     run: RunState
 
@@ -128,8 +128,7 @@ def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str
     folder = out / FOLDER / f"{model.num_timesteps:012d}"
     temporary = folder.with_name(f".{folder.name}")
     state, arrays = capture(model)
-    profile = _adapter(model).get_attr("profile")[0].model_dump(mode="json")
-    content = Content(config=dict(config), profile=profile, model=state, run=run)
+    content = Content(config=dict(config), profile=devices_of(_adapter(model)), model=state, run=run)
     try:
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir(parents=True)
@@ -152,6 +151,13 @@ def write_checkpoint(out: Path, model: Model, run: RunState, config: Mapping[str
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return folder
+
+
+def devices_of(env: VecEnv) -> dict[str, Any]:
+    """Return the content of an environment's profile, or of those of its fleet by name."""
+    settings = env.get_attr("settings")[0]
+    contents = {device.name: device.model_dump(mode="json") for device in settings.devices}
+    return contents if settings.fleet is not None else dict(*contents.values())
 
 
 def newest_checkpoint(out: Path) -> Checkpoint | None:

@@ -13,7 +13,8 @@ from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.settings import ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import load_profile, profile_names
+from amulett_gym.fleet import load_fleet, names_or_contents
+from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 
@@ -27,6 +28,9 @@ class EnvSettings(Group):
 
     id: str = Field(ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field("testbed", description="shipped profile, YAML file or mapping (kept whole)")
+    fleet: list[str | dict[str, Any]] | None = Field(
+        None, description="devices instead of a profile: a name, a file or a list of profiles (kept whole)"
+    )
     suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
     control: ControlLoop = Field("decentralized", description="control loop; see `amulett list`")
     track: CostTrack = Field("schedule", description="cost in the reward: schedule, or full-control to compare loops")
@@ -70,6 +74,23 @@ class EnvSettings(Group):
         """Return a shipped profile's name, or an own one's content: its files may change or move."""
         return profile if profile in profile_names() else load_profile(profile).model_dump(mode="json")
 
+    @field_validator("fleet", mode="before")
+    @classmethod
+    def _keep_fleet(cls, fleet: Any) -> Any:
+        """Return shipped profiles' names and own ones' contents, as of `profile`."""
+        return None if fleet is None else names_or_contents(load_fleet(fleet))
+
+    @model_validator(mode="after")
+    def _check_devices(self) -> EnvSettings:
+        if self.fleet is not None and self.profile != _default("profile"):
+            raise ValueError("profile and fleet are both given; give one of them")
+        return self
+
+    @property
+    def devices(self) -> tuple[Profile, ...]:
+        """The fleet, or the one profile."""
+        return (load_profile(self.profile),) if self.fleet is None else load_fleet(self.fleet)
+
     @property
     def share(self) -> float:
         """Share of the distance to the policy's output by which the setpoint moves in an agent step."""
@@ -81,6 +102,9 @@ class EnvSettings(Group):
         own = {name: getattr(self, name) for name in names}
         # Not in the records of the paper's loop, which are older.
         own |= {name: getattr(self, name) for name in ("control", "track") if getattr(self, name) != _default(name)}
+        if self.fleet is not None:
+            own["fleet"] = self.fleet
+            del own["profile"]
         if self.mean_angle_range is not None:
             own["mean_angle_range"] = self.mean_angle_range
         more = {"failure_horizon": self.max_episode_steps, "threads": self.threads, "privileged": self.privileged}

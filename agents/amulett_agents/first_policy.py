@@ -13,7 +13,6 @@ from amulett_gym import DRIVES_ID
 from amulett_gym.envs.action import tension_to_action
 from amulett_gym.envs.settings import DrivesSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.profile import load_profile
 
 _SETPOINT = OBSERVATIONS.index("setpoint")
 
@@ -53,7 +52,8 @@ def first_policy(settings: EnvSettings, tension: float | None) -> FirstPolicy:
     action = 0.0 if tension is None else float(tension_to_action(np.array(tension), (low, high)))
     if settings.id != DRIVES_ID:
         return FirstPolicy(action)
-    profile = load_profile(settings.profile)
-    turns = profile.plant.joint_pulley_radius / profile.plant.drive_pulley_radius
-    mean_angle = DrivesSettings(profile=profile, mean_angle_range=settings.mean_angle_range).mean_angle_deg
+    plants = [device.plant for device in settings.devices]
+    turns = sum(plant.joint_pulley_radius / plant.drive_pulley_radius for plant in plants) / len(plants)
+    device: dict[str, Any] = {"profile": settings.profile} if settings.fleet is None else {"fleet": settings.fleet}
+    mean_angle = DrivesSettings(mean_angle_range=settings.mean_angle_range, **device).mean_angle_deg
     return FirstPolicy(action, OBSERVATION_SCALES["joint_angle"] * turns / float(np.radians(mean_angle)))

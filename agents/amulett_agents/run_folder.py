@@ -15,7 +15,6 @@ from amulett_agents.config import TrainConfig
 from amulett_gym.envs.reward import TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import bundle_folder
-from amulett_gym.profile import load_profile
 from amulett_gym.storage.provenance import COMMAND, read_provenance, software_changes, write_provenance
 from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import to_yaml
@@ -79,8 +78,9 @@ def prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> No
 
 def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
     """Write ``command.json``."""
-    profile = load_profile(config.env.profile).model_dump(mode="json")
-    write_provenance(out, "train", {"profile": profile}, [config.seed], command)
+    devices = [device.model_dump(mode="json") for device in config.env.devices]
+    content = {"profile": devices[0]} if config.env.fleet is None else {"fleet": devices}
+    write_provenance(out, "train", content, [config.seed], command)
 
 
 def with_start(config: TrainConfig, out: Path) -> TrainConfig:

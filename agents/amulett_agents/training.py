@@ -10,7 +10,7 @@ from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
 from amulett_agents.bundles import has_diverged
-from amulett_agents.checkpoint import Checkpoint, newest_checkpoint, remove_checkpoints
+from amulett_agents.checkpoint import Checkpoint, devices_of, newest_checkpoint, remove_checkpoints
 from amulett_agents.config import RecipeError, TrainConfig, load_train_config
 from amulett_agents.interruption import stop_on_signals
 from amulett_agents.model import Model, callbacks, make_model
@@ -183,5 +183,6 @@ def _check_recipe(checkpoint: Checkpoint, config: TrainConfig, model: Model) -> 
             f"the recipe {since}: {'; '.join(changed)}; a run is resumed with its own recipe: restore it, or train in "
             "another folder"
         )
-    if changed := differences(checkpoint.content.profile, env.get_attr("profile")[0].model_dump(mode="json")):
-        raise AmulettError(f"profile '{config.env.profile}' {since}: {'; '.join(changed)}")
+    if changed := differences(checkpoint.content.profile, devices_of(env)):
+        what = f"profile '{config.env.profile}'" if config.env.fleet is None else "the fleet"
+        raise AmulettError(f"{what} {since}: {'; '.join(changed)}")

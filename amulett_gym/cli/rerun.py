@@ -131,8 +131,9 @@ def _train_again(note: Provenance, old: Path, new: Path) -> None:
     config = load_learning("recipes").load_train_config(old / "config.yaml")
     if config.max_seconds is not None:
         print("Warning: max_seconds may end one of the two runs earlier than the other.", file=sys.stderr)
-    if "profile" in note.config:  # the original one, even if its file has changed
-        config = config.model_copy(update={"env": config.env.model_copy(update={"profile": note.config["profile"]})})
+    # The original devices, even if a file has changed.
+    devices = {key: note.config[key] for key in ("profile", "fleet") if key in note.config}
+    config = config.model_copy(update={"env": config.env.model_copy(update=devices)})
     result = training.train(training.with_start(config, old), new, command=note.command)
     if result.interrupted:
         raise KeyboardInterrupt

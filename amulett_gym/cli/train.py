@@ -56,9 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
         # A wrong recipe is refused before torch is imported.
         config = load_learning("recipes").load_train_config(arguments.config, overrides)
-        device, tensions = load_profile(config.env.profile), tuple(config.env.tension_range)
+        tensions = tuple(config.env.tension_range)
         loops = () if config.env.id == DRIVES_ID else (config.env.control,)
-        print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
+        if config.env.fleet is None:  # those of a fleet are taken as they are
+            device = load_profile(config.env.profile)
+            print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.prices import prices
-from amulett_gym.envs.privileged import PRIVILEGED, observe_privileged
+from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
@@ -66,7 +66,8 @@ class Episodes:
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
         self.names = None if settings.fleet is None else np.array([profile.name for profile in settings.fleet])
-        self.observation_size = len(transition.OBSERVATIONS) + (len(PRIVILEGED) if settings.privileged else 0)
+        hidden = len(PRIVILEGED) + (0 if settings.fleet is None else len(FLEET_PRIVILEGED))
+        self.observation_size = len(transition.OBSERVATIONS) + (hidden if settings.privileged else 0)
         self.action_size = 2 if settings.control == DRIVES else 1
         self.simulation = Simulation(self.profiles, num_devices, settings.control, settings.tension_law)
         self._constants = np.zeros(len(self.profiles), dtype=transition.SETTINGS)
@@ -92,6 +93,7 @@ class Episodes:
         self._max_forces = [max_force(parameters) for parameters in simulation.parameters]
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
+        self._described = describe_devices(simulation.parameters, self._bare_inertia)
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
@@ -326,6 +328,8 @@ class Episodes:
         parameters, _, which, scenarios, states = arrays
         first = len(transition.OBSERVATIONS)
         observe_privileged(parameters, which, self._bare_inertia, scenarios, states, devices, first, observations)
+        if self.names is not None:
+            observations[:, first + len(PRIVILEGED) :] = self._described[which[devices // LANES]]
 
     def _step_in_threads(
         self,

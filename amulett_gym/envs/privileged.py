@@ -10,8 +10,11 @@ import math
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.jit.compiled import compiled
+from amulett_gym.model.damping import decay_rate
+from amulett_gym.model.spring import look_up
 from amulett_gym.simulation.layout import LANES, Family
 
 _SOON = 2.0
@@ -76,11 +79,55 @@ PRIVILEGED_SCALES = {
 PRIVILEGED = tuple(PRIVILEGED_SCALES)
 """Names of the entries that follow those of `transition.OBSERVATIONS`."""
 
+FLEET_SCALES = {
+    "device_radius_ratio": 0.5,  # R_1 / R_2
+    "device_inertia": 0.02,  # of the bare arm [kg m2]
+    "device_lag": 0.1,  # of the drives [s]
+    "device_rate_limit": math.radians(2000.0),  # [rad/s]; none is 1
+    "device_max_deflection": 0.02,  # of a string [m]
+    # force of the springs at a third, two thirds and the end of that deflection [N]
+    "device_force_third": 40.0,
+    "device_force_two_thirds": 40.0,
+    "device_force_end": 40.0,
+    # decay rate at a preload of 2 and 15 N [1/s]
+    "device_damping_low": 20.0,
+    "device_damping_high": 20.0,
+    "device_encoder_noise": math.radians(1.0),
+    "device_slider_noise": 1e-4,  # [m]
+    "device_control_period": 0.01,  # [s]
+}
+"""The same of the entries that describe the device itself, last, with a fleet."""
+
+FLEET_PRIVILEGED = tuple(FLEET_SCALES)
+
 _SCALES = np.array(list(PRIVILEGED_SCALES.values()))
 _SENSORS, _TRUTH, _LOADS = (PRIVILEGED.index(name) for name in ("encoder_bias", "true_error", "static_torque"))
 _OBSTACLE, _PUSHES, _MOVES = (PRIVILEGED.index(name) for name in ("obstacle", "push_remaining", "move_remaining"))
 _WAVE, _TASK = PRIVILEGED.index("wave_amplitude"), PRIVILEGED.index("counts_in")
 _SLACK = 1e-6  # [s]; a fraction of a control tick
+
+
+def describe_devices(parameters: NDArray[np.void], bare_inertia: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return the entries of `FLEET_PRIVILEGED`, a row for each of `layout.PARAMETERS` and arm's inertia [kg m2]."""
+    rows = []
+    for p, of_arm in zip(parameters, bare_inertia, strict=True):
+        forces = [look_up(p["force_table"], share) for share in (1.0 / 3.0, 2.0 / 3.0, 1.0)]
+        fit = [p[f"damping_{name}"] for name in "abcd"]
+        rows.append(
+            [
+                p["drive_radius"] / p["joint_radius"],
+                of_arm,
+                1.0 / p["inverse_lag"] if p["inverse_lag"] > 0.0 else 0.0,
+                p["rate_limit"],
+                1.0 / p["inverse_max_deflection"],
+                *forces,
+                *(decay_rate(preload, *fit) for preload in (2.0, 15.0)),
+                p["encoder_noise"],
+                p["slider_noise"],
+                p["control_period"],
+            ]
+        )
+    return np.clip(np.array(rows) / list(FLEET_SCALES.values()), -1.0, 1.0).astype(np.float32)
 
 
 @compiled

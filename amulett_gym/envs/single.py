@@ -324,9 +324,9 @@ class ScalingEnv(TensionEnv):
     With `fleet=[...]`, each episode has one of several devices; they may differ in everything but what the agent does:
     the control loop, the range of tensions and the agent period have to fit all. The episode's key draws the device,
     each with the same probability; `reset(options={"device": name})` or a scenario's `device.name` chooses it.
-    `info["device"]` names it. Scenarios, divisors of the reward and observations' scales are the device's own. In the
-    vector environment, a block of eight neighbouring devices has one device of the fleet for all episodes, so use at
-    least eight times as many devices as the fleet has.
+    `info["device"]` names it; privileged observations describe it in further entries. Scenarios, divisors of the reward
+    and scales of observations are the device's own. In the vector environment, a block of eight neighbouring devices
+    has one device of the fleet for all episodes, so use at least eight times as many devices as the fleet has.
 
     ## Arguments
 

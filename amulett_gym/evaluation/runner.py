@@ -21,6 +21,7 @@ from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.remarks import device_remarks, loop_remarks
+from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -359,11 +360,15 @@ def training_differs(contender: Contender, protocol: Protocol) -> str:
     trained = read_bundle(contender.policy_name).env
     places = []
     try:
-        profile = load_profile(trained.keywords.get("profile", "testbed"))
+        fleet = trained.keywords.get("fleet")
+        profiles = load_fleet(fleet) if fleet else (load_profile(trained.keywords.get("profile", "testbed")),)
     except AmulettError:
         places.append("on a device that this version cannot read")
     else:
-        if profile != protocol.profile:
+        profile = profiles[0]
+        if fleet and protocol.profile not in profiles:
+            places.append(f"on a fleet of {len(profiles)} devices without the {protocol.profile.name}")
+        elif not fleet and profile != protocol.profile:
             other = "another version of the " if profile.name == protocol.profile.name else "the "
             places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
     loop = trained.keywords.get("control", DRIVES if trained.id == DRIVES_ID else CONTROLS[0])

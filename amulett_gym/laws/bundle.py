@@ -33,7 +33,7 @@ from pydantic import Field, ValidationError, model_validator
 from safetensors import SafetensorError
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.privileged import PRIVILEGED, PRIVILEGED_SCALES
+from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import AgentPeriod, MeanAngle, Steps, TensionList
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
@@ -121,6 +121,11 @@ class PolicyDescription(Group):
     def is_privileged(self) -> bool:
         """Whether the policy needs observations that no device can measure (see `envs.privileged`)."""
         return len(self.observations) > len(OBSERVATIONS)
+
+    @property
+    def knows_device(self) -> bool:
+        """Whether the policy needs the observations of the device itself, which only a fleet has."""
+        return len(self.observations) > len(OBSERVATIONS + PRIVILEGED)
 
 
 class TrainingEnv(Group):
@@ -332,13 +337,18 @@ def _read_layers(content: bytes, network: Network, path: Path) -> Layers:
 def _check_observations(policy: PolicyDescription, path: Path) -> None:
     """Refuse a policy whose observations are not, name by name and scale by scale, those of this version."""
     for what, theirs, ours in (
-        ("observations", policy.observations, (OBSERVATIONS, OBSERVATIONS + PRIVILEGED)),
+        (
+            "observations",
+            policy.observations,
+            (OBSERVATIONS, OBSERVATIONS + PRIVILEGED, OBSERVATIONS + PRIVILEGED + FLEET_PRIVILEGED),
+        ),
         ("features", policy.features, (FEATURES, ())),
     ):
         if tuple(theirs) not in ours:
             different = ", ".join(sorted(set(theirs) ^ set(ours[0]))) or "their order"
             raise AmulettError(f"'{path}': the {what} are not those of this amulett-gym; different: {different}")
-    scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {})}
+    of_device = FLEET_SCALES if policy.knows_device else {}
+    scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {}), **of_device}
     for name, scale in scales.items():
         found = policy.observation_scales.get(name, math.nan)
         if not math.isclose(found, scale, rel_tol=1e-12):

@@ -193,6 +193,11 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
         raise AmulettError(
             f"policy bundle '{bundle.folder}' needs privileged observations; make the environment with privileged=True"
         )
+    if bundle.policy.knows_device and env.episodes.names is None:
+        raise AmulettError(
+            f"policy bundle '{bundle.folder}' needs privileged observations of the device; make the environment with "
+            "fleet=[...]"
+        )
     mine, theirs = bundle.policy.mean_angle_range, getattr(env, "mean_angle_range", None)
     if (mine is None and theirs is not None) or (mine is not None and theirs is None):
         needed = DRIVES_ID if theirs is None else "an environment in which an action is a tension"

@@ -243,7 +243,8 @@ class Simulation:
         names = self._names if len(self.profiles) > 1 else None
         if (found := state.get("profiles")) != names:
             raise AmulettError(
-                f"the snapshot's devices are {_listed(found)}; those of this simulation are {_listed(names)}"
+                f"the snapshot's devices are {found or 'of one profile'}; those of this simulation are "
+                f"{names or 'of one profile'}"
             )
         if names is not None:
             self.which[...] = state["which"]
@@ -277,8 +278,8 @@ class Simulation:
             self.paths = np.concatenate(list(found.values())), places
 
     @property
-    def _names(self) -> list[str]:
-        return [profile.name for profile in self.profiles]
+    def _names(self) -> str:
+        return ", ".join(profile.name for profile in self.profiles)
 
     def _check_alike(self) -> None:
         if len(self.profiles) > 1:
@@ -366,7 +367,3 @@ def max_stiffness(parameters: Any) -> float:
     slope = max(steepest_slope(parameters["force_table"]), float(parameters["beyond_slope"]))
     slope *= parameters["inverse_max_deflection"]
     return float(2.0 * slope * parameters["joint_radius"] ** 2)
-
-
-def _listed(names: Sequence[str] | None) -> str:
-    return "of one profile" if names is None else ", ".join(names)

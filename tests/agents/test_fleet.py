@@ -1,0 +1,67 @@
+"""Training on a fleet of devices."""
+
+import json
+
+import pytest
+from helpers import SMALL_RECIPE
+
+from amulett_agents.config import load_train_config
+from amulett_agents.run import Run
+from amulett_agents.training import resume, train
+from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import Protocol, training_differs
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.profile import load_profile
+
+HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.4, "arm": 0.13}]}}
+SMALL = [*SMALL_RECIPE, "num_envs=24", "ppo.batch_size=384", "env.suite=reach"]
+SMALL += ["validation.episodes=16", "validation.every_steps=700", "checkpoint_seconds=0"]
+
+
+class Died(Exception):
+    pass
+
+
+def test_a_run_on_a_fleet_is_resumed_and_run_again(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "fleet.json"
+    path.write_text(json.dumps(["testbed", HEAVY, "simulation"]))
+    config = load_train_config(None, [*SMALL, f"env.fleet={path}"])
+    train(config, tmp_path / "whole", progress=False)
+
+    calls, validate = [], Run._validate
+
+    def die_at_the_second(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise Died
+        return validate(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "_validate", die_at_the_second)
+        with pytest.raises(Died):
+            train(config, tmp_path / "run", progress=False)
+    path.unlink()
+    resume(tmp_path / "run", progress=False)
+    weights = [(tmp_path / run / "last" / "weights.safetensors").read_bytes() for run in ("run", "whole")]
+    assert weights[0] == weights[1]
+    assert main(["rerun", str(tmp_path / "whole"), "--out", str(tmp_path / "again")]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    keywords = read_bundle(tmp_path / "run" / "last").env.keywords
+    assert [load_profile(each).name for each in keywords["fleet"]] == ["testbed", "heavy", "simulation"]
+    assert "profile" not in keywords
+    bundle = parse_contender(str(tmp_path / "run" / "last"))
+    assert "fleet" not in training_differs(bundle, Protocol(load_profile("simulation"), "reach"))
+    other = load_profile({"name": "other", "base": "testbed", "drives": {"lag": 0.1}})
+    assert "on a fleet of 3 devices without the other" in training_differs(bundle, Protocol(other, "reach"))
+
+
+def test_a_recipe_has_a_profile_or_a_fleet():
+    config = load_train_config(None, [*SMALL, f"env.fleet=[testbed, {json.dumps(HEAVY)}]"])
+    assert [each.name for each in config.env.devices] == ["testbed", "heavy"]
+    assert load_train_config(None).env.devices == (load_profile("testbed"),)
+    with pytest.raises(AmulettError, match="profile and fleet are both given"):
+        load_train_config(None, ["env.profile=simulation", "env.fleet=[testbed]"])
+    with pytest.raises(AmulettError, match="unknown profile 'testbad'"):
+        load_train_config(None, ["env.fleet=[testbad]"])
