@@ -49,7 +49,7 @@ def test_a_law_tuned_on_a_device_of_ones_own_is_taken_by_all_commands(place, cap
     compare = "amulett evaluate --policies eq6 tuned/eq6-tuned-steps.json \\\n      --suite steps --profile dev.yaml"
     assert f"Compare:\n  {compare}\n" in out
     assert max(map(len, out.splitlines())) <= 80
-    assert "Note: costs on the mine are divided by those of eq6 on the testbed" in err
+    assert "Note:" not in err  # costs are divided by those of eq. 6 on this very device
     law = "tuned/eq6-tuned-steps.json"
     for command in (
         ["evaluate", "--policies", law, "--episodes", "1"],
