@@ -629,7 +629,7 @@ def _check(found: Any, what: str) -> None:
         raise AmulettError(f"{what}: each 'bounds' in 'spread' has to hold two numbers")
     _check_names(f"{what}: 'without'", found["without"], CONFIGURATIONS)
     refitted = [f"{item['reading']} {item['choice']}" for item in found["readings_refitted"]]
-    # The shipped study is older than the last of the readings, and has no fits under these; its tables leave them empty.
+    # The shipped study is older than some readings and has no fits under these; its tables leave them empty.
     known = [f"{item['reading']} {item['choice']}" for item in shipped()["readings_refitted"]]
     later = [name for name in (f"{name} {choice}" for name, choice in ALTERNATIVES) if name not in known]
     _check_names(f"{what}: 'readings_refitted'", refitted, [*known, *(name for name in later if name in refitted)])
