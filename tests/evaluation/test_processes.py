@@ -71,13 +71,19 @@ def test_they_end_with_their_parent_and_begin_no_further_call(tmp_path, ended_by
         "    dict(in_processes(work, {k: (sys.argv[1],) for k in range(6)}, 2))\n"
     )
     command = [sys.executable, str(tmp_path / "calls.py"), str(tmp_path / "begun-")]
-    parent = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    parent = subprocess.Popen(
+        command,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
+    )
     _wait_until(lambda: len(list(tmp_path.glob("begun-*-*"))) == 2)
     if ended_by == signal.SIGINT:
         os.killpg(parent.pid, ended_by)  # as a terminal does: to the workers, too
     else:
         parent.send_signal(ended_by)
-    _, said = parent.communicate()
+    _, said = parent.communicate(timeout=120)
     assert parent.returncode == -ended_by
     begun = [path.name.removeprefix("begun-") for path in tmp_path.glob("begun-*")]
     workers = [int(name) for name in begun if "-" not in name]
