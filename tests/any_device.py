@@ -27,7 +27,7 @@ LARGEST = 1.7e308
 LEAST_POWER = -15.0
 SOON = {"time": 0.2, "duration": 0.2, "measure_from": 0.05}
 """Times that an episode of a few steps meets [s]; any other is drawn as well."""
-NOT_DRAWN = ("sources", "measured_curve", "base", "name", "description", "setpoint")
+NOT_DRAWN = ("sources", "measured_curve", "base", "name", "description", "divisors_of", "setpoint")
 
 
 def range_of(field: FieldInfo) -> tuple[float, float]:
@@ -101,7 +101,7 @@ DRAWN = {
 def profiles(draw: st.DrawFn, only: tuple[str, ...] = tuple(GROUPS), **fixed: Any) -> Profile:
     """Draw a device: a shipped one with some groups (of `only`) drawn anew, and `fixed` keys."""
     base = draw(st.sampled_from(sorted(SHIPPED)))
-    shipped = SHIPPED[base].model_dump(exclude={"name", "base", "description"})
+    shipped = SHIPPED[base].model_dump(exclude={"name", "base", "description", "divisors_of"})
     content = {name: {**shipped[name], **fixed.get(name, {})} for name in GROUPS}
     for name in draw(st.sets(st.sampled_from(only))):
         content[name] = {**draw(DRAWN[base][name]), **fixed.get(name, {})}
