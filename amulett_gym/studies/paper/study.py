@@ -630,9 +630,9 @@ def _check(found: Any, what: str) -> None:
     _check_names(f"{what}: 'without'", found["without"], CONFIGURATIONS)
     refitted = [f"{item['reading']} {item['choice']}" for item in found["readings_refitted"]]
     # The shipped study is older than some readings and has no fits under these; its tables leave them empty.
-    known = [f"{item['reading']} {item['choice']}" for item in shipped()["readings_refitted"]]
-    later = [name for name in (f"{name} {choice}" for name, choice in ALTERNATIVES) if name not in known]
-    _check_names(f"{what}: 'readings_refitted'", refitted, [*known, *(name for name in later if name in refitted)])
+    fitted_there = {f"{item['reading']} {item['choice']}" for item in shipped()["readings_refitted"]}.union(refitted)
+    names = [name for name in (f"{name} {choice}" for name, choice in ALTERNATIVES) if name in fitted_there]
+    _check_names(f"{what}: 'readings_refitted'", refitted, names)
     fitted = {"spread": {entry["name"]: entry["value"] for entry in found["spread"]}}
     fitted |= {f"without.{name}": parameters for name, parameters in found["without"].items()}
     fitted |= {f"springs.{k}.parameters": spring["parameters"] for k, spring in enumerate(found["springs"])}
