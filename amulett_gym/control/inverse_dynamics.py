@@ -18,5 +18,10 @@ def joint_torque(acceleration: float, rate: float, angle: float, inertia: float,
     inertia, decay, weight : float
         J [kg m2], delta [1/s], M_m [N m].
     """
-    held = weight * math.sin(angle) if weight != 0.0 else 0.0  # a sine takes long
-    return inertia * (acceleration + 2.0 * decay * rate) + held
+    return inertia * (acceleration + 2.0 * decay * rate) + weight_torque(weight, angle)
+
+
+@compiled
+def weight_torque(weight: float, angle: float) -> float:
+    """Return the torque [N m] that holds a weight, M_m [N m] at the horizontal, at a joint angle [rad]."""
+    return weight * math.sin(angle) if weight != 0.0 else 0.0  # a sine takes long

@@ -21,7 +21,7 @@ from amulett_gym.control.equilibrium_point import equilibrium
 from amulett_gym.control.feedback_linearisation import desired_jerk, drive_rates, tautness
 from amulett_gym.control.feedforward_feedback import opening
 from amulett_gym.control.force_estimate import next_correction
-from amulett_gym.control.inverse_dynamics import joint_torque
+from amulett_gym.control.inverse_dynamics import joint_torque, weight_torque
 from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.control.joint_observer import observe
 from amulett_gym.control.minimal_motion import nearest_pair
@@ -242,21 +242,15 @@ def drives_at(p, angle, biceps, triceps):
 
 
 @compiled
-def weight_at(g, angle):
-    """Return the torque [N m] that holds the bare arm's weight at a joint angle [rad]."""
-    return g.weight * np.sin(angle) if g.weight != 0.0 else 0.0  # a sine takes long
-
-
-@compiled
 def weight_slope_at(g, angle):
-    """Return the derivative of `weight_at` [N m/rad]."""
+    """Return the derivative of `weight_torque` [N m/rad] for the bare arm."""
     return g.weight * np.cos(angle) if g.weight != 0.0 else 0.0
 
 
 @compiled
 def hold_reference(p, g, s, q, i):
     """Return the drive angles [rad] of equilibrium-point control."""
-    angle, torque = equilibrium(q.reference[i], q.reference_rate[i], g.lead), weight_at(g, q.reference[i])
+    angle, torque = equilibrium(q.reference[i], q.reference_rate[i], g.lead), weight_torque(g.weight, q.reference[i])
     return hold_at(p, g, angle, torque, affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force))
 
 
@@ -306,7 +300,7 @@ def begin_estimates(p, g, c, s, q, i):
     q.slope_triceps[i] = slope_at(p, g, at_triceps + q.correction_triceps[i]) * p.inverse_max_deflection
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
-    q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_at(g, angle)
+    q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_torque(g.weight, angle)
     q.saturated_biceps[i] = q.saturated_triceps[i] = 0.0
 
 
@@ -516,7 +510,7 @@ def run_feedback_linearisation(p, g, s, q, first, end):
             g.bandwidth,
         )
         torque = g.inertia * (q.reference_acceleration[i] + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
-        torque += weight_at(g, q.reference[i])
+        torque += weight_torque(g.weight, q.reference[i])
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         wanted_biceps, wanted_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
         tension_rate = g.tension_bandwidth * 0.5 * (wanted_biceps + wanted_triceps - biceps - triceps)
@@ -565,7 +559,7 @@ def run_torque(p, g, s, q, first, end):
             q.reference_rate[i] - velocity,
             g.virtual_stiffness,
             g.virtual_damping,
-            weight_at(g, angle) + q.load[i],
+            weight_torque(g.weight, angle) + q.load[i],
             g.max_force * p.joint_radius,
         )
         missing = torque - p.joint_radius * (biceps - triceps)
@@ -596,7 +590,8 @@ def run_cascade(p, g, s, q, first, end):
     for i in range(first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
         error = integrate_position(p, g, s, q, i)
-        torque = weight_at(g, q.reference[i]) + p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
+        torque = weight_torque(g.weight, q.reference[i])
+        torque += p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         want_biceps, want_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
         q.biceps[i] = biceps + q.integral[i] + winding(want_biceps, s.estimate_biceps[i], s.untrusted_biceps[i], g.kf)
