@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -92,10 +93,14 @@ def to_plain(value: Any, annotation: Any = Any) -> Any:
     NumPy's (or torch's) numbers and arrays become Python's, tuples lists, mappings dicts, and paths text; other objects
     stay. If `annotation` is an integer type, an integral float becomes an int; if it is a tuple, lists become tuples.
     """
+    if value is None or type(value) in (str, bool, int):
+        return value
     if hasattr(value, "dtype") and hasattr(value, "tolist"):
         value = value.tolist()
-    wanted = list(_alternatives(annotation))
+    wanted = _alternatives(annotation)
     if isinstance(value, Mapping):
+        if any(isinstance(kind, type) and issubclass(kind, Group) for kind in wanted):
+            return value  # the group does it for its own keys
         _, item = _container(wanted, dict)
         return {key: to_plain(part, item) for key, part in value.items()}
     if isinstance(value, list | tuple):
@@ -108,17 +113,17 @@ def to_plain(value: Any, annotation: Any = Any) -> Any:
     return value
 
 
-def _alternatives(annotation: Any) -> Iterator[Any]:
-    """Yield the members of a union, or the one type of an annotation."""
+@cache  # searches validate thousands of profiles
+def _alternatives(annotation: Any) -> tuple[Any, ...]:
+    """Return the members of a union, or the one type of an annotation."""
     origin, members = typing.get_origin(annotation), typing.get_args(annotation)
-    if origin in (typing.Union, types.UnionType, typing.Annotated):
-        for member in members[:1] if origin is typing.Annotated else members:
-            yield from _alternatives(member)
-    else:
-        yield annotation
+    if origin not in (typing.Union, types.UnionType, typing.Annotated):
+        return (annotation,)
+    parts = members[:1] if origin is typing.Annotated else members
+    return tuple(kind for member in parts for kind in _alternatives(member))
 
 
-def _container(wanted: list[Any], *kinds: type) -> tuple[type, Any]:
+def _container(wanted: tuple[Any, ...], *kinds: type) -> tuple[type, Any]:
     """Return the wanted kind of container, the first of `kinds` if none, and the type of its items."""
     for annotation in wanted:
         kind = typing.get_origin(annotation)
