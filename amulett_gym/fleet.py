@@ -45,6 +45,14 @@ def load_fleet(fleet: str | Path | Sequence[str | Path | Mapping[str, Any] | Pro
     return _checked([_loaded(item, place) for place, item in enumerate(fleet)])
 
 
+def device_of(fleet: Sequence[Profile], name: str) -> Profile:
+    """Return the device of a fleet with this name; AmulettError if there is none."""
+    for profile in fleet:
+        if profile.name == name:
+            return profile
+    raise unknown("device", name, [profile.name for profile in fleet])
+
+
 def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
     """Return a fleet as JSON types: shipped profiles by their names, others by their content."""
     return [each.name if is_shipped(each) else each.model_dump(mode="json") for each in fleet]
@@ -60,9 +68,13 @@ def _read(fleet: str | Path) -> tuple[Profile, ...]:
 
 
 def _listed(path: Path) -> tuple[Profile, ...]:
-    what = f"fleet '{path}'"
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
-    content = parse(read_text(path, "fleet", MAX_BYTES), what)
+    return parse_fleet(parse(read_text(path, "fleet", MAX_BYTES), f"fleet '{path}'"), path)
+
+
+def parse_fleet(content: Any, path: Path) -> tuple[Profile, ...]:
+    """Return the profiles of a fleet that a file at `path` holds; errors as of `load_fleet`."""
+    what = f"fleet '{path}'"
     if not isinstance(content, list):
         raise AmulettError(f"{what} has to hold a list of profiles, not {type(content).__name__}")
     try:

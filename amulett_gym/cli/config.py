@@ -14,9 +14,7 @@ from amulett_gym.errors import AmulettError, unknown
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-HELP = (
-    "check a device, recipe, scenario, benchmark or tuning file, a bundle or a training run; show its resolved values"
-)
+HELP = "check a device, fleet, recipe, scenario, benchmark or tuning file, a bundle or training run; show all values"
 EXAMPLES = """  amulett config validate configs/my_device.yaml
   amulett config validate configs/ppo.yaml --show
   amulett config validate my_scenario.json --json
@@ -53,10 +51,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.control not in CONTROLS:
         raise unknown("control", arguments.control, CONTROLS)
     found = validate(arguments.file)
-    remarks = []
-    if isinstance(found.content, Profile):
-        suite = Settings.model_fields["suite"].default
-        remarks = device_remarks(found.content, loops=(arguments.control,), suite=suite)
+    remarks: list[str] = []
+    fleet = found.content.values() if isinstance(found.content, Mapping) else [found.content]
+    for device in fleet:
+        if isinstance(device, Profile):
+            suite = Settings.model_fields["suite"].default
+            remarks += device_remarks(device, loops=(arguments.control,), suite=suite)
     print_remarks(remarks)
     if arguments.json:
         content = {"kind": found.kind, "name": found.name, "remarks": remarks, "content": found.content}
@@ -83,16 +83,20 @@ def validate(path: str | Path) -> Found:
     path = user_path(path)
     if path.is_dir():
         return _validate_folder(path)
+    from amulett_gym.fleet import MAX_BYTES, parse_fleet
     from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, parse_profile
-    from amulett_gym.storage.safe_yaml import read_yaml
+    from amulett_gym.storage.reading import parse_json, read_text
+    from amulett_gym.storage.safe_yaml import parse_yaml
     from amulett_gym.studies.benchmark.description import Benchmark, parse_benchmark
-    from amulett_gym.tasks.scenario import MAX_BYTES, Scenario, parse_scenario
+    from amulett_gym.tasks.scenario import Scenario, parse_scenario
 
     path = find_config(path, "file")
     is_json = path.suffix.lower() == ".json"
     if not is_json and path.suffix.lower() not in (".yaml", ".yml"):
-        allowed = ".yaml or .json (device, recipe, benchmark, scenario) nor the folder of a bundle or a training run"
+        allowed = (
+            ".yaml or .json (device, fleet, recipe, benchmark, scenario) nor the folder of a bundle or a training run"
+        )
         raise AmulettError(f"'{path}' is neither {allowed}")
     recipes = load_learning("recipes")
     kinds: Mapping[str, tuple[type[BaseModel], Any]] = {
@@ -101,7 +105,16 @@ def validate(path: str | Path) -> Found:
         "a benchmark's description": (Benchmark, parse_benchmark),
         "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
-    content = read_yaml(path, "file", *([MAX_BYTES] if is_json else []))
+    content = (parse_json if is_json else parse_yaml)(read_text(path, "file", MAX_BYTES), f"file '{path}'")
+    if isinstance(content, list):
+        fleet = parse_fleet(content, path)
+        return Found(
+            f"a fleet of {len(fleet)} device{'s' * (len(fleet) > 1)}", path.stem, {one.name: one for one in fleet}
+        )
+    if not isinstance(content, dict):
+        raise AmulettError(
+            f"file '{path}' has to hold a mapping of keys to values, or a fleet's list, not {type(content).__name__}"
+        )
     keys = set(content)
     if keys and all("." in str(key) for key in keys):
         space = load_learning("tuning").parse_space(content, recipes.TrainConfig(), path)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from amulett_gym.errors import AmulettError
+
+if TYPE_CHECKING:
+    from amulett_gym.profile import Profile
 
 _SHARED: dict[str, dict[str, Any]] = {
     "--suite": {"default": "steps", "help": "suite of scenarios (default: steps)"},
     "--profile": {"default": "testbed", "help": "device profile, by name or YAML file (default: testbed)"},
+    "--fleet": {"metavar": "FLEET", "help": "several devices instead: a shipped fleet's name, or a YAML or JSON file"},
     "--split": {"default": "held-out", "help": "train, validation, held-out (default) or shifted"},
     "--scenario": {"metavar": "FILE", "help": "own scenario (JSON or YAML), instead of the suite's"},
     "--trust-pickle": {
@@ -22,10 +26,38 @@ _SHARED: dict[str, dict[str, Any]] = {
 }
 
 
-def add_options(parser: argparse.ArgumentParser, *names: str, **changes: Any) -> None:
+def add_options(parser: argparse._ActionsContainer, *names: str, **changes: Any) -> None:
     """Add shared options; `changes` replaces keywords of each one's `add_argument`."""
     for name in names:
         parser.add_argument(name, **{**_SHARED[name], **changes})
+
+
+def add_device(parser: argparse.ArgumentParser, one: bool = True) -> None:
+    """Add `--profile` and `--fleet`, of which one may be given; if `one`, also `--device`, one of the fleet."""
+    add_options(parser.add_mutually_exclusive_group(), "--profile", "--fleet")
+    if one:
+        parser.add_argument("--device", metavar="NAME", help="the fleet's device")
+
+
+def chosen_device(arguments: argparse.Namespace) -> Profile:
+    """Return the device that `--profile`, or `--fleet` with `--device`, name.
+
+    Raises
+    ------
+    AmulettError
+        If the profile or fleet cannot be read, or one of `--fleet` and `--device` is missing or has no such device.
+    """
+    from amulett_gym.fleet import device_of, load_fleet
+    from amulett_gym.profile import load_profile
+
+    if arguments.fleet is None:
+        if arguments.device is not None:
+            raise AmulettError(f"--device '{arguments.device}' is one of a fleet; give the fleet with --fleet")
+        return load_profile(arguments.profile)
+    fleet = load_fleet(arguments.fleet)
+    if arguments.device is None:
+        raise AmulettError(f"choose one of the fleet's {len(fleet)} devices, for example --device {fleet[0].name}")
+    return device_of(fleet, arguments.device)
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:

@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.options import add_json, add_options, check_least
+from amulett_gym.cli.options import add_device, add_json, add_options, check_least, chosen_device
 from amulett_gym.cli.output import print_json
 from amulett_gym.errors import AmulettError
 
@@ -17,6 +17,7 @@ EXAMPLES = """  amulett play eq6
   amulett play eq6 pretrained --video side-by-side.gif
   amulett play constant:8 --suite hold-push --video hold-push.gif
   amulett play runs/first --episodes 3 --json
+  amulett play pretrained --fleet my_devices.yaml --device heavy --video heavy.gif
   amulett play position-only --scenario my-scenario.json --steps 200 --video step.mp4
 """
 
@@ -39,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="%(names)s; a zip of Stable-Baselines3 that you trust. Several play the same scenario side by side",
     )
     setattr(policy, "names", _Names())  # noqa: B010
-    add_options(parser, "--trust-pickle", "--suite", "--profile", "--split", "--scenario")
+    add_options(parser, "--trust-pickle", "--suite", "--split", "--scenario")
+    add_device(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of scenarios and noise (default: 0)")
     parser.add_argument("--episodes", type=int, default=1, metavar="N", help="number of episodes (default: 1)")
     parser.add_argument("--steps", type=int, metavar="N", help="agent steps in an episode (default: 10 s)")
@@ -60,10 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.laws.contenders import loops_of
-    from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
 
-    protocol = Protocol(load_profile(arguments.profile), arguments.suite, arguments.split, seed=arguments.seed)
+    protocol = Protocol(chosen_device(arguments), arguments.suite, arguments.split, seed=arguments.seed)
     names = list(dict.fromkeys(arguments.policy))
     contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
     remarks = device_remarks(protocol.profile, names, loops=loops_of(contenders), suite=protocol.suite)

@@ -32,6 +32,9 @@ Numbers = dict[str, Any]
 _NOT_NUMBERS = ("command", "machine", "versions", "seconds", "sha256", "status")
 """Keys, at any depth, that are not compared."""
 
+_SCENARIO = ("policy", "device", "scenario")
+"""Columns that name a row of a comparison's ``scenarios.csv``; without a fleet there is no device."""
+
 _MOST_SHOWN = 10
 
 
@@ -170,8 +173,9 @@ def _compared(folder: Path) -> Numbers:
     from amulett_gym.storage.reading import read_json, read_text
 
     rows = csv.DictReader(io.StringIO(read_text(folder / "scenarios.csv", "a comparison's scenarios", 400_000_000)))
-    policies = read_json(folder / "results.json", "a comparison's results", 400_000_000)["policies"]
-    return {"policies": policies, "scenarios": {f"{row['policy']} {row['scenario']}": row for row in rows}}
+    results = read_json(folder / "results.json", "a comparison's results", 400_000_000)
+    found = {key: results[key] for key in ("policies", "devices", "families", "lower_than") if key in results}
+    return {**found, "scenarios": {" ".join(row[key] for key in row if key in _SCENARIO): row for row in rows}}
 
 
 def _quickstart(folder: Path) -> Numbers:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_seconds
+from amulett_gym.cli.options import add_device, add_json, add_options, check_seconds, chosen_device
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.errors import AmulettError
@@ -29,7 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     laws = f"{POLICIES}; all get the same scenario (default: eq6)"
     parser.add_argument("--law", nargs="+", default=["eq6"], metavar="LAW", help=laws)
-    add_options(parser, "--trust-pickle", "--suite", "--profile", "--split", "--scenario")
+    add_options(parser, "--trust-pickle", "--suite", "--split", "--scenario")
+    add_device(parser)
     parser.add_argument("--seed", type=int, default=0, help="seed of the scenario and the sensor noise (default: 0)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="simulated time [s] (default: 10)")
     rows = "trajectory, one row per control tick; those of several laws follow each other, with a column 'law'"
@@ -54,11 +55,10 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels
     from amulett_gym.laws.contenders import loops_of
-    from amulett_gym.profile import load_profile
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.simulation.trajectory import write_csv
 
-    profile = load_profile(arguments.profile)
+    profile = chosen_device(arguments)
     protocol = Protocol(
         profile, arguments.suite, arguments.split, episodes=1, seed=arguments.seed, duration=arguments.duration
     )

@@ -11,6 +11,14 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.across import (
+    FleetResults,
+    device_table,
+    family_table,
+    fleet_table,
+    summarise_fleet,
+    write_fleet_scenarios,
+)
 from amulett_gym.evaluation.comparison import COMPARISON_MARKS, Summary, risen, summarise, write_scenarios
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS, Metric
@@ -32,7 +40,9 @@ FIGURES = ("cost", "schedule", "trade_off", "responses")
 RESPONSES = 12
 """Most contenders whose responses are drawn; learned policies are preferred to laws."""
 
-_NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in FIGURES))
+FLEET_FIGURE = "devices"
+
+_NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in (*FIGURES, FLEET_FIGURE)))
 
 _DETAILS = (
     *("rise_time", "settling_time", "overshoot", "resting_stiffness", "push_deflection", "agonist_switches"),
@@ -64,6 +74,59 @@ def write_report(results: Results, folder: str | Path) -> Summary:
             save_figures(figures, new)
             write_text(new / "report.html", page)
     return summary
+
+
+def write_fleet_report(results: FleetResults, folder: str | Path) -> Summary:
+    """Write ``results.json``, ``scenarios.csv``, ``report.html`` and ``devices.png`` of a comparison over a fleet.
+
+    Order, returned content and errors are those of `write_report`.
+    """
+    summary = summarise_fleet(results)
+    with files_together(folder, _NAMES) as new:
+        write_json(new / "results.json", summary)
+        write_fleet_scenarios(results, new / "scenarios.csv")
+    with after_results(f"results.json and scenarios.csv in {folder}"):
+        from amulett_gym.reporting.style import save_figures
+
+        figures = draw_fleet(summary)
+        page = render_fleet(summary, figures)
+        with files_together(folder, ()) as new:
+            save_figures(figures, new)
+            write_text(new / "report.html", page)
+    return summary
+
+
+def draw_fleet(summary: Summary) -> dict[str, Figure]:
+    """Return the figure ``devices`` of a comparison over a fleet; none if eq. 6 ran alone."""
+    from amulett_gym.evaluation import plots
+
+    cost = COST_OF[summary["track"]]
+    ranking = sorted(summary["policies"], key=lambda name: summary["policies"][name][cost]["mean"])
+    found = summary["devices"]
+    ratios = {
+        name: [found[device][name]["ratio_to_eq6"]["mean"] for device in found] for name in ranking if name != YARDSTICK
+    }
+    text = f"{METRICS[cost].name}, relative to eq. 6 on the device [1]"
+    if not ratios:
+        return {}
+    return {FLEET_FIGURE: plots.devices_figure(ratios, list(found), summary["labels"], text)}
+
+
+def render_fleet(summary: Summary, figures: dict[str, Figure]) -> str:
+    """Return the report of a comparison over a fleet as one HTML page, like :func:`render`."""
+    from amulett_gym.reporting.style import figure_svg
+
+    return fill_page(
+        "evaluation/fleet_page.html.j2",
+        summary=summary,
+        long_names={name: short for name, short in summary["labels"].items() if name != short},
+        main=fleet_table(summary).html(),
+        families=family_table(summary).html(),
+        devices=device_table(summary).html(),
+        metrics=_table(summary, METRICS),
+        few=min(summary["episodes"], len(summary["fleet"])) < FEW,
+        figures={name: figure_svg(figure, name) for name, figure in figures.items()},
+    )
 
 
 def remove_comparison(folder: Path) -> None:

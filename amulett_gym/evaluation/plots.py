@@ -19,7 +19,7 @@ from amulett_gym.evaluation.signals import ANTAGONIST, acting, force_feedback, s
 from amulett_gym.laws.contenders import PRETRAINED, split_loop
 from amulett_gym.profile import VariableStiffness
 from amulett_gym.reporting import style
-from amulett_gym.reporting.style import Figure, Line2D, MaxNLocator, Patch
+from amulett_gym.reporting.style import Figure, FuncFormatter, Line2D, LogLocator, MaxNLocator, Patch
 from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.simulation.trajectory import Trajectory
 
@@ -424,6 +424,54 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
     return figure
 
 
+@style.styled
+def devices_figure(
+    ratios: Mapping[str, Sequence[float]], devices: Sequence[str], label: Mapping[str, str], text: str
+) -> Figure:
+    """Draw the cost of contenders on each device of a fleet, divided by that of eq. 6 there; log axis.
+
+    Parameters
+    ----------
+    ratios : dict of str to sequence of float
+        Contender -> ratio on each device. The devices are sorted by the first contender's.
+    devices : sequence of str
+        Names, which are shown if there are at most `_NAMED_DEVICES`.
+    label : dict of str to str
+        Contender -> its name in the legend.
+    text : str
+        Of the vertical axis.
+    """
+    figure, panel = style.one_panel(4.4)
+    order = np.argsort(next(iter(ratios.values())), kind="stable")
+    places, colour = np.arange(len(devices)), colours(list(ratios))
+    for k, (name, values) in enumerate(ratios.items()):
+        look = {"color": colour[name], "marker": _MARKERS[k % len(_MARKERS)], "label": label[name]}
+        panel.plot(places, np.asarray(values)[order], linewidth=0.6, markersize=4.5, **look)
+    panel.axhline(1.0, color=style.BLACK, linestyle=":", linewidth=1.0)
+    panel.set_yscale("log")
+    panel.yaxis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(style.PLAIN)
+    panel.yaxis.set_minor_locator(LogLocator(10, [0.1 * k for k in range(1, 10)]))
+    panel.yaxis.set_minor_formatter(FuncFormatter(_between if np.ptp(np.log10(panel.get_ylim())) < 0.9 else _nothing))
+    panel.grid(True, axis="y", which="both")
+    panel.set(ylabel=text, xlabel=f"device, sorted by {label[next(iter(ratios))]}", xlim=(-0.7, len(devices) - 0.3))
+    if len(devices) <= _NAMED_DEVICES:
+        panel.set_xticks(places, [devices[k] for k in order], rotation=60, ha="right", rotation_mode="anchor")
+    style.legend_beside(panel)
+    return figure
+
+
+def _between(value: float, _: Any) -> str:
+    """Return a minor tick's label; none where labels would touch."""
+    digit = round(value / 10.0 ** math.floor(math.log10(value)))
+    return f"{value:g}" if digit in (3, 4, 6, 7, 8, 9) else ""
+
+
+def _nothing(value: float, _: Any) -> str:
+    return ""
+
+
+_NAMED_DEVICES = 64
 _COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
 _ARROW = {"arrowstyle": "->", "color": style.GREY}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -74,6 +75,32 @@ def loop_remarks(contenders: Iterable[Contender]) -> list[str]:
     """
     loops = [(each.name, each.env_keywords.get("control")) for each in contenders if not split_loop(each.name)[0]]
     return [f"{name} acts in its own loop, {loop}, as {loop}/{name} would" for name, loop in loops if loop in LOOPS]
+
+
+def fleet_remarks(remarks: Mapping[str, Iterable[str]]) -> list[str]:
+    """Return the remarks on the devices of a fleet, by their names, as sentences without a full stop.
+
+    Remarks that differ only in numbers and the device's name are one: that on the first device, and the other devices.
+    """
+    alike: dict[str, dict[str, str]] = {}
+    for device, texts in remarks.items():
+        for text in texts:
+            alike.setdefault(_NUMBER.sub("", text.replace(device, "")), {}).setdefault(device, text)
+    found = []
+    for texts in alike.values():
+        (device, text), *others = texts.items()
+        if len(texts) == len(remarks) and len(set(texts.values())) == 1:
+            found.append(text)
+            continue
+        named = text if device in text else f"{device}: {text}"
+        names = ", ".join([other for other, _ in others][:_NAMED]) + (", ..." if len(others) > _NAMED else "")
+        found.append(f"{named} (and {len(others)} of the other devices: {names})" if others else named)
+    return found
+
+
+_NUMBER = re.compile(r"\d[\d.,]*")
+_NAMED = 5
+"""Most devices that are named after the first one."""
 
 
 def print_remarks(remarks: Sequence[str]) -> None:

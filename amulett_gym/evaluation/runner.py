@@ -225,6 +225,8 @@ class Results:
     command : str or None
         The command that repeats this comparison.
     contenders : dict of str to Contender
+    families : list of str
+        Family of each scenario, by whose weights and divisors its cost is computed.
     """
 
     protocol: Protocol
@@ -237,6 +239,7 @@ class Results:
     remarks: list[str] = field(default_factory=list)
     command: str | None = None
     contenders: dict[str, Contender] = field(default_factory=dict)
+    families: list[str] = field(default_factory=list)
 
     @property
     def track(self) -> Track:
@@ -329,6 +332,7 @@ def evaluate(
                 run.values["push_deflection"] = pushed.values["push_deflection"]
                 results.push_failures[contender.name] = sum(reason != "" for reason in pushed.failures)
             results.values[contender.name] = run.values
+            results.families[:] = [FAMILIES[family] or suite for family in run.families]
             results.failures[contender.name] = run.failures
             if acts_from_outside(contender):
                 results.schedules[contender.name] = run.schedule

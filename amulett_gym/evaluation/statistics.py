@@ -11,6 +11,9 @@ their resamples draw seeds and scenarios independently, as whole rows and column
 few seeds are still too narrow: if mainly the seeds differ, those of 10 contain the true value about 92 times in 100,
 those of 3 about 82 times.
 
+Over a fleet, values also vary with the device. They have the shape (seeds, devices, scenarios), one seed for a law;
+scenario k is the same on each device, so that seeds, devices and scenarios are drawn independently of each other.
+
 Interquartile mean, performance profile and probability of improvement are those of Agarwal et al., "Deep reinforcement
 learning at the edge of the statistical precipice" (2021); here low values are good, since they are costs.
 """
@@ -98,10 +101,14 @@ def _ratio(numerator: NDArray[np.float64], denominator: NDArray[np.float64], wei
 
 @dataclass(frozen=True)
 class Draws:
-    """How often each training seed, shape (resamples, seeds), and each scenario occurs in each resample."""
+    """How often each training seed, shape (resamples, seeds), each scenario and each device occurs in each resample.
+
+    `devices` is None without a fleet.
+    """
 
     seeds: Weights
     scenarios: Weights
+    devices: Weights | None = None
 
 
 @dataclass(frozen=True)
@@ -114,15 +121,24 @@ class Count:
     high: float
 
 
-def draw_nested(seeds: int, scenarios: int, resamples: int = RESAMPLES, seed: int = SEED) -> Draws:
-    """Return how often each training seed and each scenario occurs in each resample, drawn independently.
+def draw_nested(
+    seeds: int, scenarios: int, resamples: int = RESAMPLES, seed: int = SEED, devices: int | None = None
+) -> Draws:
+    """Return how often each training seed, each scenario and each device occurs in each resample, drawn independently.
 
     Scenarios are drawn as by :func:`draw_weights`, so that all contenders of a comparison share them. Of n seeds n - 1
     are drawn: then the resamples vary as much as means of n seeds do; with n draws they would vary less (Rao and Wu,
-    "Resampling inference with complex survey data", 1988). With one seed, only scenarios are resampled.
+    "Resampling inference with complex survey data", 1988). So are n - 1 of n `devices`, None without a fleet; all
+    contenders share these, too. With one seed or device, it is not resampled.
     """
-    some = np.random.default_rng(seed + 1).multinomial(max(seeds - 1, 1), np.full(seeds, 1.0 / seeds), size=resamples)
-    return Draws(some.astype(float), draw_weights(scenarios, resamples, seed))
+    some = _draw_fewer(seeds, resamples, seed + 1)
+    of_devices = None if devices is None else _draw_fewer(devices, resamples, seed + 2)
+    return Draws(some, draw_weights(scenarios, resamples, seed), of_devices)
+
+
+def _draw_fewer(count: int, resamples: int, seed: int) -> Weights:
+    shares = np.full(count, 1.0 / count)
+    return np.random.default_rng(seed).multinomial(max(count - 1, 1), shares, size=resamples).astype(float)
 
 
 def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estimate:
@@ -130,9 +146,9 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estim
 
     Parameters
     ----------
-    values : array_like, shape (seeds, scenarios)
-    reference : array_like, shape (scenarios,) or (seeds, scenarios)
-        Of a law that was not learned, or of the same seeds: resampled with the same draws, in pairs.
+    values : array_like, shape (seeds, scenarios), or (seeds, devices, scenarios) with a fleet
+    reference : array_like, of this shape or without the seeds
+        Of the same seeds, or of a law that was not learned: resampled with the same draws, in pairs.
     draws : Draws
         From :func:`draw_nested`.
 
@@ -153,7 +169,7 @@ def nested_ratio(values: ArrayLike, reference: ArrayLike, draws: Draws) -> Estim
 
 
 def nested_mean(values: ArrayLike, draws: Draws) -> Estimate:
-    """Return the mean of the defined values, shape (seeds, scenarios), seeds and scenarios resampled."""
+    """Return the mean of the defined values, as of :func:`nested_ratio`, seeds, devices and scenarios resampled."""
     cells = _cells(values, draws)
     return nested_ratio(cells, np.where(np.isnan(cells), np.nan, 1.0), draws)
 
@@ -220,16 +236,25 @@ def count_failures(failed: ArrayLike) -> Count:
 
 
 def _cells(values: ArrayLike, draws: Draws) -> NDArray[np.float64]:
-    cells = np.atleast_2d(np.asarray(values, dtype=float))
-    shape = draws.seeds.shape[1], draws.scenarios.shape[1]
+    cells = np.asarray(values, dtype=float)
+    levels = [draws.seeds, *([] if draws.devices is None else [draws.devices]), draws.scenarios]
+    shape = tuple(weights.shape[1] for weights in levels)
+    if cells.ndim == len(shape) - 1:
+        cells = cells[None]
     if cells.shape != shape:
-        raise ValueError(f"the values have the shape {cells.shape}; the draws are for {shape} seeds and scenarios")
+        levels_are = "seeds and scenarios" if draws.devices is None else "seeds, devices and scenarios"
+        raise ValueError(f"the values have the shape {cells.shape}; the draws are for {shape} {levels_are}")
     return cells
 
 
 def _nested_sum(cells: NDArray[np.float64], draws: Draws) -> NDArray[np.float64]:
-    """Return the sum over each resample's seeds and scenarios, shape (resamples,)."""
-    return np.einsum("rs,rs->r", draws.seeds @ cells, draws.scenarios)
+    """Return the sum over each resample's seeds, devices and scenarios, shape (resamples,)."""
+    if draws.devices is None:
+        return np.einsum("rs,rs->r", draws.seeds @ cells, draws.scenarios)
+    seeds, devices, scenarios = cells.shape
+    of_scenarios = draws.scenarios @ cells.reshape(seeds * devices, scenarios).T
+    both = (draws.seeds[:, :, None] * draws.devices[:, None, :]).reshape(-1, seeds * devices)
+    return np.asarray(np.einsum("rc,rc->r", of_scenarios, both))
 
 
 def _mean_of_ranks(values: ArrayLike, draws: Draws, low: float, high: float) -> Estimate:

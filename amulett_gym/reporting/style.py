@@ -52,9 +52,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.lines import Line2D  # noqa: E402
 from matplotlib.patches import Patch  # noqa: E402
-from matplotlib.ticker import FuncFormatter, MaxNLocator  # noqa: E402
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator  # noqa: E402
 
-__all__ = ["Figure", "FuncFormatter", "Line2D", "MaxNLocator", "Patch", "figure_svg", "save_figure", "styled"]
+__all__ = ["Figure", "FuncFormatter", "Line2D", "LogLocator", "MaxNLocator", "Patch", "figure_svg", "save_figure"]
+__all__ += ["styled"]
 
 BLACK, GREY = "#000000", "#7a7a7a"
 ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B2", "#D55E00", "#CC79A7"

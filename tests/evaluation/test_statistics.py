@@ -252,6 +252,53 @@ def test_failures_come_with_their_exact_interval(failures, total):
     np.testing.assert_allclose([counted.low, counted.high], [exact.low, exact.high], atol=1e-12)
 
 
+def over_devices(seeds=5, devices=20, scenarios=40, seed=8, share=0.7):
+    """Return a reference's costs on a fleet and a learner's, whose advantage differs by device, seed and scenario."""
+    random = np.random.default_rng(seed)
+    reference = random.gamma(4.0, 0.25, scenarios) * random.lognormal(0.0, 0.2, (devices, 1))
+    training = random.normal(1.0, 0.05, (seeds, 1, 1)) if seeds > 1 else 1.0
+    luck = training * random.normal(1.0, 0.1, (devices, 1))
+    return share * reference * luck * random.lognormal(-0.005, 0.1, (seeds, devices, scenarios)), reference
+
+
+def test_a_resample_over_a_fleet_is_each_drawn_seed_on_every_drawn_device_in_every_drawn_scenario():
+    values, reference = over_devices(3, 4, 5)
+    draws = draw_nested(3, 5, resamples=200, devices=4)
+    assert draws.devices is not None and (draws.devices.sum(axis=1) == 3).all()
+    ratios = []
+    for counts in zip(draws.seeds.astype(int), draws.devices.astype(int), draws.scenarios.astype(int), strict=True):
+        s, d, k = (np.repeat(np.arange(each.size), each) for each in counts)
+        ratios.append(values[np.ix_(s, d, k)].sum() / (2 * reference[np.ix_(d, k)].sum()))
+    estimate = nested_ratio(values, reference, draws)
+    assert estimate.mean == pytest.approx(values.sum() / (3 * reference.sum()))
+    expected = np.percentile(ratios, [2.5, 97.5], method="nearest")
+    np.testing.assert_allclose([estimate.low, estimate.high], expected, rtol=1e-12)
+    plain = draw_nested(3, 5, resamples=200)
+    assert plain.devices is None
+    np.testing.assert_array_equal(plain.seeds, draws.seeds)
+    np.testing.assert_array_equal(plain.scenarios, draws.scenarios)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "devices", "least", "most"), [(1, 32, 0.90, 0.98), (10, 32, 0.90, 0.98), (1, 6, 0.82, 0.95)]
+)
+def test_the_interval_over_devices_contains_the_truth_about_as_often_as_it_says(seeds, devices, least, most):
+    draws, inside = draw_nested(seeds, 30, resamples=400, devices=devices), []
+    for trial in range(200):
+        ratio = nested_ratio(*over_devices(seeds, devices, 30, seed=trial), draws)
+        inside.append(ratio.low <= 0.7 <= ratio.high)
+    assert least <= np.mean(inside) <= most
+
+
+def test_a_law_on_a_fleet_needs_no_axis_of_seeds_and_missing_cells_are_left_out():
+    values = np.array([[1.0, 2.0, math.nan], [4.0, math.nan, 3.0]])
+    draws = draw_nested(1, 3, devices=2)
+    assert nested_mean(values, draws).mean == pytest.approx(10.0 / 4.0)
+    assert nested_ratio(values, np.full((2, 3), 2.0), draws).mean == pytest.approx(10.0 / 8.0)
+    with pytest.raises(ValueError, match="seeds, devices and scenarios"):
+        nested_mean(values.T, draws)
+
+
 def test_values_of_other_seeds_are_refused():
     with pytest.raises(ValueError, match="seeds and scenarios"):
         nested_mean(np.ones((3, 4)), draw_nested(4, 3))
