@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,19 @@ def device_of(fleet: Sequence[Profile], name: str) -> Profile:
     raise unknown("device", name, [profile.name for profile in fleet])
 
 
+def name_or_contents(fleet: Sequence[Profile]) -> str | list[str | dict[str, Any]]:
+    """Return the name of a shipped fleet, or else `names_or_contents`."""
+    known = (name for name in fleet_names() if load_fleet(name) == tuple(fleet))
+    return next(known, None) or names_or_contents(fleet)
+
+
+def in_words(fleet: str | Path | Sequence[Any]) -> str:
+    """Return a fleet as ``the fleet plausible``, or, of one without a name, ``a fleet of 4 devices``."""
+    if isinstance(fleet, str | Path):
+        return f"the fleet {fleet}"
+    return f"a fleet of {len(fleet)} device{'s' * (len(fleet) > 1)}"
+
+
 def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
     """Return a fleet as JSON types: shipped profiles by their names, others by their content."""
     return [each.name if is_shipped(each) else each.model_dump(mode="json") for each in fleet]
@@ -60,11 +74,16 @@ def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
 
 def _read(fleet: str | Path) -> tuple[Profile, ...]:
     if str(fleet) in fleet_names():
-        with resources.as_file(resources.files("amulett_gym") / "fleets" / f"{fleet}.yaml") as path:
-            return _listed(path)
+        return _shipped(str(fleet))
     if Path(fleet).suffix.lower() not in (".yaml", ".yml", ".json"):
         raise unknown("fleet", str(fleet), [*fleet_names(), "<file>.yaml", "<file>.json"])
     return _listed(find_config(fleet, "fleet"))
+
+
+@cache
+def _shipped(fleet: str) -> tuple[Profile, ...]:
+    with resources.as_file(resources.files("amulett_gym") / "fleets" / f"{fleet}.yaml") as path:
+        return _listed(path)
 
 
 def _listed(path: Path) -> tuple[Profile, ...]:

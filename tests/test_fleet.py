@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 from helpers import device
 
+from amulett_gym import fleet as fleets
 from amulett_gym.errors import AmulettError
-from amulett_gym.fleet import fleet_names, load_fleet, names_or_contents
+from amulett_gym.fleet import fleet_names, in_words, load_fleet, name_or_contents, names_or_contents
 from amulett_gym.profile import load_profile
 
 HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.5, "arm": 0.13}]}}
@@ -21,6 +22,7 @@ def test_profiles_of_every_kind_make_a_fleet(tmp_path):
     assert fleet[0] == load_profile("testbed") and fleet[3] is own
     assert load_fleet(fleet) == fleet
     again = names_or_contents(fleet)
+    assert name_or_contents(fleet) == again
     assert again[0] == "testbed" and load_fleet(json.loads(json.dumps(again))) == fleet
 
 
@@ -54,6 +56,16 @@ def test_a_file_names_files_in_its_folder(tmp_path, monkeypatch):
 def test_a_wrong_fleet_is_refused(fleet, message):
     with pytest.raises(AmulettError, match=message):
         load_fleet(fleet)
+
+
+def test_a_shipped_fleet_is_kept_by_its_name(monkeypatch):
+    shipped = load_fleet(["testbed", HEAVY])
+    monkeypatch.setattr(fleets, "fleet_names", lambda: ("ours",))
+    monkeypatch.setattr(fleets, "_shipped", lambda name: shipped)
+    assert name_or_contents(load_fleet("ours")) == "ours" == name_or_contents(list(shipped))
+    assert name_or_contents(shipped[:1]) == ["testbed"]
+    assert in_words("ours") == "the fleet ours"
+    assert [in_words(["testbed"] * count) for count in (1, 2)] == ["a fleet of 1 device", "a fleet of 2 devices"]
 
 
 def test_a_file_has_to_hold_a_list(tmp_path):

@@ -1,4 +1,4 @@
-"""`amulett tune-law`: search a law's parameters, the best constant or a loop's gains, for a device and a suite."""
+"""`amulett tune-law`: search a law's parameters, the best constant or a loop's gains, for devices and a suite."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_least, command_words
+from amulett_gym.cli.options import add_device, add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from amulett_gym.reporting.table import Table
     from amulett_gym.simulation.layout import Control
 
-HELP = "tune a law or a loop's gains for a device and a suite; the same command continues an interrupted search"
+HELP = "tune a law or a loop's gains for a device or a fleet; the same command continues an interrupted search"
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
   amulett tune-law constant --suite reach --out runs/constant
   amulett tune-law parametric --suite mixed --budget 20000 --seeds 1 --out runs/short
+  amulett tune-law parametric --fleet my_fleet.yaml --out runs/over-a-fleet
   amulett tune-law gains --control co-rotation --profile configs/my_device.yaml --out runs/gains
   amulett tune-law gains --control all --budget 100000 --out runs/gains-of-all-loops
 """
@@ -51,7 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--track", metavar="TRACK", help=track)
     suite = "suite of scenarios, searched on its split train, chosen on validation (default: mixed)"
     add_options(parser, "--suite", default="mixed", help=suite)
-    add_options(parser, "--profile")
+    add_device(parser, one=False)
+    choose = "devices on which the best of the starts is chosen, of a law tuned over a fleet (default: that fleet)"
+    parser.add_argument("--choose-fleet", metavar="FLEET", help=choose)
     budget = "simulated training episodes of all starts, for each loop (default: as for the shipped laws)"
     parser.add_argument("--budget", type=int, metavar="N", help=budget)
     seeds = "seeds of the independent starts, of which the best is chosen (default: 1 2)"
@@ -84,9 +87,11 @@ def run(arguments: argparse.Namespace) -> int:
             check_shippable(recipe)
     show, words = printer(arguments), _command(arguments)
     for each, reason in skipped.items():
-        show(f"Without {each}, which does not fit this device: {reason}.")
+        whom = "this device" if recipes[0].fleet is None else "all devices"
+        show(f"Without {each}, which does not fit {whom}: {reason}.")
     loops = tuple(recipe.control for recipe in recipes)
-    print_remarks(device_remarks(recipes[0].device(), loops=loops, suite=recipes[0].suite))
+    if recipes[0].fleet is None:  # the devices of a fleet are taken as they are
+        print_remarks(device_remarks(recipes[0].device(), loops=loops, suite=recipes[0].suite))
     try:
         contents = tune_in(arguments.out, recipes, words, show, arguments.processes)
     except KeyboardInterrupt:
@@ -114,28 +119,34 @@ def run(arguments: argparse.Namespace) -> int:
     policies = [_contender(arguments.out, recipe, content) for recipe, content in tuned]
     policies = policies if recipes[0].control in LOOPS else ["eq6", *policies]
     again = shlex.join(["amulett", "evaluate", "--policies", *policies])
-    options = shlex.join(["--suite", arguments.suite, "--profile", profile])
+    devices = ["--profile", profile] if arguments.fleet is None else ["--fleet", arguments.fleet]
+    options = shlex.join(["--suite", arguments.suite, *devices])
     show(f"Compare:\n  {again} \\\n      {options}", wrap=False)
     return 0
 
 
 def _recipes(arguments: argparse.Namespace) -> tuple[list[Recipe], dict[Control, str]]:
     """Return the recipe of each loop, and the loops that `all` skips with the reasons."""
+    from amulett_gym.fleet import load_fleet
     from amulett_gym.profile import load_profile
     from amulett_gym.simulation.layout import CONTROLS, unfit_loops
 
     skipped: dict[Control, str] = {}
     controls = arguments.control
     if controls == ["all"]:
-        skipped = unfit_loops(load_profile(arguments.profile))
+        if arguments.fleet is None:
+            skipped = unfit_loops(load_profile(arguments.profile))
+        for device in load_fleet(arguments.fleet) if arguments.fleet is not None else ():
+            found = unfit_loops(device).items()
+            skipped = {loop: f"'{device.name}': {reason}" for loop, reason in found} | skipped
         controls = [control for control in CONTROLS if control != "position-only" and control not in skipped]
     elif "all" in controls:
         loops = " ".join(control for control in controls if control != "all")
         raise AmulettError(f"--control all stands alone; write --control all, or the loops without it: {loops}")
     if len(set(controls)) < len(controls):
         raise AmulettError(f"--control names a loop twice: {' '.join(controls)}")
-    sizes = {name: getattr(arguments, name) for name in ("law", "suite", "profile", "seeds", "validation", "track")}
-    recipes = read_recipes({**sizes, "control": controls})
+    names = ("law", "suite", _devices(arguments), "choose_fleet", "seeds", "validation", "track")
+    recipes = read_recipes({**{name: getattr(arguments, name) for name in names}, "control": controls})
     if arguments.budget is not None:
         recipes = [recipe.within(arguments.budget) for recipe in recipes]
     return recipes, skipped
@@ -163,6 +174,7 @@ def tune_in(
 
     from amulett_gym.evaluation.metrics import COST_OF, METRICS
     from amulett_gym.evaluation.search.laws import tune_all
+    from amulett_gym.fleet import in_words
     from amulett_gym.settings import to_plain
     from amulett_gym.storage.provenance import write_provenance
 
@@ -170,11 +182,12 @@ def tune_in(
     config = to_plain(asdict(first)) | {"control": loops if len(loops) > 1 else loops[0]}
     each = first.episodes + first.judging
     total = sum(recipe.episodes + recipe.judging for recipe in recipes)
+    where = f"of the {first.device().name}" if first.fleet is None else f"over {in_words(first.fleet)}"
 
     def begin(done: int) -> None:
         starts = ", ".join(map(str, first.seeds))
         show(
-            f"{first.law} in {', '.join(loops)} on {first.suite} of the {first.device().name}, by the "
+            f"{first.law} in {', '.join(loops)} on {first.suite} {where}, by the "
             f"{METRICS[COST_OF[first.cost_track]].name}, starts {starts}: "
             f"{total:,} simulated episodes, "
             + (f"{each:,} in each of {len(loops)} loops: " if len(loops) > 1 else "")
@@ -190,8 +203,9 @@ def tune_in(
             show(f"  reference motion: {start['reference']}; costs when it was chosen: {reached}")
 
     with output_folder(out, "tuned law", [[TUNING]]), locked_folder(out):
-        subject = {key: config[key] for key in ("law", "control", "suite", "profile")}
-        _refuse_other(Path(out), subject | ({"track": first.track} if first.track else {}))
+        always, others = ("law", "control", "suite", "profile"), ("track", "fleet", "choose_fleet")
+        given = {key: config[key] for key in others if config[key] is not None}
+        _refuse_other(Path(out), {key: config[key] for key in always} | given)
         write_provenance(out, "tune-law", config, first.seeds, words)
         contents = tune_all(out, recipes, report, begin, True, processes)
         if len(recipes) > 1:
@@ -207,7 +221,8 @@ def _refuse_other(folder: Path, subject: Mapping[str, Any]) -> None:
     path = folder / TUNING
     if path.is_file() and (found := read_json(path, "tuned law's folder")) != subject:
         there = found if isinstance(found, dict) else {}
-        other = "another device" if there.get("profile") != subject["profile"] else ""
+        devices = {"fleet": "another fleet", "choose_fleet": "another choose-fleet", "profile": "another device"}
+        other = next((words for key, words in devices.items() if there.get(key) != subject.get(key)), "")
         loops = there.get("control")
         there = {**there, "control": ", ".join(loops) if isinstance(loops, list) else loops}
         named = "{law} on {suite} in {control}".format(**there) if {*subject} <= {*there} else "something else"
@@ -264,5 +279,11 @@ def _contender(out: str, recipe: Recipe, content: Mapping[str, Any]) -> str:
 
 
 def _command(arguments: argparse.Namespace) -> list[str]:
-    options = ("control", "track", "suite", "profile", "budget", "seeds", "validation", "processes", "out")
+    subject = ("control", "track", "suite", _devices(arguments), "choose-fleet")
+    options = (*subject, "budget", "seeds", "validation", "processes", "out")
     return ["amulett", "tune-law", arguments.law, *command_words(arguments, *options)]
+
+
+def _devices(arguments: argparse.Namespace) -> str:
+    """Return the name of the option that chooses the devices."""
+    return "profile" if arguments.fleet is None else "fleet"

@@ -201,6 +201,26 @@ class Episodes:
         self.started[devices] = True
         return self.observe(devices)
 
+    def begin(self, rows: NDArray[np.void], which: NDArray[np.int64]) -> Observations:
+        """Start packed scenarios of the suite, one with each device; return the observations.
+
+        Parameters
+        ----------
+        rows : ndarray of `simulation.layout.SCENARIO`, shape (N,)
+        which : ndarray of int, shape (blocks,)
+            Index of each block's profile in the fleet; zeros without a fleet.
+
+        Raises
+        ------
+        AmulettError
+            If a device cannot begin its scenario.
+        """
+        self.simulation.which[...] = which
+        self._set_prices(which, self._families)
+        self.simulation.reset(rows)
+        self.started[:] = True
+        return self.observe()
+
     def _sampled(self, devices: NDArray[np.int64], keys: Keys) -> NDArray[np.void]:
         """Return the scenarios that the episodes' keys draw, for each device's own profile."""
         suite, split = self.settings.suite, self.settings.split

@@ -10,8 +10,9 @@ from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.eq6_costs import eq6_costs, shipped_costs
 from amulett_gym.envs.prices import divisors_owner
 from amulett_gym.evaluation.diagnosis import diagnose
+from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.contenders import Contender, split_loop
-from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuning_differs
+from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuned_over, tuning_differs
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.simulation.layout import LOOPS, Control
 
@@ -39,9 +40,15 @@ def device_remarks(
     remarks = [f"{name} {difference}" for name, difference in elsewhere if difference]
     moved = [name for name in contenders if split_loop(name)[0] and split_loop(name)[1] in tuned_names()]
     remarks += [f"{name} acts with the parameters tuned in the paper's loop" for name in moved]
+    over = {name: tuned_over(split_loop(name)[1]) for name in contenders}
+    remarks += [
+        f"{name} acts with the parameters tuned over the fleet {fleet}, not on the {profile.name}"
+        for name, fleet in over.items()
+        if fleet and profile not in load_fleet(fleet)
+    ]
     if is_shipped(profile):
         return remarks
-    tuned = [name for name in contenders if split_loop(name)[1] in tuned_names()]
+    tuned = [name for name in contenders if split_loop(name)[1] in tuned_names() and not over[name]]
     if tuned:
         act = "act" if len(tuned) > 1 else "acts"
         of = f"tuned on the {profile.root}, not on the {profile.name}"

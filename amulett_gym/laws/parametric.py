@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE, compiled_tension_of
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.fleet import fleet_names, in_words, load_fleet
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.plant import inertia
@@ -57,7 +58,7 @@ DEFAULT_SUITE = "mixed"
 FORMAT = "amulett-tuned-law"
 
 TUNED = ("laws", "tuned")
-"""Folder of the tuned parameters in the package: ``<profile>/<law>-<suite>.json``."""
+"""Folder of the tuned parameters in the package: ``<profile or fleet>/<law>-<suite>.json``."""
 
 _ERROR, _ANGLE, _RATE, _TIME, _FORCE, _ = OBSERVATION_SCALES.values()
 _ERROR_AT, _ANGLE_AT, _RATE_AT, _TIME_AT, _BICEPS_AT, _TRICEPS_AT, _AGONIST_AT, _SETPOINT_AT = map(
@@ -181,7 +182,7 @@ class Law(Space):
         """
         tensions = np.empty(len(observations))
         rows = np.asarray(observations, dtype=np.float64)
-        constants, period = device.constants, device.agent_period
+        constants, period = np.atleast_2d(device.constants), device.agent_period
         self.fill(rows, np.ascontiguousarray(vectors), constants, period, *setpoint_range, *self.range, tensions)
         return tensions
 
@@ -190,8 +191,8 @@ class Law(Space):
 class Device:
     """The nominal device, without a payload, as a law's constants, with the agent period [s].
 
-    The constants are R_2 [m], J [kg m2], and a [1/s], b [1/N], c and d [1/s] of the decay rate
-    (`model.damping.decay_rate`).
+    The constants, of shape (6,) or, one device for each observation, (N, 6), are R_2 [m], J [kg m2], and a [1/s],
+    b [1/N], c and d [1/s] of the decay rate (`model.damping.decay_rate`).
     """
 
     constants: Values
@@ -205,6 +206,12 @@ class Device:
         nominal = inertia([item.mass for item in masses], [item.arm for item in masses])
         constants = (profile.plant.joint_pulley_radius, nominal, damping.a, damping.b, c, damping.d)
         return cls(np.array(constants), agent_period)
+
+    @classmethod
+    def of_each(cls, profiles: Sequence[Profile], which: NDArray[np.int64], agent_period: float) -> Device:
+        """Return the nominal devices of observations, of which each has one of the profiles, by their indices."""
+        constants = np.array([cls.of(profile, agent_period).constants for profile in profiles])
+        return cls(constants[which], agent_period)
 
 
 @compiled
@@ -228,7 +235,8 @@ def _fill_parametric(rows, vectors, device, period, low, high, least, most, tens
         row = rows[k]
         error = row[_ERROR_AT] * _ERROR * 180.0 / math.pi
         rate = row[_RATE_AT] * _RATE
-        torque = _external_torque(device, row[_BICEPS_AT] * _FORCE, row[_TRICEPS_AT] * _FORCE, rate)
+        own = device[k if device.shape[0] > 1 else 0]
+        torque = _external_torque(own, row[_BICEPS_AT] * _FORCE, row[_TRICEPS_AT] * _FORCE, rate)
         far, way = _size(error / p[12]), math.tanh(error / p[12])
         rate_deg = rate * 180.0 / math.pi
         early = math.exp(-max(row[_TIME_AT], 0.0) * _TIME / p[14])
@@ -344,11 +352,23 @@ LAWS = {law.name: law for law in (BEST_CONSTANT, EQ6_TUNED, PARAMETRIC)}
 def tuned_names() -> dict[str, str]:
     """Return the tuned laws by name, each with a one-line description.
 
-    ``<law>:<suite>`` has the parameters tuned on that suite; the law's name alone has those tuned on `DEFAULT_SUITE`.
+    ``<law>:<suite>`` has the parameters tuned on that suite, on the shipped device that the present one derives from;
+    the law's name alone has those tuned on `DEFAULT_SUITE`. ``<law>:<fleet>`` has those tuned over a shipped fleet, on
+    `DEFAULT_SUITE`, for any device.
     """
-    shipped = {law: LAWS[law].description for _, law, suite in _shipped() if suite == DEFAULT_SUITE}
+    fleets = fleet_names()
+    on_devices = [(law, suite) for owner, law, suite in _shipped() if owner not in fleets]
+    shipped = {law: LAWS[law].description for law, suite in on_devices if suite == DEFAULT_SUITE}
     names = {law: f"{description}; as {law}:{DEFAULT_SUITE}" for law, description in shipped.items()}
-    return names | {f"{law}:{suite}": f"{law}, tuned on {suite}" for _, law, suite in _shipped()}
+    names |= {f"{law}:{suite}": f"{law}, tuned on {suite}" for law, suite in on_devices}
+    over = [(owner, law) for owner, law, _ in _shipped() if owner in fleets]
+    return names | {f"{law}:{fleet}": f"{law}, tuned on {DEFAULT_SUITE} over the fleet {fleet}" for fleet, law in over}
+
+
+def tuned_over(name: str) -> str:
+    """Return the fleet over which a shipped law, by its name, was tuned; an empty string if on one device."""
+    fleet = name.partition(":")[2]
+    return fleet if name in tuned_names() and fleet in fleet_names() else ""
 
 
 def is_tuned(name: str) -> bool:
@@ -405,22 +425,28 @@ def tuned_loop(path: str) -> str:
 
 
 def tuning_differs(path: str, profile: Profile, loop: str = "") -> str:
-    """Return in which other loop, and on which other device, a file's law was tuned, as the end of a sentence.
+    """Return in which other loop, and on which other device or fleet, a file's law was tuned, as the end of a sentence.
 
-    It is an empty string if the law was tuned in `loop`, on this device; an empty `loop` is that of the tuning.
+    It is an empty string if the law was tuned in `loop`, on this device or over a fleet with it; an empty `loop` is
+    that of the tuning.
     """
-    recipe = _tuned_file(path).get("recipe")
-    recipe = recipe if isinstance(recipe, dict) else {}
-    there, in_loop, device = recipe.get("profile"), tuned_loop(path), ""
-    try:
-        tuned = load_profile(there if isinstance(there, str | dict) else "")
-        if tuned != profile:
-            other = "another version of the " if tuned.name == profile.name else "the "
-            device = f"on {other}{tuned.name}, not on the {profile.name}"
-    except AmulettError:
-        device = f"on a device that cannot be read, not on the {profile.name}"
+    recipe, in_loop = _tuned_file(path).get("recipe"), tuned_loop(path)
+    device = _tuned_elsewhere(recipe if isinstance(recipe, dict) else {}, profile)
     differences = [device, f"in {in_loop}, not in {loop}" if loop not in ("", in_loop) else ""]
     return f"was tuned {', '.join(filter(None, differences))}" if any(differences) else ""
+
+
+def _tuned_elsewhere(recipe: Mapping[str, Any], profile: Profile) -> str:
+    """Return on which other device, or over which fleet without this one, a law was tuned."""
+    there, fleet = recipe.get("profile"), recipe.get("fleet")
+    try:
+        if isinstance(fleet, str | list):
+            return "" if profile in load_fleet(fleet) else f"over {in_words(fleet)}, not on the {profile.name}"
+        tuned = load_profile(there if isinstance(there, str | dict) else "")
+    except AmulettError:
+        return f"on a device that cannot be read, not on the {profile.name}"
+    other = "another version of the " if tuned.name == profile.name else "the "
+    return "" if tuned == profile else f"on {other}{tuned.name}, not on the {profile.name}"
 
 
 def _tuned_file(path: str) -> dict[str, Any]:
@@ -433,7 +459,8 @@ def _tuned_file(path: str) -> dict[str, Any]:
 def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
     """Return the shipped file of a tuned law: its parameters, and on what and how they were tuned.
 
-    A profile that is based on a shipped one uses that one's parameters.
+    A profile that is based on a shipped one uses that one's parameters. The name of a fleet instead of a suite's stands
+    for `DEFAULT_SUITE` over that fleet.
 
     Raises
     ------
@@ -441,7 +468,7 @@ def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
         If the law was not tuned for that device and suite.
     """
     shipped = _shipped()
-    key = (profile.root, law, suite)
+    key = (suite, law, DEFAULT_SUITE) if suite in fleet_names() else (profile.root, law, suite)
     if key not in shipped:
         there = sorted(f"{law}:{there}" for device, of, there in shipped if (device, of) == (profile.root, law))
         raise AmulettError(
@@ -454,7 +481,7 @@ def tuned_content(law: str, profile: Profile, suite: str) -> dict[str, Any]:
 
 @cache
 def _shipped() -> dict[tuple[str, str, str], tuple[str, ...]]:
-    """Return the paths of the tuned laws in the package: (profile, law, suite) -> path."""
+    """Return the paths of the tuned laws in the package: (profile or fleet, law, suite) -> path."""
     found: dict[tuple[str, str, str], tuple[str, ...]] = {}
     folder = resources.files("amulett_gym").joinpath(*TUNED)
     for law in LAWS:

@@ -171,6 +171,8 @@ def test_the_track_decides_which_cost_is_minimised(place, capsys):
         (["gains", "--control", "cascade", "cascade", "--out", "x"], "--control names a loop twice: cascade cascade"),
         (["gains", "--control", "all", "--write", "--out", "x"], "gains of the paper's loop stay"),
         (["gains", "--control", "all", "cascade", "--out", "x"], "all stands alone; .* the loops without it: cascade"),
+        (["constant", "--fleet", "fleet.yaml", "--out", "x"], "cannot read fleet 'fleet.yaml'"),
+        (["constant", "--choose-fleet", "fleet.yaml", "--out", "x"], "choose_fleet is for laws .* give fleet, too"),
         (["constant", "--processes", "0", "--out", "x"], "--processes is 0; it has to be at least 1"),
     ],
 )
@@ -273,3 +275,37 @@ def test_a_folder_holds_one_law(place, capsys):
 def test_a_loop_is_an_option_and_no_part_of_the_name(place, capsys):
     assert main(["tune-law", "cascade/eq6-tuned", "--out", "tuned"]) == 2
     assert "'cascade/eq6-tuned' names a loop; write eq6-tuned --control cascade" in capsys.readouterr().err
+
+
+def test_a_law_tuned_over_a_fleet_is_one_law_for_all_devices(place, capsys):
+    (place / "fleet.yaml").write_text(f"[testbed, simulation, {DEVICE}]")
+    words = [*SEARCH, "--fleet", "fleet.yaml", "--choose-fleet", "fleet.yaml"]
+    assert main([*words, "--out", "tuned"]) == 0
+    out, err = capsys.readouterr()
+    assert "eq6-tuned in decentralized on steps over a fleet of 3 devices, by the cost" in " ".join(out.split())
+    law = "tuned/eq6-tuned-steps.json"
+    again = f"amulett evaluate --policies eq6 {law} \\\n      --suite steps --fleet fleet.yaml"
+    assert f"Compare:\n  {again}\n" in out and "Note:" not in err
+    for profile, remark in (("dev.yaml", False), ("simulation", False), ("other.yaml", True)):
+        (place / "other.yaml").write_text("{name: other, base: testbed, sensors: {encoder_bits: 13}}")
+        assert main(["simulate", "--law", law, "--duration", "0.1", "--profile", profile, "--json"]) == 0
+        remarks = json.loads(capsys.readouterr().out)["remarks"]
+        assert (f"{law} was tuned over a fleet of 3 devices, not on the other" in remarks) is remark
+    (place / "fleet.yaml").unlink()
+    assert main(["rerun", "tuned", "--out", "again", "--json"]) == 0
+    assert '"same": true' in capsys.readouterr().out
+    (place / "fleet.yaml").write_text(f"[testbed, {DEVICE}]")
+    assert main([*words, "--out", "tuned"]) == 2
+    assert "for another fleet; choose another folder" in " ".join(capsys.readouterr().err.split())
+    assert main([*SEARCH, "--fleet", "fleet.yaml", "--out", "short", "--write"]) == 2
+    assert "not over a fleet of 2 devices of your own" in " ".join(capsys.readouterr().err.split())
+
+
+def test_all_skips_loops_that_do_not_fit_a_device_of_the_fleet(place, capsys):
+    linear = "{name: linear, base: testbed, spring: {free_length: 0}}"
+    (place / "fleet.yaml").write_text(f"[testbed, {linear}]")
+    words = ["tune-law", "constant", "--control", "all", "--fleet", "fleet.yaml", "--out", "x"]
+    recipes, skipped = tune_law._recipes(build_parser().parse_args(words))
+    assert set(skipped) == {"torque-stiffness", "feedforward-feedback"}
+    assert skipped["torque-stiffness"].startswith("'linear': control 'torque-stiffness' sets the joint")
+    assert {recipe.control for recipe in recipes} == {"decentralized", *LOOPS} - skipped.keys()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation import remarks
 from amulett_gym.evaluation.across import (
     device_table,
     evaluate_fleet,
@@ -15,9 +16,11 @@ from amulett_gym.evaluation.across import (
     summarise_fleet,
 )
 from amulett_gym.evaluation.page import write_fleet_report, write_report
-from amulett_gym.evaluation.remarks import fleet_remarks
+from amulett_gym.evaluation.remarks import device_remarks, fleet_remarks
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.contenders import Own
+from amulett_gym.profile import load_profile
 
 FLEET = ["testbed", {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.4, "arm": 0.13}]}}]
 KEYWORDS = {"suite": "mixed", "episodes": 10, "duration": 2.0}
@@ -116,3 +119,13 @@ def test_remarks_that_are_alike_on_several_devices_are_one():
         "on the a-1, it is slow",
         "a-3: it is odd",
     ]
+
+
+def test_a_law_tuned_over_a_fleet_is_named_on_other_devices(monkeypatch):
+    monkeypatch.setattr(remarks, "tuned_over", lambda name: "ours" if name == "parametric" else "")
+    monkeypatch.setattr(remarks, "load_fleet", lambda name: load_fleet(["testbed"]))
+    assert device_remarks(load_profile("testbed"), ["parametric", "eq6-tuned"]) == []
+    for profile in (load_profile("simulation"), load_profile(FLEET[1])):
+        found = device_remarks(profile, ["parametric"])
+        remark = f"parametric acts with the parameters tuned over the fleet ours, not on the {profile.name}"
+        assert [each for each in found if "parametric" in each] == [remark]

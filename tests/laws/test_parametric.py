@@ -1,6 +1,7 @@
 """Laws with parameters to tune: what they are without tuning, and what they can never do."""
 
 import json
+from importlib.resources import files
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +15,7 @@ import amulett_gym
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.laws import parametric
 from amulett_gym.laws.contenders import contender_names, parse_contender
 from amulett_gym.laws.parametric import (
     EQ6_TUNED,
@@ -25,6 +27,8 @@ from amulett_gym.laws.parametric import (
     _squash,
     tuned_content,
     tuned_names,
+    tuned_over,
+    tuned_vector,
 )
 from amulett_gym.profile import load_profile
 
@@ -243,3 +247,19 @@ def test_a_shipped_law_tells_how_it_was_tuned(law, suite):
     assert chosen["validation"] == min(start["validation"] for start in content["starts"].values())
     assert content["training_episodes"] >= 10_000
     assert set(content["sha256"]) == {"train", "validation"}
+
+
+def test_a_law_tuned_over_a_fleet_has_a_name_and_acts_on_any_device(monkeypatch):
+    here = {("testbed", "parametric", "mixed"): (*parametric.TUNED, "testbed", "parametric-mixed.json")}
+    over = {("ours", "parametric", "mixed"): (*parametric.TUNED, "testbed", "parametric-steps.json")}
+    monkeypatch.setattr(parametric, "_shipped", lambda: here | over)
+    monkeypatch.setattr(parametric, "fleet_names", lambda: ("ours",))
+    names = tuned_names()
+    assert set(names) == {"parametric", "parametric:mixed", "parametric:ours"}
+    assert names["parametric:ours"] == "parametric, tuned on mixed over the fleet ours"
+    assert [tuned_over(name) for name in (*names, "constant:6", "eq6")] == ["", "", "ours", "", ""]
+    own = load_profile({**load_profile("simulation").model_dump(), "name": "mine", "base": None})
+    _, vector = tuned_vector("parametric:ours", own)
+    assert vector.tolist() == tuned_vector(str(files("amulett_gym").joinpath(*over.popitem()[1])), own)[1].tolist()
+    with pytest.raises(AmulettError, match="was not tuned on the suite 'mixed' of the device 'mine'"):
+        tuned_vector("parametric", own)

@@ -1,4 +1,4 @@
-"""Print the mean costs of constant tensions on each suite.
+"""Best constant tensions: of each device of a fleet, and a printed table of each suite.
 
 ::
 
@@ -14,14 +14,65 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
+from amulett_gym.envs.reward import SCHEDULE, Track
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.trials import Trials, held
-from amulett_gym.profile import load_profile
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.simulation.layout import Control
 from amulett_gym.tasks.suites import SPLITS, suite_names
 
 TENSIONS = tuple(range(4, 16))  # [N]
 SCENARIOS = 400
+
+REFINED = np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
+"""Tensions that are tried around the best whole number [N]."""
+
+
+def best_constants(
+    fleet: Sequence[Profile],
+    suite: str = "mixed",
+    control: Control = "decentralized",
+    track: Track = SCHEDULE,
+    scenarios: int = 40,
+    threads: int = 1,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the best constant tension of each device and its mean cost, each of shape (devices,).
+
+    All devices play the first training scenarios of the suite. Tensions are compared in steps of 1 N over the loop's
+    range, then of 0.25 N about the best.
+
+    Parameters
+    ----------
+    fleet : sequence of Profile
+    suite, control, track : str
+    scenarios : int
+        Number of scenarios for each device and tension, at least 1.
+    threads : int
+        Threads that simulate; they do not change results.
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown, a number is too small, or a device does not fit the loop.
+    """
+    protocol = Protocol(fleet[0], suite, "train", episodes=scenarios)
+    trials = Trials(protocol, control, threads=threads, track=track, fleet=fleet, crossed=True)
+    (low, high), every = trials.tension_range, np.arange(len(trials.rows))
+
+    def tried(tensions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean cost of each tension on each device, shapes (devices, K)."""
+        each = np.repeat(tensions, scenarios, axis=0).T
+        costs = [trials.costs(every, held(column, trials.tension_range), track=track) for column in each]
+        return np.array(costs).reshape(len(each), len(fleet), scenarios).mean(axis=2).T
+
+    tensions = np.tile(np.arange(np.ceil(low), high + 0.5), (len(fleet), 1))
+    costs, devices = tried(tensions), np.arange(len(fleet))
+    finer = np.clip(tensions[devices, costs.argmin(axis=1)][:, None] + REFINED, low, high)
+    tensions, costs = np.hstack([tensions, finer]), np.hstack([costs, tried(finer)])
+    best = costs.argmin(axis=1)
+    return tensions[devices, best], costs[devices, best]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

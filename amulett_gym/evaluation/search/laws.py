@@ -3,6 +3,9 @@
 On the track *schedule* the cost of an episode is minus its return, on *full control* the full-control cost
 (`metrics.control_prices`). Gains are tuned with a constant co-contraction.
 
+A law can be tuned over a fleet of devices. Then the scenarios are dealt to its devices in turn, and all candidates of a
+generation play the same pairs of device and scenario. The best start is chosen on the same fleet or another one.
+
 `tune` searches from several independent starts, each with random candidates. What is finished in the folder is not
 repeated: starts, and generations of a start. ``amulett tune-law`` is the command.
 """
@@ -30,17 +33,21 @@ from amulett_gym.evaluation.processes import advance, in_processes
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.evaluation.search.gains import GAINS, SHAPE, Gains, gains_of, profile_text, shapes_of, shipped_text
 from amulett_gym.evaluation.search.trials import Choose, Trials, held
+from amulett_gym.fleet import in_words, load_fleet, name_or_contents, names_or_contents
 from amulett_gym.gains import Following
-from amulett_gym.laws.parametric import BEST_CONSTANT, FORMAT, LAWS, TUNED, Device, Law
-from amulett_gym.profile import Profile, is_shipped, load_profile
+from amulett_gym.laws.parametric import BEST_CONSTANT, DEFAULT_SUITE, FORMAT, LAWS, TUNED, Device, Law
+from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import merge, to_plain
-from amulett_gym.simulation.layout import CONTROLS, LOOPS
+from amulett_gym.simulation.layout import CONTROLS, LANES, LOOPS
 from amulett_gym.storage.kept import digest, read_kept, write_kept
 from amulett_gym.storage.writing import write_json, write_text
 
 STAGES = ((14, 40), (42, 20))
 """Stages of a start, as in `Recipe`. The first, with few scenarios, finds the region; the second refines it."""
+
+FLEET_STAGES = ((16, 40), (64, 20))
+"""The same for a fleet, by its first 16 devices and by all: with other fleets, each device has as many scenarios."""
 
 GAIN_STAGES = ((14, 120), (42, 60))
 """The same for gains: as many simulated episodes for each loop."""
@@ -62,14 +69,17 @@ class Recipe:
     ----------
     law, suite : str
         One of `parametric.LAWS`, or `gains.GAINS`.
-    profile : str or dict
-        Anything that `load_profile` takes; kept as the name of a shipped profile, or else as the content.
+    profile : str or dict, optional
+        Anything that `load_profile` takes; kept as the name of a shipped profile, or else as the content. None: the
+        testbed, or a fleet.
     seeds : tuple of int
         One for each independent start.
     population : int
-        Candidates in a generation; 0: four, and two for each of the law's parameters; `GAIN_POPULATION` of gains.
+        Candidates in a generation; 0: four, and two for each of the law's parameters, of a fleet as a multiple of
+        `LANES`; `GAIN_POPULATION` of gains.
     generations : tuple of (int, int)
-        Stages of a start: the number of training scenarios, and of generations on them; empty: `STAGES`, `GAIN_STAGES`.
+        Stages of a start: the number of training scenarios, and of generations on them; empty: `STAGES`,
+        `FLEET_STAGES`, `GAIN_STAGES`.
     validation : int
         Validation scenarios, which choose among the starts.
     control : str
@@ -77,6 +87,11 @@ class Recipe:
     track : str, optional
         One of `envs.reward.TRACKS`, whose cost is minimised. None: *schedule* for a law in the paper's loop, else *full
         control*; this choice is kept as None.
+    fleet : str or list, optional
+        Devices instead of the profile, anything that `load_fleet` takes; kept as the name of a shipped fleet, or else
+        as the content.
+    choose_fleet : str or list, optional
+        Devices whose validation scenarios choose among the starts. None: those of the fleet.
 
     Raises
     ------
@@ -86,13 +101,15 @@ class Recipe:
 
     law: str = "parametric"
     suite: str = "steps"
-    profile: Any = "testbed"
+    profile: Any = None
     seeds: tuple[int, ...] = (1, 2)
     population: int = 0
     generations: tuple[tuple[int, int], ...] = ()
     validation: int = 200
     control: Any = "decentralized"
     track: Track | None = None
+    fleet: Any = None
+    choose_fleet: Any = None
 
     def __post_init__(self) -> None:
         if self.law not in (*LAWS, GAINS):
@@ -102,13 +119,13 @@ class Recipe:
         if self.track is not None and self.track not in TRACKS:
             raise unknown("track", self.track, TRACKS)
         object.__setattr__(self, "track", None if self.track == self._usual_track() else self.track)
-        profile = load_profile(self.profile)
-        kept = profile.name if is_shipped(profile) else profile.model_dump(mode="json")
-        object.__setattr__(self, "profile", kept)
+        self._read_devices()
         object.__setattr__(self, "seeds", tuple(self.seeds))
-        stages = self.generations or (GAIN_STAGES if self.law == GAINS else STAGES)
+        stages = self.generations or self._usual_stages()
         object.__setattr__(self, "generations", tuple((count, number) for count, number in stages))
         own = GAIN_POPULATION if self.law == GAINS else 4 + 2 * len(self.space().parameters)
+        if self.fleet is not None:
+            own = -(-own // LANES) * LANES  # a block of devices has one profile
         object.__setattr__(self, "population", self.population or own)
         self.space()
         if self.population < 5:
@@ -125,6 +142,31 @@ class Recipe:
             )
         for split, episodes in (("train", self.scenarios), ("validation", self.validation)):
             self.protocol(split, episodes)  # names and numbers are checked there
+
+    def _read_devices(self) -> None:
+        """Replace names, files and profiles by what is kept."""
+        if self.fleet is None and self.choose_fleet is not None:
+            raise AmulettError("choose_fleet is for laws that are tuned over a fleet; give fleet, too")
+        if self.fleet is None:
+            profile = load_profile("testbed" if self.profile is None else self.profile)
+            object.__setattr__(self, "profile", names_or_contents([profile])[0])
+            return
+        if self.profile is not None:
+            raise AmulettError("profile and fleet are both given; give one of them")
+        if self.law == GAINS:
+            raise AmulettError("gains are tuned for one device; give profile instead of fleet, or tune a law")
+        for key in ("fleet", "choose_fleet"):
+            if (fleet := getattr(self, key)) is not None:
+                object.__setattr__(self, key, name_or_contents(load_fleet(fleet)))
+
+    def _usual_stages(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Return the default stages."""
+        if self.fleet is None:
+            return GAIN_STAGES if self.law == GAINS else STAGES
+        (few, more), (many, fewer) = FLEET_STAGES
+        devices = len(load_fleet(self.fleet))
+        every = -(-many // devices) * devices
+        return (min(few, devices) * max(few // devices, 1), more), (every, fewer)
 
     @property
     def cost_track(self) -> Track:
@@ -175,14 +217,14 @@ class Recipe:
         return shapes, (scenarios, each - 1), [*([(scenarios, rest - 1)] if rest else []), *others]
 
     def within(self, budget: int) -> Recipe:
-        """Return this recipe with as many generations of `STAGES`, about in their proportion, as `budget` allows.
+        """Return this recipe with as many generations of the usual stages, about in proportion, as `budget` allows.
 
         Raises
         ------
         AmulettError
             If the budget is too small for one generation of each.
         """
-        (few, more), (many, fewer) = STAGES
+        (few, more), (many, fewer) = STAGES if self.fleet is None else self._usual_stages()
         ratio, once = more // fewer, len(self.seeds) * self.population
         each = budget // once - few - many
         number, rest = divmod(each, ratio * few + many)
@@ -202,9 +244,11 @@ class Recipe:
     def trials(self) -> tuple[Trials, Trials]:
         """Return the training and the validation scenarios; for gains, each family has as many training scenarios."""
         drawn = SPREAD * self.scenarios if self.law == GAINS else self.scenarios
-        scenarios = (("train", drawn), ("validation", self.validation))
+        own = () if self.fleet is None else load_fleet(self.fleet)
+        other = own if self.choose_fleet is None else load_fleet(self.choose_fleet)
         train, validation = (
-            Trials(self.protocol(split, count), self.control, track=self.cost_track) for split, count in scenarios
+            Trials(self.protocol(split, count), self.control, track=self.cost_track, fleet=fleet)
+            for split, count, fleet in (("train", drawn, own), ("validation", self.validation, other))
         )
         return train.balanced(self.scenarios) if self.law == GAINS else train, validation
 
@@ -213,8 +257,8 @@ class Recipe:
         return Protocol(self.device(), self.suite, split, episodes=episodes)
 
     def device(self) -> Profile:
-        """Return the profile."""
-        return load_profile(self.profile)
+        """Return the profile, or the first one of the fleet."""
+        return load_profile(self.profile) if self.fleet is None else load_fleet(self.fleet)[0]
 
 
 Report = Callable[[int, Mapping[str, Any]], None]
@@ -341,10 +385,11 @@ def at_ends(recipe: Recipe, content: Mapping[str, Any]) -> list[str]:
 
 def check_shippable(recipe: Recipe) -> None:
     """Refuse a recipe whose result cannot be one of the package's tuned laws."""
-    if not isinstance(recipe.profile, str):
-        raise AmulettError(
-            f"only laws tuned on a shipped device can be put into the package, not on {recipe.device().name}"
-        )
+    if not isinstance(recipe.profile or recipe.fleet, str):
+        other = f"on {recipe.device().name}" if recipe.fleet is None else f"over {in_words(recipe.fleet)} of your own"
+        raise AmulettError(f"only laws tuned on a shipped device or fleet can be put into the package, not {other}")
+    if recipe.fleet is not None and recipe.suite != DEFAULT_SUITE:
+        raise AmulettError(f"laws tuned over a fleet can be put into the package for the suite {DEFAULT_SUITE} only")
     if recipe.law == BEST_CONSTANT.name:
         raise AmulettError("the package has no tuned constant: name it, for example constant:6")
     if recipe.law == GAINS and recipe.control not in LOOPS:
@@ -364,7 +409,7 @@ def ship(recipe: Recipe, content: Mapping[str, Any]) -> Path:
             text = shipped_text(path.read_text("utf-8"), _changes(recipe, content)["loops"])
             write_text(path, text)
         else:
-            path = result_path(package.joinpath(*TUNED, recipe.profile), recipe)
+            path = result_path(package.joinpath(*TUNED, recipe.profile or recipe.fleet), recipe)
             write_json(path, content)
     return path
 
@@ -495,25 +540,24 @@ def mean_costs(
     space: Law | Gains, vectors: Values, trials: Trials, scenarios: NDArray[np.int64], track: Track = SCHEDULE
 ) -> Values:
     """Return the mean cost on a track of each parameter vector, shape (candidates, parameters), over the scenarios."""
-
-    def costs(rows: NDArray[np.int64], choose: Choose, gains: Profile | None = None) -> Values:
-        if track == FULL_CONTROL:
-            return trials.control_costs(rows, choose, gains)
-        return trials.play(rows, choose, gains).sum(axis=0)
-
     if isinstance(space, Gains):  # all devices of a batch share their gains
         tensions = [held(np.full(scenarios.size, vector[-1]), trials.tension_range) for vector in vectors]
         devices = [space.profile(trials.protocol.profile, vector) for vector in vectors]
-        return np.array([costs(scenarios, *each).mean() for each in zip(tensions, devices, strict=True)])
+        pairs = zip(tensions, devices, strict=True)
+        return np.array([trials.costs(scenarios, *each, track).mean() for each in pairs])
     candidates = len(vectors)
     each, rows = np.repeat(vectors, scenarios.size, axis=0), np.tile(scenarios, candidates)
-    found = costs(rows, following(space, each, trials))
+    found = trials.costs(rows, following(space, each, trials, rows), track=track)
     return found.reshape(candidates, scenarios.size).mean(axis=1)
 
 
-def following(law: Law, vectors: Values, trials: Trials) -> Choose:
-    """Return a law with parameters for each device, shape (N, parameters); one row is for all."""
-    device = Device.of(trials.protocol.profile, trials.protocol.agent_period)
+def following(law: Law, vectors: Values, trials: Trials, scenarios: NDArray[np.int64] | None = None) -> Choose:
+    """Return a law with parameters for each episode, shape (N, parameters); one row is for all.
+
+    `scenarios` are those that are played, shape (N,); only a fleet needs them.
+    """
+    which = np.zeros(1, dtype=np.int64) if scenarios is None else trials.which[scenarios]
+    device = Device.of_each(trials.profiles, which, trials.protocol.agent_period)
 
     def choose(step: int, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         tensions = law.tensions(observations, vectors, device, trials.tension_range)
@@ -550,19 +594,25 @@ def _content(recipe: Recipe, searched: Sequence[_Start]) -> dict[str, Any]:
 
 
 def _described(recipe: Recipe) -> dict[str, Any]:
-    """Return a recipe as plain data; the usual track is left out, as in older files."""
-    return {key: value for key, value in to_plain(asdict(recipe)).items() if key != "track" or value is not None}
+    """Return a recipe as plain data without what is None, as in older files."""
+    return {key: value for key, value in to_plain(asdict(recipe)).items() if value is not None}
 
 
 def _inputs(recipe: Recipe, seed: int, train: Trials, validation: Trials) -> dict[str, Any]:
     """Return all that a start's result depends on."""
-    this = _described(replace(recipe, seeds=(seed,))) | {"profile": recipe.device().name}
+    this = _described(replace(recipe, seeds=(seed,)))
+    for key in {"profile", "fleet", "choose_fleet"} & this.keys():  # their content is part of the scenarios' digests
+        this[key] = recipe.device().name if key == "profile" else _fleet_name(this[key])
     law = [asdict(parameter) for parameter in recipe.space().parameters]
     scenarios = [train.digest(), validation.digest()]
     long = {"recipe": this, "law": law, "scenarios": scenarios, "scipy": scipy.__version__}
     if shapes := recipe.stages()[0]:
         long["shapes"] = shapes
     return {"recipe": this, "sha256": digest(long)}
+
+
+def _fleet_name(fleet: str | list[Any]) -> str | list[str]:
+    return fleet if isinstance(fleet, str) else [profile.name for profile in load_fleet(fleet)]
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from amulett_gym import fleet as fleets
 from amulett_gym.envs import prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
@@ -248,3 +249,96 @@ def test_the_digest_holds_the_prices_of_the_track_that_is_tuned(monkeypatch):
     monkeypatch.setattr(prices, "_frozen", lambda: other)
     after = [recipe.trials()[0].digest() for recipe in recipes]
     assert [old == new for old, new in zip(before, after, strict=True)] == [True, False, False]
+
+
+TWO = ["testbed", "simulation"]
+OVER = replace(SMALL, profile=None, fleet=TWO, population=8)
+
+
+def test_a_law_is_tuned_over_a_fleet_by_the_mean_cost_on_its_devices(tmp_path):
+    content = tune(tmp_path, OVER)
+    assert content["recipe"]["fleet"] == TWO and "profile" not in content["recipe"]
+    path = str(tmp_path / "eq6-tuned-steps.json")
+    law, vector = read_tuned(path)
+    costs = []
+    for k in range(5):  # scenario k of validation, on device k modulo 2
+        protocol = Protocol(load_profile(TWO[k % 2]), split="validation", episodes=1, seed=k)
+        trials = Trials(protocol)
+        costs.append(trials.play(np.array([0]), following(law, vector[None], trials)).sum())
+    assert content["starts"][str(content["chosen_seed"])]["validation"] == pytest.approx(np.mean(costs), rel=1e-12)
+    start = mean_costs(EQ6_TUNED, EQ6_TUNED.start()[None], OVER.trials()[0], np.arange(4))[0]
+    assert content["starts"][str(content["chosen_seed"])]["train"] < start
+    assert tune(tmp_path, OVER) == content
+    for name in TWO:
+        assert tuning_differs(path, load_profile(name)) == ""
+    mine = load_profile({"name": "mine", "base": "testbed"})
+    assert tuning_differs(path, mine) == "was tuned over a fleet of 2 devices, not on the mine"
+    path = tmp_path / "named.json"
+    path.write_text(json.dumps({**content, "recipe": {**content["recipe"], "fleet": "gone"}}))
+    assert tuning_differs(str(path), mine) == "was tuned on a device that cannot be read, not on the mine"
+
+
+def test_a_law_of_each_device_acts_by_the_constants_of_its_own(trials):
+    fleet = [load_profile(name) for name in TWO]
+    fleet[1] = load_profile({"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.4, "arm": 0.13}]}})
+    both = Trials(Protocol(fleet[0], split="train", episodes=4), fleet=fleet)
+    vector = PARAMETRIC.from_unit(np.full((1, len(PARAMETRIC.parameters)), 0.6))
+    chosen = np.array([3, 0, 1])
+    costs = both.play(chosen, following(PARAMETRIC, vector, both, chosen))
+    for index, profile in enumerate(fleet):
+        alone = Trials(Protocol(profile, split="train", episodes=4))
+        own = both.which[chosen] == index
+        assert (alone.play(chosen[own], following(PARAMETRIC, vector, alone)) == costs[:, own]).all()
+
+
+def test_the_best_start_is_chosen_on_other_devices(tmp_path):
+    other = replace(OVER, seeds=(1,), choose_fleet=TWO[1:])
+    train, validation = other.trials()
+    assert [profile.name for profile in train.profiles] == TWO
+    assert [profile.name for profile in validation.profiles] == TWO[1:]
+    content = tune(tmp_path, other)
+    assert content["recipe"]["choose_fleet"] == TWO[1:]
+    own = tune(tmp_path, replace(OVER, seeds=(1,)))  # the kept work of the other is not taken
+    assert own["starts"]["1"]["train"] == content["starts"]["1"]["train"]
+    assert own["starts"]["1"]["validation"] != content["starts"]["1"]["validation"]
+
+
+def test_stages_give_each_device_of_a_fleet_as_many_scenarios():
+    for count, stages in ((1, (16, 64)), (3, (15, 66)), (16, (16, 64)), (64, (16, 64)), (100, (16, 100))):
+        names = [{"name": f"d{k}", "base": "testbed"} for k in range(count)]
+        recipe = Recipe("eq6-tuned", fleet=names)
+        assert tuple(scenarios for scenarios, _ in recipe.generations) == stages
+        assert recipe.population == 16  # whole blocks of 8
+        short = recipe.within(20_000)
+        assert tuple(scenarios for scenarios, _ in short.generations) == stages
+        assert 20_000 - 2 * 16 * 16 < short.episodes <= 20_000
+
+
+def test_what_is_tuned_over_a_shipped_fleet_can_be_put_into_the_package(tmp_path, monkeypatch):
+    shipped = [load_profile(name) for name in TWO]
+    monkeypatch.setattr(fleets, "fleet_names", lambda: ("ours",))
+    monkeypatch.setattr(fleets, "_shipped", lambda name: tuple(shipped))
+    with pytest.raises(AmulettError, match="not over a fleet of 1 device of your own"):
+        tuning.check_shippable(replace(OVER, fleet=TWO[1:], suite="mixed"))
+    with pytest.raises(AmulettError, match="for the suite mixed only"):
+        tuning.check_shippable(replace(OVER, seeds=(1,)))
+    recipe = replace(OVER, suite="mixed")
+    assert recipe.fleet == "ours"
+    monkeypatch.setattr(tuning.resources, "files", lambda package: tmp_path)
+    path = tuning.ship(recipe, {"a": 1})
+    assert path == tmp_path / "laws" / "tuned" / "ours" / "eq6-tuned-mixed.json"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"profile": "testbed", "fleet": TWO}, "profile and fleet are both given"),
+        ({"profile": None, "choose_fleet": TWO}, "give fleet, too"),
+        ({"profile": None, "fleet": TWO, "law": "gains"}, "gains are tuned for one device"),
+        ({"profile": None, "fleet": []}, "at least one profile"),
+        ({"profile": None, "fleet": "plausibel"}, "unknown fleet 'plausibel'"),
+    ],
+)
+def test_wrong_fleets_are_refused(wrong, message):
+    with pytest.raises(AmulettError, match=message):
+        replace(SMALL, **wrong)

@@ -1,5 +1,7 @@
 """Many laws in many scenarios at once: what an episode costs there is what it costs in the environment."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -117,3 +119,64 @@ def test_the_full_control_cost_is_that_of_the_environment(control):
     run = play(protocol, env, load_policy("constant:7", env))
     assert costs.tolist() == run.values["control_cost"].tolist()
     assert 0.0 < run.values["failed"].sum() < 6.0
+
+
+FLEET = tuple(load_profile(name) for name in ("testbed", "simulation"))
+
+
+@pytest.mark.parametrize("control", ["decentralized", "co-rotation"])
+def test_each_device_of_a_fleet_costs_what_it_does_alone(control):
+    fleet = Trials(replace(PROTOCOL, suite="mixed", episodes=5), control, fleet=FLEET)
+    assert fleet.which.tolist() == [0, 1, 0, 1, 0]
+    chosen = np.array([4, 1, 0, 3, 1, 2, 4, 4, 0, 2, 0, 3, 2, 4])  # more than a block of the first device
+    tensions = np.linspace(5.0, 14.0, chosen.size)
+    costs = fleet.play(chosen, held(tensions, fleet.tension_range))
+    control_costs = fleet.control_costs(chosen, held(tensions, fleet.tension_range))
+    for index, profile in enumerate(FLEET):
+        alone = Trials(replace(PROTOCOL, profile=profile, suite="mixed", episodes=5), control)
+        own = fleet.which[chosen] == index
+        choose = held(tensions[own], alone.tension_range)
+        assert (alone.play(chosen[own], choose) == costs[:, own]).all()
+        assert (alone.control_costs(chosen[own], choose) == control_costs[own]).all()
+        for name in alone.rows.dtype.names:
+            assert alone.rows[name][fleet.which == index].tobytes() == fleet.rows[name][fleet.which == index].tobytes()
+
+
+def test_crossed_devices_of_a_fleet_play_all_scenarios():
+    fleet = Trials(PROTOCOL, fleet=FLEET, crossed=True)
+    assert fleet.which.tolist() == [0, 0, 0, 1, 1, 1]
+    costs = fleet.play(np.arange(6), held([7.0] * 6))
+    for index, profile in enumerate(FLEET):
+        alone = Trials(replace(PROTOCOL, profile=profile)).play(np.arange(3), held([7.0] * 3))
+        assert (costs[:, fleet.which == index] == alone).all()
+
+
+def test_a_law_sees_the_observations_of_its_own_episode():
+    fleet, seen = Trials(PROTOCOL, fleet=FLEET, crossed=True), []
+    chosen = np.array([5, 0, 3, 2])
+
+    def choose(step, observations):
+        seen.append(observations.copy())
+        return np.full(len(observations), 0.1 * step / fleet.steps, dtype=np.float32)
+
+    fleet.play(chosen, choose)
+    together, alone = np.array(seen), []
+    for scenario in chosen:
+        seen.clear()
+        fleet.play(np.array([scenario]), choose)
+        alone.append(np.array(seen)[:, 0])
+    assert (np.stack(alone, axis=1) == together).all()
+
+
+def test_the_digest_names_the_fleet_and_how_it_is_dealt():
+    trials = [
+        Trials(PROTOCOL),
+        Trials(PROTOCOL, fleet=FLEET[:1]),
+        Trials(PROTOCOL, fleet=FLEET),
+        Trials(PROTOCOL, fleet=FLEET[::-1]),
+        Trials(PROTOCOL, fleet=FLEET, crossed=True),
+    ]
+    assert len({each.digest() for each in trials}) == 5
+    assert trials[2].digest() == Trials(PROTOCOL, fleet=FLEET).digest()
+    balanced = trials[2].balanced(2)
+    assert balanced.which.size == 2 and trials[2].redrawn(2).which.tolist() == [0, 0, 1, 1, 0, 0]
