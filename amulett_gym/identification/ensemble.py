@@ -25,8 +25,9 @@ def ensemble(
     walkers: int,
     steps: int,
     parameters: tuple[Free, ...] = PARAMETERS,
+    last: bool = False,
 ) -> list[dict[str, float]]:
-    """Return equally good parameter sets: all places of a random walk of many walkers below a limit of the cost.
+    """Return equally good parameter sets: the places of a random walk of many walkers below a limit of the cost.
 
     Each walker moves along the line through another one (the affine-invariant "stretch move" of Goodman and Weare,
     2010); a move is accepted if the cost stays within the limit. The list is empty if no candidate is within it.
@@ -41,6 +42,9 @@ def ensemble(
         Largest number of walkers; moves that each tries.
     parameters : tuple of Free
         What is searched.
+    last : bool
+        Whether only the last place of each walker is returned: nearly independent draws, uniform below the limit, if
+        they make enough moves. Else all places that they reached.
     """
     rng = np.random.default_rng(seed)
     within = [vector for vector in candidates[rng.permutation(len(candidates))] if cost(vector) <= limit]
@@ -56,7 +60,7 @@ def ensemble(
             if accept and ((moved >= 0.0) & (moved <= 1.0)).all() and cost(moved) <= limit:
                 places[k] = moved
                 members.append(moved)
-    return [unpack(vector, parameters) for vector in members]
+    return [unpack(vector, parameters) for vector in (places if last else members)]
 
 
 def spread(members: Sequence[Mapping[str, float]]) -> dict[str, tuple[float, float, bool]]:

@@ -2,6 +2,7 @@
 
 R_2 is not among them. The equations stay the same when R_1, R_2, all lengths of the spring and J are scaled together at
 the same forces, so that no recorded motion or force determines it; it is fixed, and the others are identified for it.
+A sample of devices draws it, and what else no table sees, from ranges: `UNSEEN`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ JOINT_PULLEY_RADIUS = 0.04
 """R_2 [m]; see above."""
 
 MASS_ARM = 0.13
-"""Lever arm of the one mass that stands for the arm [m]; motions depend on J alone."""
+"""Lever arm of the one mass that stands for the arm [m]; motions in the horizontal plane depend on J alone."""
 
 SWITCH_FILTER = 0.03
 """Time constant of the testbed's low-pass over the difference of both springs' readings [s]; not identified."""
@@ -112,6 +113,9 @@ PARAMETERS = (
 )
 """Parameters that the paper does not print and data might determine."""
 
+LOOP = ("testbed.position_filter", "testbed.tension_filter", "testbed.force_filter", "testbed.control_period")
+"""Those of `PARAMETERS` that are choices of the testbed's loop, known to the owner who programs it; not physics."""
+
 SPRING_ENDS = ("held", "continued", "hard-stop", "stall")
 """What may end the spring's curve: `Spring.beyond`; ``stall``: the law continued, with drives that stall."""
 
@@ -130,9 +134,44 @@ OWN = {
 """The parameter that an end of the spring's curve has of its own, by `SPRING_ENDS`."""
 
 
-def searched(spring_end: str = "held") -> tuple[Free, ...]:
-    """Return the parameters to search with an end of the spring's curve: `PARAMETERS`, and its own."""
-    return (*PARAMETERS, OWN[spring_end]) if spring_end in OWN else PARAMETERS
+UNSEEN = (
+    Free(
+        "joint_pulley_radius",
+        0.03,
+        0.05,
+        "m",
+        "R_2: half the breadth of a small elbow (56 mm), to that of a wide one (78 mm) within a cuff of 1 cm; the "
+        "other lengths, J and the torques go with it, so that strings and motions stay the same",
+    ),
+    Free(
+        "mass_arm",
+        0.12,
+        0.18,
+        "m",
+        "lever arm of the mass that stands for the arm, at the same J: a uniform beam of 0.2 to 0.3 m has the weight's "
+        "torque and J of one mass at 0.62 of its length; no forearm of the tables swings vertically",
+    ),
+    Free("encoder_noise", 0.01, 0.06, "deg", "half a bit, to the AS5048's worst case without averaging (datasheet)"),
+    Free(
+        "potentiometer_travel",
+        0.015,
+        0.03,
+        "m",
+        "short slide potentiometers have 15, 20 or 30 mm (Bourns PTA); 10 bits of it are the resolution",
+        choices=(0.015, 0.02, 0.03),
+    ),
+    Free("command_limit", 360.0, 1080.0, "deg", "one to three turns of the string's drum; 300 deg move the joint"),
+)
+"""What a sample of devices draws, since no table or hardly one sees it; without them they are the shipped profiles'."""
+
+
+def searched(spring_end: str = "held", loop: bool = True) -> tuple[Free, ...]:
+    """Return the parameters to search with an end of the spring's curve: `PARAMETERS`, and its own.
+
+    Without `loop` the testbed's loop is that of its profile: `LOOP` is not searched.
+    """
+    free = tuple(item for item in PARAMETERS if loop or item.name not in LOOP)
+    return (*free, OWN[spring_end]) if spring_end in OWN else free
 
 
 def unpack(vector: Values, free: tuple[Free, ...] = PARAMETERS) -> dict[str, float]:
@@ -157,7 +196,7 @@ def pack(parameters: Mapping[str, float]) -> Values:
 
 def of(parameters: Mapping[str, float]) -> tuple[Free, ...]:
     """Return what was searched for a set of named parameters."""
-    return (*PARAMETERS, *(free for free in OWN.values() if free.name in parameters))
+    return tuple(free for free in (*PARAMETERS, *OWN.values()) if free.name in parameters)
 
 
 def _between_bounds(vector: Values, free: tuple[Free, ...]) -> dict[str, float]:
@@ -166,7 +205,17 @@ def _between_bounds(vector: Values, free: tuple[Free, ...]) -> dict[str, float]:
 
 def _least_lag(parameters: Mapping[str, float]) -> float:
     """Return the shortest lag of the testbed's drives [s] that its integration steps resolve."""
-    return parameters["testbed.control_period"] / load_profile("testbed").loop.substeps / STABLE_STEP
+    loop = load_profile("testbed").loop
+    return parameters.get("testbed.control_period", loop.control_period) / loop.substeps / STABLE_STEP
+
+
+def resized(parameters: Mapping[str, float], joint_pulley_radius: float) -> dict[str, float]:
+    """Return the set of parameters by which a device with another R_2 [m] has the same strings and motions."""
+    factor = joint_pulley_radius / JOINT_PULLEY_RADIUS
+    longer = ("inertia", "max_deflection", "testbed.slider_noise", "stall_torque")
+    scale = dict.fromkeys(longer, factor) | {"stop_stiffness": 1.0 / factor}
+    found = {name: value * scale.get(name, 1.0) for name, value in parameters.items()}
+    return {**found, "joint_pulley_radius": joint_pulley_radius}
 
 
 def spring_end_changes(spring_end: str, **own: float) -> dict[str, dict[str, Any]]:
@@ -180,17 +229,19 @@ def spring_end_changes(spring_end: str, **own: float) -> dict[str, dict[str, Any
 def profile_changes(parameters: Mapping[str, float], spring_end: str = "held") -> dict[str, dict[str, Any]]:
     """Return the changes of each device's profile by a set of parameters, in the profile's own keys.
 
+    A set without `LOOP` leaves the testbed's loop and force filter as they are; those of `UNSEEN` that it lacks, too.
     Numbers have five significant digits, in the search too, so that a written profile is the one that was found.
     """
     p = parameters
     deflection, force = p["max_deflection"], p["max_force"]
     half_width = p["width_ratio"] * deflection
     free_length = p["length_ratio"] * half_width
+    radius, arm = p.get("joint_pulley_radius", JOINT_PULLEY_RADIUS), p.get("mass_arm", MASS_ARM)
     shared = {
         "plant": {
-            "masses": [{"mass": _digits(p["inertia"] / inertia([1.0], [MASS_ARM])), "arm": MASS_ARM}],
-            "drive_pulley_radius": _digits(p["radius_ratio"] * JOINT_PULLEY_RADIUS),
-            "joint_pulley_radius": JOINT_PULLEY_RADIUS,
+            "masses": [{"mass": _digits(p["inertia"] / inertia([1.0], [arm])), "arm": arm}],
+            "drive_pulley_radius": _digits(p["radius_ratio"] * radius),
+            "joint_pulley_radius": radius,
         },
         "spring": {
             "stiffness": _digits(force / (2 * deflection * (1 - free_length / math.hypot(half_width, deflection)))),
@@ -202,31 +253,48 @@ def profile_changes(parameters: Mapping[str, float], spring_end: str = "held") -
     if spring_end != "held":
         own = {free.name: _digits(p[free.name]) for free in OWN.values() if free.name in p}
         shared = merge(shared, spring_end_changes(spring_end, **own))
-    changes: dict[str, dict[str, Any]] = {}
-    for device in ("simulation", "testbed"):
-        position = {"derivative_filter": _digits(p[f"{device}.position_filter"])}
-        tension = {"derivative_filter": _digits(p[f"{device}.tension_filter"])}
-        changes[device] = {
-            **shared,
-            "sensors": {"force_filter": _digits(p[f"{device}.force_filter"])},
-            "loop": {"position": position, "position_only": position, "tension": tension},
-        }
-    testbed = changes["testbed"]
+    noise = _digits(p["testbed.slider_noise"])
+    loop = _loop(p, noise) if "testbed.control_period" in p else {"sensors": {}}
+    testbed = {**shared, **loop}
+    testbed["sensors"]["potentiometer_noise"] = noise
     testbed["drives"] = testbed.get("drives", {}) | {
         "lag": _digits(p["testbed.lag"]),
         "rate_limit_deg": _digits(p["testbed.rate_limit"]),
     }
-    noise, period = _digits(p["testbed.slider_noise"]), p["testbed.control_period"]
+    for name, (group, key) in _UNSEEN_KEYS.items():
+        if name in p:
+            testbed[group][key] = p[name]
+    return {"simulation": {**shared, **_filters("simulation", p)}, "testbed": testbed}
+
+
+_UNSEEN_KEYS = {
+    "encoder_noise": ("sensors", "encoder_noise_deg"),
+    "potentiometer_travel": ("sensors", "potentiometer_travel"),
+    "command_limit": ("drives", "command_limit_deg"),
+}
+
+
+def _filters(device: str, p: Mapping[str, float]) -> dict[str, Any]:
+    position = {"derivative_filter": _digits(p[f"{device}.position_filter"])}
+    tension = {"derivative_filter": _digits(p[f"{device}.tension_filter"])}
+    return {
+        "sensors": {"force_filter": _digits(p[f"{device}.force_filter"])},
+        "loop": {"position": position, "position_only": position, "tension": tension},
+    }
+
+
+def _loop(p: Mapping[str, float], noise: float) -> dict[str, Any]:
+    """Return the changes of the testbed's loop; `noise` is that of its potentiometers [m]."""
+    period = p["testbed.control_period"]
     weight = period / (SWITCH_FILTER + period)
     difference = noise * math.sqrt(2.0 * weight / (2.0 - weight))  # standard deviation, after the low-pass
-    testbed["sensors"]["potentiometer_noise"] = noise
-    testbed["loop"] |= {
+    own = {
         "control_period": period,
         "switch_filter": SWITCH_FILTER,
         "switch_hysteresis": _digits(CERTAIN * difference),
         "tie_width": _digits(difference),
     }
-    return changes
+    return merge(_filters("testbed", p), {"loop": own})
 
 
 def devices(parameters: Mapping[str, float], spring_end: str = "held") -> dict[str, Profile]:

@@ -132,9 +132,12 @@ def cost(residuals: Sequence[float], weights: Sequence[float] | None = None) -> 
     return float(np.dot(costs, np.ones_like(squares) if weights is None else weights))
 
 
-def objective(readings: Readings, without: str | None = None) -> Cost:
-    """Return the cost as a function of the search vector; `without` leaves out one configuration, on both devices."""
-    free = searched(readings.spring_end)
+def objective(readings: Readings, without: str | None = None, loop: bool = True) -> Cost:
+    """Return the cost as a function of the search vector.
+
+    `without` leaves out one configuration, on both devices; without `loop` the testbed's loop is that of its profile.
+    """
+    free = searched(readings.spring_end, loop)
 
     def value(vector: Values) -> float:
         worst = cost([OUT_OF_REACH] * len(TABLES_2_TO_5))
@@ -208,14 +211,14 @@ def study(
     """
     folder = Path(folder)
     if not overwrite:
-        _refuse_other_recipe(folder / "recipe.json", recipe)
+        refuse_other_recipe(folder / "recipe.json", recipe)
     write_json(folder / "recipe.json", asdict(recipe))
     write_provenance(folder, "identify", asdict(recipe), recipe.seeds, command)
     size = {"population": recipe.population, "generations": recipe.generations}
     stages: dict[str, Any] = {}
 
     def run(calls: Mapping[str, Mapping[str, Any]]) -> None:
-        for name, result in _run_stages(folder / "stages", calls, readings, processes):
+        for name, result in run_stages(folder / "stages", calls, readings, processes):
             stages[name] = result
             report(name, result)
 
@@ -321,10 +324,27 @@ def profile_text(device: str, content: Mapping[str, Any]) -> str:
     return head + to_yaml(profile, width=120)
 
 
-def _run_stages(
-    folder: Path, calls: Mapping[str, Mapping[str, Any]], readings: Readings, processes: int
+def run_stages(
+    folder: Path,
+    calls: Mapping[str, Mapping[str, Any]],
+    readings: Readings,
+    processes: int,
+    work: Callable[[Mapping[str, Any], Mapping[str, Any]], Any] | None = None,
 ) -> Iterable[tuple[str, Any]]:
-    """Yield each stage's name and result: first those kept in the folder, then the others as they finish."""
+    """Yield each stage's name and result: first those kept in the folder, then the others as they finish.
+
+    Parameters
+    ----------
+    folder : Path
+        Each result is kept in it, with the digest of its call.
+    calls : mapping
+        Name -> plain data that says what to do.
+    readings : Readings
+    processes : int
+        Most processes at a time.
+    work : callable, optional
+        A function of a module: call, readings as a mapping -> plain data. By default a search or a walk.
+    """
     inputs = {name: _inputs(call, readings) for name, call in calls.items()}
     missing = []
     for name in calls:
@@ -333,7 +353,8 @@ def _run_stages(
             missing.append(name)
         else:
             yield name, done
-    for name, result in in_processes(_do_stage, {name: (calls[name], asdict(readings)) for name in missing}, processes):
+    arguments = {name: (calls[name], asdict(readings)) for name in missing}
+    for name, result in in_processes(work or _do_stage, arguments, processes):
         write_kept(folder / f"{name}.json", inputs[name], result)
         yield name, result
 
@@ -343,9 +364,10 @@ def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
     if "members" in call:
         count, least, parameters = most_explained(taken, call["members"])
         return {"cost": least, "explained": count, "parameters": parameters}
-    value, free = objective(taken, call.get("without")), searched(taken.spring_end)
+    loop = call.get("loop", True)
+    value, free = objective(taken, call.get("without"), loop), searched(taken.spring_end, loop)
     if "candidates" in call:
-        sizes = {key: call[key] for key in ("limit", "walkers", "steps")}
+        sizes = {key: call[key] for key in ("limit", "walkers", "steps", "last") if key in call}
         return ensemble(value, call["seed"], np.array(call["candidates"]), **sizes, parameters=free)
     population = call["population"] if isinstance(call["population"], int) else np.array(call["population"])
     if not isinstance(population, int) and population.shape[1] != len(free):
@@ -375,7 +397,8 @@ def _with_own(population: Values, size: int, seed: int) -> Values:
 
 def _inputs(call: Mapping[str, Any], readings: Readings) -> str:
     """Return the digest of everything that a stage's result depends on."""
-    middle = devices(unpack(np.full(len(PARAMETERS), 0.5)))
+    free = searched(loop=call.get("loop", True))
+    middle = devices(unpack(np.full(len(free), 0.5), free))
     return digest(
         {
             "call": call,
@@ -390,7 +413,8 @@ def _inputs(call: Mapping[str, Any], readings: Readings) -> str:
     )
 
 
-def _refuse_other_recipe(path: Path, recipe: Recipe) -> None:
+def refuse_other_recipe(path: Path, recipe: Any) -> None:
+    """Raise an AmulettError if the file `path` holds another recipe, a dataclass, than this one."""
     if path.exists():
         found, asked = read_json(path, "recipe"), json.loads(json.dumps(asdict(recipe)))
         if other := differences(asked, found, "" if isinstance(found, dict) else "the recipe"):
