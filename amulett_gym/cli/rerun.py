@@ -250,6 +250,13 @@ def _reader(pattern: str) -> Callable[[Path], Numbers]:
     return read
 
 
+def _identified(folder: Path) -> Numbers:
+    """Return the content of an identification, or of a sample of devices."""
+    from amulett_gym.studies.paper.sample import CONTENT, RECIPE
+
+    return _reader(CONTENT if (folder / RECIPE).is_file() else "identification.json")(folder)
+
+
 def _measured(folder: Path) -> Numbers:
     """Return the quantities in a folder of `amulett bench`; their values differ from run to run."""
     return {name: dict.fromkeys(content, "measured") for name, content in _reader("bench.json")(folder).items()}
@@ -259,7 +266,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "train": (_train_again, _trained),
     "evaluate": (_evaluate_again, _compared),
     "quickstart": (_command_again, _quickstart),
-    "identify": (_command_again, _reader("identification.json")),
+    "identify": (_command_again, _identified),
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),
     "tune-law": (_tune_law_again, _tuned),
