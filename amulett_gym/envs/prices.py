@@ -63,7 +63,10 @@ def divisors_owner(profile: Profile, suite: str) -> str:
 
 
 def divisors_are(profile: Profile, suite: str) -> Literal["frozen", "measured"]:
-    """Return whether the divisors of a profile in a suite are those frozen with a shipped profile, or measured."""
+    """Return whether the divisors of a profile in a suite are those frozen with a shipped profile, or measured.
+
+    Those of the shipped fleets' devices are measured, too, though not again.
+    """
     return "frozen" if _measured(profile, suite) is None else "measured"
 
 

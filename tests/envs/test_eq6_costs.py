@@ -82,6 +82,17 @@ def test_costs_are_the_mean_metrics_of_eq6_in_training_scenarios():
     assert found.mean.model_dump() == pytest.approx(means, rel=6e-4)  # 4 digits
 
 
+@pytest.mark.parametrize("suite", ["reach", "mixed"])
+def test_costs_of_a_shipped_fleets_device_are_read_not_measured(suite, count, fresh, monkeypatch):
+    profile = load_profile(MINE)
+    found = measure(profile, suite)
+    content = json.loads(json.dumps({device_digest(profile): {suite: module.compact(found), "steps": None}}))
+    monkeypatch.setattr(module, "_fleet_costs", lambda: content)
+    assert eq6_costs(profile, suite) == found and eq6_costs(profile, "steps") is None and count() == 0
+    assert eq6_costs(profile, "track") is not None and count() == 1  # as of a device that is not shipped
+    assert eq6_costs(load_profile({**MINE, "drives": {"lag": 0.21}}), suite) != found and count() == 2
+
+
 def test_each_family_of_the_mix_has_its_own_costs():
     found = measure(load_profile(MINE), "mixed")
     assert found is not None and list(found.families) == families_of("mixed")

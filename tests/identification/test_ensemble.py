@@ -32,6 +32,18 @@ def test_the_own_parameter_of_an_end_of_the_springs_curve_is_walked_too():
     assert OWN["hard-stop"].low <= low < high <= OWN["hard-stop"].high
 
 
+def test_the_last_places_of_the_walkers_are_spread_over_what_is_as_good():
+    """From walkers close together, as the last generation of a search is."""
+    free = searched(loop=False)
+    begin = 0.5 + 0.02 * np.random.default_rng(0).uniform(-1.0, 1.0, (60, len(free)))
+    found = {"limit": 0.5, "walkers": 60, "steps": 100, "parameters": free}
+    last, every = (ensemble(outside_box, 1, begin, **found, last=only) for only in (True, False))
+    assert len(last) == 60 and all(member in every for member in last)
+    places = np.array([pack(member) for member in last])
+    assert places.shape == (60, len(free)) and np.abs(places - 0.5).max() <= 0.2 + 1e-9
+    assert places.std() == pytest.approx(0.2 / np.sqrt(3.0), rel=0.1)
+
+
 def test_no_walk_begins_where_the_cost_is_too_high():
     assert ensemble(outside_box, 1, np.full((5, len(PARAMETERS)), 0.9), limit=0.5, walkers=5, steps=2) == []
 

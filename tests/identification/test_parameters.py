@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amulett_gym.identification.parameters import (
+    LOOP,
     OWN,
     PARAMETERS,
     SPRING_ENDS,
+    UNSEEN,
     allowed,
     devices,
     of,
@@ -94,6 +96,35 @@ def test_an_end_of_the_springs_curve_has_a_parameter_of_its_own_at_most(end):
             assert (value is None) == (name not in parameters)
             assert value is None or value == pytest.approx(parameters[name], rel=1e-4)
     assert devices(parameters)["testbed"] == devices(unpack(vector[: len(PARAMETERS)]))["testbed"]
+
+
+@pytest.mark.parametrize("end", SPRING_ENDS)
+def test_a_set_without_the_loop_leaves_the_testbeds_loop_as_it_is(end):
+    free = searched(end, loop=False)
+    assert [item.name for item in searched(end) if item not in free] == list(LOOP)
+    vector = np.full(len(free), 0.6)
+    parameters = unpack(vector, free)
+    assert allowed(vector, free) and of(parameters) == free and pack(parameters) == pytest.approx(vector)
+    found, testbed = devices(parameters, end)["testbed"], load_profile("testbed")
+    assert found.loop == testbed.loop
+    names = ("encoder_noise_deg", "potentiometer_travel", "force_filter", "force_floor", "below_floor")
+    assert [getattr(found.sensors, name) for name in names] == [getattr(testbed.sensors, name) for name in names]
+    assert found.drives.command_limit_deg == testbed.drives.command_limit_deg
+    whole = {**unpack(np.full(len(searched(end)), 0.6), searched(end)), **parameters}
+    assert devices(whole, end)["simulation"] == devices(parameters, end)["simulation"]
+
+
+def test_what_no_table_sees_is_in_both_devices_where_they_share_it():
+    parameters = {**unpack(np.full(len(PARAMETERS), 0.5)), **{item.name: item.value(0.9) for item in UNSEEN}}
+    found = devices(parameters)
+    assert found["simulation"].plant == found["testbed"].plant
+    plant, sensors = found["testbed"].plant, found["testbed"].sensors
+    assert plant.joint_pulley_radius == parameters["joint_pulley_radius"]
+    assert plant.masses[0].arm == parameters["mass_arm"]
+    assert inertia([plant.masses[0].mass], [plant.masses[0].arm]) == pytest.approx(parameters["inertia"], rel=1e-4)
+    assert (sensors.encoder_noise_deg, sensors.potentiometer_travel) == (parameters["encoder_noise"], 0.03)
+    assert found["testbed"].drives.command_limit_deg == parameters["command_limit"]
+    assert found["simulation"].sensors.encoder_noise_deg == 0.0
 
 
 def test_names_and_sources_make_no_other_device():

@@ -9,6 +9,7 @@ environments can play it. Stages are kept as in `study`.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib import resources
@@ -151,7 +152,8 @@ def sample(
         own = [profile for name, profile in profiles.items() if name.startswith(f"{begin}-")]
         write_text(folder / f"{fleet}.yaml", _fleet_text(own, command))
     costs = {device_digest(load_profile(profiles[name])): stages[f"device-{name}"]["eq6"] for name in named}
-    write_json(folder / FLEET_COSTS, costs)
+    lines = [f"{json.dumps(digest)}: {json.dumps(own)}" for digest, own in costs.items()]
+    write_text(folder / FLEET_COSTS, "{\n" + ",\n".join(lines) + "\n}\n")
     write_json(folder / CONTENT, content)
     return content
 
