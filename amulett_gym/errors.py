@@ -15,6 +15,10 @@ class AmulettError(ValueError):
     """Wrong input: a configuration, a name, a file or an action that cannot be used."""
 
 
+class OtherLoopWarning(UserWarning):
+    """A policy acts in another control loop, or in one with other settings, than that which it was trained for."""
+
+
 def other_version(what: str, found: int, known: int, remedy: str) -> AmulettError:
     """Return the error for a file (`what`) of a format version other than the `known` one.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.profile import Profile, is_shipped, load_profile, parse_profile
+from amulett_gym.profile import Profile, is_shipped, load_profile, parse_profile, physics
 from amulett_gym.settings import find_config
 from amulett_gym.storage.reading import parse_json, read_text, visible
 from amulett_gym.storage.safe_yaml import parse_yaml
@@ -70,6 +70,45 @@ def in_words(fleet: str | Path | Sequence[Any]) -> str:
 def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
     """Return a fleet as JSON types: shipped profiles by their names, others by their content."""
     return [each.name if is_shipped(each) else each.model_dump(mode="json") for each in fleet]
+
+
+def outside(profile: Profile, fleet: Sequence[Profile]) -> dict[str, str]:
+    """Return which physics of a device is outside the ranges of a fleet's devices.
+
+    Returns
+    -------
+    dict
+        Key of `profile.physics` -> the device's value and the fleet's, such as ``"0.1 (0.02 to 0.05)"``.
+    """
+    known = [physics(each) for each in fleet]
+    found = {}
+    for key, value in physics(profile).items():
+        theirs = [each[key] for each in known if key in each]
+        numbers = [each for each in theirs if _is_number(each)]
+        if _is_number(value) and numbers:
+            low, high = min(numbers), max(numbers)
+            margin = 1e-9 * max(abs(low), abs(high))
+            if not low - margin <= value <= high + margin:
+                found[key] = f"{value:.4g} ({_range(low, high)})"
+        elif value not in theirs:
+            found[key] = _words(value, theirs)
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
+def _words(here: Any, there: list[Any]) -> str:
+    """Return values as ``"hold (clamp or ignore)"``; long ones, such as measured curves, are not shown."""
+    mine, *theirs = ("none" if each is None else str(each) for each in [here, *there])
+    if any(len(each) > 20 for each in [mine, *theirs]):
+        return "of another kind"
+    return f"{mine} ({' or '.join(dict.fromkeys(theirs)) or 'none'})"
 
 
 def _read(fleet: str | Path) -> tuple[Profile, ...]:

@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.gains import Loops
+from amulett_gym.gains import Loops, group_name
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
 from amulett_gym.storage.curve import Curve, is_csv, read_curve
 from amulett_gym.storage.reading import user_path, visible
@@ -325,6 +325,63 @@ class Profile(Group):
         """Return how many groups are equal to those of a shipped profile."""
         other = load_profile(shipped)
         return sum(getattr(self, name) == group for name, group in other if isinstance(group, Sourced))
+
+
+_SENSED = ("force_filter", "force_floor", "below_floor")
+"""Choices of the loop among the keys of `sensors`."""
+
+_UNUSED = {
+    "decentralized": {"position_only", "offset_deg"},
+    "position-only": {"position", "tension", "wiring"},
+    "": {"position", "tension", "position_only", "offset_deg", "wiring"},
+}
+"""Keys of `loop` without effect, by the control loop; "": in any other."""
+
+
+def loop_configuration(profile: Profile, control: str = "decentralized") -> dict[str, Any]:
+    """Return what the owner of a device programs and a policy belongs to, as dotted keys of the profile with values.
+
+    That is the loop (control period, gains, filters, wiring, agonist) with the treatment of the estimated forces,
+    without what has no effect in the control loop `control`, and without `loop.substeps`, a choice of the simulation.
+    """
+    content = profile.model_dump(mode="json", include={"sensors", "loop", "loops"})
+    loop, unused = content["loop"], _UNUSED.get(control, _UNUSED[""]) | {"substeps", "sources"}
+    found: dict[str, Any] = {
+        "sensors": {key: content["sensors"][key] for key in _SENSED},
+        "loop": {key: value for key, value in loop.items() if key not in unused},
+    }
+    if (group := group_name(control)) in content["loops"]:
+        found["loops"] = {group: {key: value for key, value in content["loops"][group].items() if key != "sources"}}
+    return _flat(found)
+
+
+def physics(profile: Profile) -> dict[str, Any]:
+    """Return what a device is, apart from its loop, as dotted keys of the profile with values.
+
+    ``plant.masses`` is replaced by the ``plant.inertia`` [kg m2] and, where gravity does work, ``plant.moment`` [kg m].
+    """
+    groups = {"plant", "spring", "damping", "drives", "sensors"}
+    found = {key: dict(value) for key, value in profile.model_dump(mode="json", include=groups).items()}
+    masses = found["plant"].pop("masses")
+    found["plant"]["inertia"] = sum(item["mass"] * item["arm"] ** 2 for item in masses)
+    if profile.plant.orientation == "vertical":
+        found["plant"]["moment"] = sum(item["mass"] * item["arm"] for item in masses)
+    for key in _SENSED:
+        del found["sensors"][key]
+    if profile.spring.measured_curve is not None:
+        found["spring"]["measured_curve"] = str(found["spring"]["measured_curve"])
+        for key in ("stiffness", "half_width", "free_length"):  # of the geometric model
+            del found["spring"][key]
+    for group in found.values():
+        group.pop("sources")
+    return _flat(found)
+
+
+def _flat(content: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        found |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return found
 
 
 def is_shipped(profile: Profile) -> bool:

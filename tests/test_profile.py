@@ -11,7 +11,7 @@ import yaml
 
 from amulett_gym.envs.prices import divisors
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import load_profile, profile_names
+from amulett_gym.profile import load_profile, loop_configuration, physics, profile_names
 from amulett_gym.settings import SOURCES, Sourced, merge
 from amulett_gym.storage.curve import Curve
 
@@ -184,3 +184,35 @@ def test_profiles_survive_yaml():
 def test_costs_may_be_divided_by_those_of_a_shipped_profile_only():
     with pytest.raises(AmulettError, match=r"divisors_of.*'testbad'.*testbed"):
         load_profile({"base": "testbed", "name": "mine", "divisors_of": "testbad"})
+
+
+def test_a_profile_is_a_loop_configuration_and_physics():
+    testbed = load_profile("testbed")
+    loop, body = loop_configuration(testbed), physics(testbed)
+    assert loop["sensors.below_floor"] == testbed.sensors.below_floor and loop["loop.tension.kp"] > 0
+    assert not loop.keys() & {"loop.substeps", "loop.sources", "loop.offset_deg", "loop.position_only.kp"}
+    assert not set(loop) & set(body) and not [key for key in {**loop, **body} if "sources" in key]
+    assert body["plant.inertia"] == pytest.approx(sum(each.mass * each.arm**2 for each in testbed.plant.masses))
+    content = testbed.model_dump(include={"plant", "spring", "damping", "drives", "sensors"})
+    given = {f"{group}.{key}" for group, values in content.items() for key in values}
+    given -= {key for key in given if key.endswith(".sources")} | {"plant.masses"}
+    assert set(body) | {key for key in loop if key.startswith("sensors.")} == given | {"plant.inertia"}
+
+
+def test_each_control_loop_has_its_own_configuration():
+    testbed = load_profile("testbed")
+    only, other = loop_configuration(testbed, "position-only"), loop_configuration(testbed, "co-rotation")
+    assert "loop.position_only.kp" in only and "loop.tension.kp" not in only
+    assert other["loops.co_rotation.kp"] == testbed.loops.co_rotation.kp
+    assert not [key for key in other if key.startswith(("loop.position", "loop.tension", "loops.cascade"))]
+    assert "loop.control_period" in loop_configuration(testbed, "drives")
+
+
+def test_gravity_and_a_measured_curve_are_physics():
+    curve = "deflection_m,force_N\n" + "\n".join(f"{k / 1000},{k * k}" for k in range(7))
+    own = load_profile(
+        {"base": "testbed", "plant": {"orientation": "vertical"}, "spring": {"measured_curve": curve, "beyond": None}}
+    )
+    found = physics(own)
+    assert found["plant.moment"] == pytest.approx(sum(each.mass * each.arm for each in own.plant.masses))
+    assert "spring.stiffness" not in found and "0.006" in found["spring.measured_curve"]

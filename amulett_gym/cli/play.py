@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.envs.rendering.video import write_video
     from amulett_gym.envs.rendering.window import Renderer
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
-    from amulett_gym.evaluation.runner import Protocol, labels
+    from amulett_gym.evaluation.runner import Protocol, labels, training_remarks
     from amulett_gym.laws.contenders import loops_of
     from amulett_gym.reporting.progress import Progress
 
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.policy))
     contenders = own_contenders(names, protocol.profile, protocol.env_id, arguments.trust_pickle)
     remarks = device_remarks(protocol.profile, names, loops=loops_of(contenders), suite=protocol.suite)
-    remarks += loop_remarks(contenders)
+    remarks += [*training_remarks(contenders, protocol, task=False), *loop_remarks(contenders)]
     print_remarks(remarks)
     task = arguments.suite if arguments.scenario is None else Path(arguments.scenario).stem
     mode = "human" if arguments.video is None else "rgb_array"

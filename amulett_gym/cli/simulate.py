@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
-    from amulett_gym.evaluation.runner import Protocol, labels
+    from amulett_gym.evaluation.runner import Protocol, labels, training_remarks
     from amulett_gym.laws.contenders import loops_of
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.simulation.trajectory import write_csv
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     names = list(dict.fromkeys(arguments.law))
     contenders = own_contenders(names, profile, protocol.env_id, arguments.trust_pickle)
     remarks = device_remarks(profile, names, loops=loops_of(contenders), suite=arguments.suite)
-    remarks += loop_remarks(contenders)
+    remarks += [*training_remarks(contenders, protocol, task=False), *loop_remarks(contenders)]
     print_remarks(remarks)
     with Progress(math.ceil(arguments.duration) * len(contenders), "simulate", "s") as bar:
         played = [record_episode(each, protocol, arguments.scenario, bar.update) for each in contenders]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,7 +21,6 @@ from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.remarks import device_remarks, loop_remarks
-from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -35,7 +34,8 @@ from amulett_gym.laws.contenders import (
     split_loop,
 )
 from amulett_gym.laws.parametric import is_tuned, is_tuned_file
-from amulett_gym.laws.policies import begin_episode, load_policy, own_policy
+from amulett_gym.laws.policies import begin_episode, named_policy, own_policy
+from amulett_gym.laws.training import other_device, other_loop
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, FAMILIES, LOOPS
@@ -302,8 +302,7 @@ def evaluate(
     listed = YARDSTICK in [contender.name for contender in named]
     contenders, remarks = _unique(named if listed else [parse_contender(YARDSTICK), *named])
     label = labels([contender.name for contender in contenders])
-    differences = ((label[contender.name], training_differs(contender, protocol)) for contender in contenders)
-    remarks += [f"{name} {difference}" for name, difference in differences if difference]
+    remarks += training_remarks(contenders, protocol)
     remarks += loop_remarks(replace(contender, name=label[contender.name]) for contender in contenders)
     places = {contender.name: contender.policy_name for contender in contenders}
     remarks += device_remarks(protocol.profile, label, places=places, loops=loops_of(contenders), suite=suite)
@@ -357,33 +356,32 @@ def is_bundle(name: str) -> bool:
     return not known and python_file(name) is None
 
 
-def training_differs(contender: Contender, protocol: Protocol) -> str:
-    """Return how a learned policy's training differs from the protocol, an empty string if it does not."""
+def training_remarks(contenders: Iterable[Contender], protocol: Protocol, task: bool = True) -> list[str]:
+    """Return how learned policies' trainings differ from the protocol, as sentences without a full stop.
+
+    Compared are the device, the loop and, with `task`, the suite.
+    """
+    contenders = list(contenders)
+    label = labels([contender.name for contender in contenders])
+    differences = ((label[each.name], training_differs(each, protocol, task)) for each in contenders)
+    return [f"{name} {difference}" for name, difference in differences if difference]
+
+
+def training_differs(contender: Contender, protocol: Protocol, task: bool = True) -> str:
+    """Return how a learned policy's training differs from the protocol, an empty string if it does not.
+
+    The environments of a tension, `Amulett/Scaling-v0` and `Amulett/Tension-v0`, do not differ: an action means the
+    same in both.
+    """
     if contender.policy_name is None or not is_bundle(contender.policy_name):
         return ""
     trained = read_bundle(contender.policy_name).env
-    places = []
-    try:
-        fleet = trained.keywords.get("fleet")
-        profiles = load_fleet(fleet) if fleet else (load_profile(trained.keywords.get("profile", "testbed")),)
-    except AmulettError:
-        places.append("on a device that this version cannot read")
-    else:
-        profile = profiles[0]
-        if fleet and protocol.profile not in profiles:
-            places.append(f"on a fleet of {len(profiles)} devices without the {protocol.profile.name}")
-        elif not fleet and profile != protocol.profile:
-            other = "another version of the " if profile.name == protocol.profile.name else "the "
-            places.append(f"on {other}{profile.name}, not the {protocol.profile.name}")
-    loop = trained.keywords.get("control", DRIVES if trained.id == DRIVES_ID else CONTROLS[0])
-    for preposition, there, here in (
-        ("in the loop", loop, contender.env_keywords.get("control", CONTROLS[0])),
-        ("for", trained.keywords.get("suite", "steps"), protocol.task),
-        ("in", trained.id, protocol.env_of(contender)),
-    ):
-        if there != here:
-            places.append(f"{preposition} {there}, not {here}")
-    return f"was trained {'; '.join(places)}" if places else ""
+    control = contender.env_keywords.get("control", DRIVES if trained.id == DRIVES_ID else CONTROLS[0])
+    places = [other_device(trained, protocol.profile), *other_loop(trained, [protocol.profile], control)]
+    suite = trained.keywords.get("suite", "steps")
+    if task and suite != protocol.task:
+        places.append(f"for {suite}, not {protocol.task}")
+    return f"was trained {'; '.join(filter(None, places))}" if any(places) else ""
 
 
 def _short(name: str) -> str:
@@ -455,7 +453,7 @@ def load_contender(contender: Contender, env: Any) -> Policy:
     if contender.policy_name is None:
         size = env.unwrapped.episodes.action_size
         return lambda observations: np.zeros((len(observations), size), dtype=np.float32)
-    return load_policy(contender.policy_name, env)
+    return named_policy(contender.policy_name, env)
 
 
 def play_alone(protocol: Protocol, contender: Contender) -> Run:

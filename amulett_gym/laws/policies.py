@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -14,12 +15,13 @@ from amulett_gym import DRIVES_ID
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, OtherLoopWarning
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension, split_loop
 from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, is_tuned_file, tuned_loop, tuned_vector
+from amulett_gym.laws.training import other_loop
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import LOOPS
 
@@ -57,7 +59,20 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     ------
     AmulettError
         If the name is unknown, the bundle is damaged, or the policy cannot act in this environment.
+
+    Warns
+    -----
+    OtherLoopWarning
+        If a bundle was trained in another control loop, or in one with other settings (`laws.training.other_loop`).
     """
+    policy = named_policy(name_or_folder, env)
+    if not callable(name_or_folder):
+        _warn_of_other_loop(str(name_or_folder), env.unwrapped.episodes)
+    return policy
+
+
+def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Policy:
+    """Return a policy as `load_policy` does, without a warning."""
     base = env.unwrapped
     if not hasattr(base, "tension_range"):
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
@@ -73,8 +88,7 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
         raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
-    is_law = name.startswith(CONSTANT) or is_tuned(name) or name in ("eq6-held", "eq6-held-printed")
-    if is_law and base.episodes.action_size > 1:
+    if _is_law(name) and base.episodes.action_size > 1:
         raise AmulettError(
             f"'{name}' chooses a tension and cannot act in {DRIVES_ID}, whose action also has a mean drive angle; "
             "use a policy bundle that was trained there, a function of your own, or another environment"
@@ -88,6 +102,20 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     else:
         act = _from_bundle(read_bundle(bundle_folder(name)), base)
     return _for_one_or_many(act, base.episodes.observation_size)
+
+
+def _warn_of_other_loop(name: str, episodes: Any) -> None:
+    _, law = split_loop(name)
+    if _is_law(law):
+        return
+    differences = other_loop(read_bundle(bundle_folder(law)).env, episodes.profiles, episodes.settings.control)
+    if differences:
+        warnings.warn(f"policy '{name}' was trained {'; '.join(differences)}", OtherLoopWarning, stacklevel=3)
+
+
+def _is_law(name: str) -> bool:
+    """Return whether a name is that of a law that was not trained."""
+    return name.startswith(CONSTANT) or is_tuned(name) or name in ("eq6-held", "eq6-held-printed")
 
 
 def _profile_for(name: str, env: Any) -> Profile:

@@ -52,9 +52,10 @@ def test_a_run_on_a_fleet_is_resumed_and_run_again(tmp_path, monkeypatch, capsys
     assert [load_profile(each).name for each in keywords["fleet"]] == ["testbed", "heavy", "simulation"]
     assert "profile" not in keywords
     bundle = parse_contender(str(tmp_path / "run" / "last"))
-    assert "fleet" not in training_differs(bundle, Protocol(load_profile("simulation"), "reach"))
+    assert "with the simulation" in training_differs(bundle, Protocol(load_profile("simulation"), "reach"))
     other = load_profile({"name": "other", "base": "testbed", "drives": {"lag": 0.1}})
-    assert "on a fleet of 3 devices without the other" in training_differs(bundle, Protocol(other, "reach"))
+    without = "on a fleet of 3 devices without the other, which is outside their ranges in drives.lag 0.1"
+    assert without in training_differs(bundle, Protocol(other, "reach"))
 
 
 def test_a_recipe_has_a_profile_or_a_fleet():

@@ -107,8 +107,7 @@ def test_a_policy_from_elsewhere_is_told_apart(bundle):
     strange = {"base": "testbed", "name": "mine", "loop": {"offset_deg": 25.0}}
     results = evaluate([bundle], suite="reach", profile=strange, episodes=1, duration=0.6, env_id="Amulett/Tension-v0")
     assert results.remarks == [
-        "mine was trained on the testbed, not the mine; for steps, not reach; "
-        "in Amulett/Scaling-v0, not Amulett/Tension-v0",
+        "mine was trained on the testbed, not the mine; for steps, not reach",
         *device_remarks(load_profile(strange)),
     ]
     summary = summarise(results)
