@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Mapping
+from typing import Any
 
 from amulett_gym.cli.options import add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
@@ -12,6 +14,7 @@ HELP = "run the benchmark: train missing policies, compare all on all suites, an
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
   amulett benchmark --config configs/benchmark.yaml --out runs/benchmark
   amulett benchmark --config configs/full_control.yaml --out runs/full-control
+  amulett benchmark --config configs/devices.yaml --processes 2 --out runs/devices
   amulett benchmark --config configs/benchmark.yaml --runs runs/stored --out runs/benchmark --doc docs/benchmark.md
 """
 
@@ -49,6 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.studies.benchmark.stages import run_benchmark
 
     check_least(arguments, processes=1)
+    if arguments.config is not None and (content_of_file := _over_devices(arguments.config)) is not None:
+        return _run_over_devices(arguments, content_of_file)
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:
         description = quick(description)
@@ -80,4 +85,67 @@ def run(arguments: argparse.Namespace) -> int:
     show(f"\n{in_words(found, claims)}\n")
     lost = ", and the scenarios with the largest losses" if found["worst"] else ""
     show(f"Written to {out}: {PAGE}, benchmark.json, tables, figures{lost}.")
+    return 0
+
+
+def _over_devices(path: str) -> Mapping[str, Any] | None:
+    """Return the content of a description of a benchmark over devices; None if it is one on a single device."""
+    from amulett_gym.settings import find_config
+    from amulett_gym.storage.safe_yaml import read_yaml
+
+    content = read_yaml(find_config(path, "benchmark"), "benchmark")
+    return content if "fleets" in content else None
+
+
+def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[str, Any]) -> int:
+    """Run a benchmark over devices as `run` does one on a single device."""
+    from amulett_gym import ENV_IDS
+    from amulett_gym.cli.own_policies import own_contenders
+    from amulett_gym.laws.copies import copy_policies
+    from amulett_gym.reporting.document import check_document
+    from amulett_gym.storage.provenance import machine
+    from amulett_gym.studies.benchmark.description import recipe_folder
+    from amulett_gym.studies.benchmark.devices.claims import check_claims
+    from amulett_gym.studies.benchmark.devices.description import load_fleets, parse_devices_benchmark, quick
+    from amulett_gym.studies.benchmark.devices.report import (
+        MARKS,
+        in_words,
+        judged,
+        write_devices_benchmark,
+        write_document,
+    )
+    from amulett_gym.studies.benchmark.devices.results import content
+    from amulett_gym.studies.benchmark.devices.stages import run_devices_benchmark
+    from amulett_gym.studies.benchmark.page import PAGE
+
+    folder = recipe_folder(arguments.config)
+    description = parse_devices_benchmark(content_of_file, arguments.config)
+    if arguments.quick:
+        description = quick(description, folder)
+    if arguments.doc is not None:
+        check_document(arguments.doc, [MARKS], images=True)
+    device = load_fleets(description, folder)["judge"][0]
+    own = own_contenders(arguments.policies, device, ENV_IDS[0], arguments.trust_pickle, arguments.places)
+    copies = copy_policies(arguments.policies, arguments.places)
+    options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
+    words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
+    show = printer(arguments)
+    evidence = run_devices_benchmark(
+        *(description, out, folder, arguments.runs, own, [*words, "--out", out], copies),
+        say=show,
+        progress=True,
+        processes=arguments.processes,
+    )
+    show("Drawing intervals and figures ...")
+    found = content(evidence, shlex.join(words), machine(), arguments.quick)
+    claims = check_claims(found)
+    figures = write_devices_benchmark(evidence, found, claims, out)
+    if arguments.doc is not None:
+        write_document(found, claims, figures, arguments.doc)
+        show(f"Renewed: {arguments.doc}")
+    if arguments.json:
+        print_json(judged(found, claims))
+        return 0
+    show(f"\n{in_words(found, claims)}\n")
+    show(f"Written to {out}: {PAGE}, benchmark.json, tables, figures.")
     return 0

@@ -89,6 +89,8 @@ def validate(path: str | Path) -> Found:
     from amulett_gym.storage.reading import parse_json, read_text
     from amulett_gym.storage.safe_yaml import parse_yaml
     from amulett_gym.studies.benchmark.description import Benchmark, parse_benchmark
+    from amulett_gym.studies.benchmark.devices.description import DevicesBenchmark, parse_devices_benchmark
+    from amulett_gym.studies.benchmark.devices.stages import check_devices_benchmark
     from amulett_gym.tasks.scenario import Scenario, parse_scenario
 
     path = find_config(path, "file")
@@ -103,6 +105,7 @@ def validate(path: str | Path) -> Found:
         "a device profile": (Profile, parse_profile),
         "a training recipe": (recipes.TrainConfig, _parse_recipe),
         "a benchmark's description": (Benchmark, parse_benchmark),
+        "a description of a benchmark over devices": (DevicesBenchmark, parse_devices_benchmark),
         "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
     content = (parse_json if is_json else parse_yaml)(read_text(path, "file", MAX_BYTES), f"file '{path}'")
@@ -121,6 +124,8 @@ def validate(path: str | Path) -> Found:
         return Found("a search space of `amulett tune`", path.stem, space)
     known = {kind: len(keys & set(model.model_fields)) for kind, (model, _) in kinds.items()}
     kind = max(known, key=lambda kind: known[kind])
+    if "fleets" in keys:
+        kind = "a description of a benchmark over devices"
     if not known[kind] and is_json:
         kind = "a scenario"  # the usual content of JSON files
     elif not known[kind]:
@@ -131,6 +136,8 @@ def validate(path: str | Path) -> Found:
         _check_start(valid)
     elif kind == "a benchmark's description":
         _check_benchmark(valid, path)
+    elif kind == "a description of a benchmark over devices":
+        check_devices_benchmark(valid, path.parent)
     return Found(kind, getattr(valid, "name", path.stem), valid)
 
 

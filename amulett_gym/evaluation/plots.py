@@ -426,39 +426,84 @@ def tracking_figure(columns: Sequence[Tracked], position_margin: float, tension_
 
 @style.styled
 def devices_figure(
-    ratios: Mapping[str, Sequence[float]], devices: Sequence[str], label: Mapping[str, str], text: str
+    ratios: Mapping[str, Sequence[float]],
+    devices: Sequence[str],
+    label: Mapping[str, str],
+    text: str,
+    colour: Mapping[str, str] | None = None,
 ) -> Figure:
     """Draw the cost of contenders on each device of a fleet, divided by that of eq. 6 there; log axis.
 
     Parameters
     ----------
     ratios : dict of str to sequence of float
-        Contender -> ratio on each device. The devices are sorted by the first contender's.
+        Contender -> ratio on each device, NaN where there is none. The devices are sorted by the first contender's.
     devices : sequence of str
         Names, which are shown if there are at most `_NAMED_DEVICES`.
     label : dict of str to str
         Contender -> its name in the legend.
     text : str
         Of the vertical axis.
+    colour : dict of str to str, optional
+        Contender -> its colour; if it is None, those of `colours` are used.
     """
     figure, panel = style.one_panel(4.4)
     order = np.argsort(next(iter(ratios.values())), kind="stable")
-    places, colour = np.arange(len(devices)), colours(list(ratios))
+    places, look_of = np.arange(len(devices)), colours(list(ratios)) if colour is None else colour
     for k, (name, values) in enumerate(ratios.items()):
-        look = {"color": colour[name], "marker": _MARKERS[k % len(_MARKERS)], "label": label[name]}
+        look = {"color": look_of[name], "marker": _MARKERS[k % len(_MARKERS)], "label": label[name]}
         panel.plot(places, np.asarray(values)[order], linewidth=0.6, markersize=4.5, **look)
     panel.axhline(1.0, color=style.BLACK, linestyle=":", linewidth=1.0)
     panel.set_yscale("log")
-    panel.yaxis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
-    panel.yaxis.set_major_formatter(style.PLAIN)
-    panel.yaxis.set_minor_locator(LogLocator(10, [0.1 * k for k in range(1, 10)]))
-    panel.yaxis.set_minor_formatter(FuncFormatter(_between if np.ptp(np.log10(panel.get_ylim())) < 0.9 else _nothing))
+    _log_ticks(panel.yaxis, panel.get_ylim())
     panel.grid(True, axis="y", which="both")
     panel.set(ylabel=text, xlabel=f"device, sorted by {label[next(iter(ratios))]}", xlim=(-0.7, len(devices) - 0.3))
     if len(devices) <= _NAMED_DEVICES:
         panel.set_xticks(places, [devices[k] for k in order], rotation=60, ha="right", rotation_mode="anchor")
     style.legend_beside(panel)
     return figure
+
+
+@style.styled
+def ratios_figure(
+    rows: Mapping[str, Mapping[str, Mapping[str, Any]]], label: Mapping[str, str], colour: Mapping[str, str], text: str
+) -> Figure:
+    """Draw a panel for each row with the estimates of contenders, and their intervals, log axis.
+
+    Parameters
+    ----------
+    rows : dict of str to dict
+        Title of a panel -> contender -> ``{"mean", "low", "high"}``.
+    label, colour : dict of str to str
+        Contender -> its name, in the order of the panels' lines, and its colour.
+    text : str
+        Of the horizontal axis.
+    """
+    figure, panels = style.panel_grid(len(rows), 3, 0.6, 0.55 + 0.2 * len(label), sharex=True, sharey=True)
+    for k, (panel, (title, estimates)) in enumerate(zip(panels, rows.items(), strict=True)):
+        panel.set_title(title)
+        panel.axvline(1.0, color=style.BLACK, linewidth=0.9)
+        for row, name in enumerate(reversed(list(label))):
+            estimate = estimates.get(name, {"mean": None})
+            if estimate["mean"] is not None:
+                look: dict[str, Any] = {"markersize": 5.5, "elinewidth": 1.2, "markeredgewidth": 0}
+                style.draw_dot(panel, estimate, row, colour[name], "o", **look)
+        style.name_rows(panel, list(label.values()))
+        panel.tick_params(axis="y", labelleft=k % 3 == 0)
+        panel.tick_params(axis="x", labelbottom=True)
+    for panel in panels:
+        panel.set_xscale("log")
+        _log_ticks(panel.xaxis, panels[0].get_xlim())
+    figure.supxlabel(text, fontsize=9.0)
+    return figure
+
+
+def _log_ticks(axis: Any, limits: tuple[float, float]) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 of each decade, a short one at all digits."""
+    axis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
+    axis.set_major_formatter(style.PLAIN)
+    axis.set_minor_locator(LogLocator(10, [0.1 * k for k in range(1, 10)]))
+    axis.set_minor_formatter(FuncFormatter(_between if math.log10(limits[1] / limits[0]) < 0.9 else _nothing))
 
 
 def _between(value: float, _: Any) -> str:

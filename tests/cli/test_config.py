@@ -18,6 +18,7 @@ from amulett_gym.profile import Profile, load_profile
 from amulett_gym.storage import reading
 from amulett_gym.storage.safe_yaml import parse_yaml, to_yaml
 from amulett_gym.studies.benchmark.description import Benchmark, Learned
+from amulett_gym.studies.benchmark.devices.description import DevicesBenchmark
 from amulett_gym.tasks.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -201,7 +202,7 @@ def fields(model: type[BaseModel], path: str = ""):
 
 ALL_FIELDS = [
     pytest.param(field, id=f"{model.__name__}.{name}")
-    for model in (Profile, TrainConfig, Scenario, Benchmark, Learned)
+    for model in (Profile, TrainConfig, Scenario, Benchmark, Learned, DevicesBenchmark)
     for name, field in fields(model)
 ]
 

@@ -85,23 +85,23 @@ def _on_held_out(found: Content, best: str) -> list[Claim]:
     text = f"cost at most {COST_SHARE} of eq. 6's (as its text describes it)"
     beside = _beside_references(found, best)
     claims = [
-        _claim(about, text, mine["ratio"][YARDSTICK], _at_most(COST_SHARE), beside),
+        claim_of(about, text, mine["ratio"][YARDSTICK], _at_most(COST_SHARE), beside),
         *(
-            _claim(about, f"lower cost than {name}", mine["ratio"].get(other), _below_one, "ratio of costs")
+            claim_of(about, f"lower cost than {name}", mine["ratio"].get(other), _below_one, "ratio of costs")
             for other, name in (
                 (overall, f"the best constant overall ({overall})"),
                 (TUNED_EQ6, TUNED_EQ6),
                 (TUNED_LAW, TUNED_LAW),
             )
         ),
-        _claim(about, "no more failures than any contender", share, _at_most(fewest), note),
+        claim_of(about, "no more failures than any contender", share, _at_most(fewest), note),
     ]
     for key in ("position_ise", "isav_biceps", "isav_triceps"):
         ratio, text = mine["metrics"][key]["ratio_to_eq6"], f"{METRICS[key].name} below eq. 6's"
-        claims.append(_claim(about, text, ratio, lambda mean, low, high: mean < 1.0, "ratio"))
+        claims.append(claim_of(about, text, ratio, lambda mean, low, high: mean < 1.0, "ratio"))
     if POSITION_ONLY in mine["ratio"]:
         note = "ratio of costs; reported only: position-only has other gains and no tension loop"
-        claims.append(_claim(about, "cost compared with position-only", mine["ratio"][POSITION_ONLY], None, note))
+        claims.append(claim_of(about, "cost compared with position-only", mine["ratio"][POSITION_ONLY], None, note))
     return claims
 
 
@@ -126,13 +126,13 @@ def _on_shares(found: Content, best: str) -> list[Claim]:
         goals["the causal reference"] = None
     about, gap = f"{headline}, held-out", f"the gap between {references['from']}, the best tuned law, and"
     claims = [
-        _claim(about, f"closes at least half of {gap} {name}", _share(goal, best), _at_least_half, _gap(goal, best))
+        claim_of(about, f"closes at least half of {gap} {name}", _share(goal, best), _at_least_half, _gap(goal, best))
         for name, goal in goals.items()
     ]
     foreseen = references["foresight"].get(headline)
     if foreseen is not None:
         text = f"share of {gap} the foresight reference that is closed"
-        claims.append(_claim(about, text, _share(foreseen, best), None, f"{_gap(foreseen, best)}; reported only"))
+        claims.append(claim_of(about, text, _share(foreseen, best), None, f"{_gap(foreseen, best)}; reported only"))
     return claims
 
 
@@ -154,7 +154,7 @@ def _on_shifted(found: Content, best: str) -> list[Claim]:
     results = found["results"].get(f"{headline}/shifted")
     mine = {} if results is None else results[best]["ratio"]
     return [
-        _claim(f"{headline}, shifted", f"lower cost than {name}", mine.get(other), _below_one, "ratio of costs")
+        claim_of(f"{headline}, shifted", f"lower cost than {name}", mine.get(other), _below_one, "ratio of costs")
         for other, name in ((YARDSTICK, "eq. 6"), (overall, f"the best constant overall ({overall})"))
     ]
 
@@ -166,7 +166,7 @@ def _on_paper_step(found: Content, best: str) -> list[Claim]:
         name = METRICS[key].paper_name or METRICS[key].name
         ratio = None if results is None else results[best]["metrics"][key]["ratio_to_eq6"]
         text = f"{name} at most {TRADE} times eq. 6's, or 1 is within the 95 % interval of the ratio"
-        claims.append(_claim(PAPER_STEP, text, ratio, _about_one, "ratio"))
+        claims.append(claim_of(PAPER_STEP, text, ratio, _about_one, "ratio"))
     return claims
 
 
@@ -192,17 +192,19 @@ def _on_full_control(found: Content) -> list[Claim]:
     step, chosen = found["results"].get(f"{PAPER_STEP}/held-out"), found["constants"]["best"].get(PAPER_STEP)
     ratio = None if step is None else step[chosen]["ratio"][YARDSTICK]
     text = f"the best loop with its best constant has at most {BEST_LOOP_SHARE} of eq. 6's full-control cost"
-    claims = [_claim(PAPER_STEP, text, ratio, _at_most(BEST_LOOP_SHARE), f"{chosen}, chosen on train; ratio of costs")]
+    claims = [
+        claim_of(PAPER_STEP, text, ratio, _at_most(BEST_LOOP_SHARE), f"{chosen}, chosen on train; ratio of costs")
+    ]
     claims += _to_paper_gains(found, PAPER_STEP, chosen)
     if step is not None:
         shares = {name: step[name]["ratio_of_commands"] for name in found["constants"]["best_by_loop"][PAPER_STEP]}
         name = min(shares, key=lambda name: shares[name]["mean"])
         note = f"{name}; gains tuned by the full-control cost; reported only"
         text = "the same, by the cost of the track schedule without its tension term"
-        claims.append(_claim(PAPER_STEP, text, shares[name], None, note))
+        claims.append(claim_of(PAPER_STEP, text, shares[name], None, note))
     text = "the best loop's best constant, relative to eq. 6 in the paper's loop"
     ratio = found["results"][f"{headline}/held-out"][overall]["ratio"][YARDSTICK]
-    claims.append(_claim(f"{headline}, held-out", text, ratio, None, f"{overall}; ratio of costs; reported only"))
+    claims.append(claim_of(f"{headline}, held-out", text, ratio, None, f"{overall}; ratio of costs; reported only"))
     claims += _to_paper_gains(found, headline, overall)
     return [*claims, *_on_scheduling(found, overall)]
 
@@ -214,7 +216,7 @@ def _to_paper_gains(found: Content, suite: str, constant: str | None) -> list[Cl
         return []
     note = f"ratio of costs; eq. 6 with the paper's gains costs {papers['cost']:.3g}; reported only"
     return [
-        _claim(f"{suite}, held-out", f"{what}, relative to eq. 6 with the paper's own gains", ratio, None, note)
+        claim_of(f"{suite}, held-out", f"{what}, relative to eq. 6 with the paper's own gains", ratio, None, note)
         for what, ratio in (
             (f"the best loop's best constant ({constant})", papers["ratio"].get(constant)),
             ("eq. 6 with the profile's gains of the paper's loop", papers["ratio"].get(YARDSTICK)),
@@ -235,18 +237,18 @@ def _on_scheduling(found: Content, overall: str) -> list[Claim]:
         counts.append(len(lower))
         note = f"families with an interval below 1: {', '.join(lower) or 'none'}; reported only"
         number = {"mean": float(len(lower)), "low": None, "high": None}
-        claims.append(_claim(about, f"families in which {name} costs less than {overall}", number, None, note))
+        claims.append(claim_of(about, f"families in which {name} costs less than {overall}", number, None, note))
         law = named(loop, TUNED_LAW)
         if law in found["entries"]:
             mine = found["results"][f"{headline}/held-out"][name]["ratio"].get(law)
             text = f"cost of {name} relative to {law}, tuned in that loop"
-            claims.append(_claim(about, text, mine, None, "ratio of costs; reported only"))
+            claims.append(claim_of(about, text, mine, None, "ratio of costs; reported only"))
     if goal is not None:
         text = f"clairvoyant schedules in {loop}, relative to {overall}"
-        claims.append(_claim(about, text, goal["ratio_to_constant"], None, f"{_CLAIRVOYANT}; reported only"))
+        claims.append(claim_of(about, text, goal["ratio_to_constant"], None, f"{_CLAIRVOYANT}; reported only"))
     for key, family in found["families"].items() if goal is not None else ():
         text = f"clairvoyant schedules in {loop}, relative to {overall}: {key}"
-        claims.append(_claim(about, text, family.get("clairvoyant"), None, "ratio of costs; reported only"))
+        claims.append(claim_of(about, text, family.get("clairvoyant"), None, "ratio of costs; reported only"))
     return [_something_learned_or_nothing_to_learn(about, loop, overall, counts, goal), *claims]
 
 
@@ -298,7 +300,7 @@ def _at_most(most: float) -> Judge:
     return lambda mean, low, high: bool(mean <= most)
 
 
-def _claim(about: str, claim: str, number: Number | None, judge: Judge | None, note: str = "") -> Claim:
+def claim_of(about: str, claim: str, number: Number | None, judge: Judge | None, note: str = "") -> Claim:
     """Return a claim judged by a number with its interval; None if there is no number."""
     if number is None or number["mean"] is None:
         return Claim(about, claim, None, None, None, None, note)

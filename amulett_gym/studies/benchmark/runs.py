@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.contenders import split_loop
+from amulett_gym.laws.contenders import bundle_folder, split_loop
+from amulett_gym.laws.copies import policy_digest
 from amulett_gym.learning import advice, load_learning, not_installed
 from amulett_gym.simulation.layout import DRIVES
 from amulett_gym.storage.provenance import differences
@@ -23,7 +24,7 @@ from amulett_gym.storage.reading import read_json, read_text
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.studies.benchmark.description import Benchmark, loop_of, named, profile_of, training_recipe
 
-_CONFIG, _FINISHED, _EVALUATIONS = "config.yaml", "finished.json", "evaluations.csv"
+_CONFIG, _FINISHED, _EVALUATIONS, _START = "config.yaml", "finished.json", "evaluations.csv", "start"
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ def learning_curve(run: TrainingRun) -> NDArray[np.float64]:
 
 
 def _check_recipe(run: TrainingRun) -> None:
-    """Refuse a stored run of another recipe; the interval of checkpoints does not matter.
+    """Refuse a stored run of another recipe; neither the interval of checkpoints nor the place of its start matters.
 
     The file is compared as it is: a key that did not exist when the run was trained does not get today's default.
     """
@@ -177,6 +178,9 @@ def _check_recipe(run: TrainingRun) -> None:
     for tree in (stored, wanted):
         if isinstance(tree.get("env"), dict):
             tree["env"].pop("threads", None)
+    start, copied = wanted["network"]["start"], str(run.folder / _START)
+    if start is not None and policy_digest(copied) == policy_digest(str(bundle_folder(start))) is not None:
+        stored["network"]["start"] = start  # the same policy, even if it was elsewhere
     changed = differences(stored, wanted)
     if changed:
         raise AmulettError(

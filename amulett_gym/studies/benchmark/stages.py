@@ -212,7 +212,7 @@ def run_benchmark(
         _remember(out / DESCRIPTION, description, recipes, found_hashes)
         copies.write(out)
         write_provenance(out, "benchmark", {**chosen, "kept": copies.record}, seeds, command)
-        _remove_leftovers(out)
+        remove_leftovers(out)
         check_runs(required_runs(description, recipes, runs_folder))
         counts = {kind: f"{overlap[kind]:,}" for kind in ("train", "validation", "judged")}
         say(
@@ -513,7 +513,7 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
     return costs
 
 
-def _remove_leftovers(out: Path) -> None:
+def remove_leftovers(out: Path) -> None:
     """Remove half-written files of a process that was killed; the folder has to be locked."""
     for path in out.rglob(".*-????????.*"):
         if path.suffix in (".npz", ".json", ".csv", ".png", ".html") and RUNS not in path.relative_to(out).parts:

@@ -1,0 +1,1 @@
+"""The benchmark over the devices of fleets: trained and tuned on some, judged on others."""
