@@ -19,6 +19,10 @@ MAX_BYTES = 20_000_000
 """Size of the largest file accepted: some thousand profiles."""
 
 
+_MOST_NAMED = 5
+"""Most wrong profiles that an error describes."""
+
+
 def fleet_names() -> tuple[str, ...]:
     """Return the names of the shipped fleets."""
     with resources.as_file(resources.files("amulett_gym") / "fleets") as folder:
@@ -43,7 +47,7 @@ def load_fleet(fleet: str | Path | Sequence[str | Path | Mapping[str, Any] | Pro
         return _read(fleet)
     if not isinstance(fleet, Sequence):
         raise AmulettError(f"fleet is {fleet!r}; it has to be a name, a YAML or JSON file, or a list of profiles")
-    return _checked([_loaded(item, place) for place, item in enumerate(fleet)])
+    return _checked(fleet)
 
 
 def device_of(fleet: Sequence[Profile], name: str) -> Profile:
@@ -136,7 +140,7 @@ def parse_fleet(content: Any, path: Path) -> tuple[Profile, ...]:
     if not isinstance(content, list):
         raise AmulettError(f"{what} has to hold a list of profiles, not {type(content).__name__}")
     try:
-        return _checked([_loaded(item, place, path) for place, item in enumerate(content)])
+        return _checked(content, path)
     except AmulettError as error:
         raise AmulettError(f"{what}: {error}") from error
 
@@ -153,9 +157,19 @@ def _loaded(item: Any, place: int, path: Path | None = None) -> Profile:
         raise AmulettError(f"profile {place}: {error}") from error
 
 
-def _checked(profiles: list[Profile]) -> tuple[Profile, ...]:
-    if not profiles:
+def _checked(items: Sequence[Any], path: Path | None = None) -> tuple[Profile, ...]:
+    """Return the profiles of a list; AmulettError names all that are wrong, up to `_MOST_NAMED`."""
+    if not items:
         raise AmulettError("a fleet needs at least one profile; the list is empty")
+    profiles, wrong = [], []
+    for place, item in enumerate(items):
+        try:
+            profiles.append(_loaded(item, place, path))
+        except AmulettError as error:
+            wrong.append(str(error))
+    if wrong:
+        more = f"; and {len(wrong) - _MOST_NAMED} more" if len(wrong) > _MOST_NAMED else ""
+        raise AmulettError(f"{'; '.join(wrong[:_MOST_NAMED])}{more}")
     name, count = Counter(profile.name for profile in profiles).most_common(1)[0]
     if count > 1:
         raise AmulettError(f"{count} profiles of the fleet have the name '{name}'; their names have to differ")

@@ -47,6 +47,8 @@ def test_a_file_names_files_in_its_folder(tmp_path, monkeypatch):
         ([], "at least one profile"),
         (["testbed", "testbed"], "2 profiles of the fleet have the name 'testbed'"),
         (["testbed", {**HEAVY, "plant": {"masss": 1}}], "profile 1: .*did you mean 'masses'"),
+        (["testbed", "testbad", "testbet"], r"profile 1: unknown profile 'testbad'.*; profile 2: unknown profile"),
+        (["testbad"] * 7, "profile 4: unknown profile 'testbad'.*; and 2 more"),
         (["testbad"], "profile 0: unknown profile 'testbad'.*did you mean 'testbed'"),
         ("plausibel", r"unknown fleet 'plausibel'; choose from .*<file>.yaml"),
         ("missing.yaml", "cannot read fleet 'missing.yaml'"),
