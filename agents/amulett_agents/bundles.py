@@ -24,6 +24,7 @@ from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import MAX_WEIGHT, Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
 from amulett_gym.storage.provenance import git_revision, versions
 
 
@@ -147,11 +148,13 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     history = 1 if stack is None else stack.stacked_obs.n_stack
     view = unwrap_vec_wrapper(env, ActorView)
     seen = FEATURES if view is not None and view.features else ()
+    remembered = MEMORY if view is not None and view.memory is not None else ()
     if view is not None and view.mean_unit != 1.0:
         layers[-1] = tuple(_scaled(values, view.mean_unit) for values in layers[-1])  # type: ignore[assignment]
-    if network.layers[0] != history * (len(names) + len(seen)):
+    size = len(names) + len(seen) + len(remembered)
+    if network.layers[0] != history * size:
         raise AmulettError(
-            f"the policy has {network.layers[0]} inputs, its environment {history} times {len(names) + len(seen)}; of "
+            f"the policy has {network.layers[0]} inputs, its environment {history} times {size}; of "
             "the wrappers that change the observation, a bundle can hold VecFrameStack and our own ActorView"
         )
     return layers, PolicyDescription(
@@ -159,6 +162,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
         observations=list(names),
         observation_scales=dict(scales),
         features=list(seen),
+        memory=list(remembered) or None,
         follow=1.0 if view is None else view.share,
         history=history,
         tension_range=[float(bound) for bound in env.get_attr("tension_range")[0]],
@@ -183,6 +187,7 @@ def start_from(model: PPO, bundle: Bundle) -> None:
         ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
         ("observations of the hidden state (privileged)", mine.is_privileged or not theirs.is_privileged, True),
         ("features", bool(mine.features), bool(theirs.features)),
+        ("memory", bool(mine.memory), bool(theirs.memory)),
         ("history", mine.history, theirs.history),
         ("tension_range", mine.tension_range, theirs.tension_range),
         ("mean_angle_range", mine.mean_angle_range, theirs.mean_angle_range),

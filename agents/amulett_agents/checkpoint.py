@@ -240,6 +240,7 @@ def capture(model: Model) -> tuple[ModelState, Arrays]:
         arrays[f"noise.{name}"] = _array(getattr(model.policy.action_dist, name))
     generator, words, *rest = np.random.get_state()  # noqa: NPY002  (PPO shuffles with it)
     arrays["random.numpy"], arrays["random.torch"] = np.asarray(words), _array(torch.get_rng_state())
+    arrays |= {f"memory.{name}": array.copy() for name, array in _memory_of(model).items()}
     arrays["last.observations"] = np.array(model._last_obs)
     arrays["last.episode_starts"] = np.array(model._last_episode_starts)
     python_version, python_words, gauss = random.getstate()
@@ -300,6 +301,8 @@ def restore(model: Model, checkpoint: Checkpoint) -> None:
         if isinstance(model, SAC):
             _restore_sac(model, state, arrays)
         adapter.set_state(devices)
+        for name, array in _memory_of(model).items():
+            array[...] = arrays[f"memory.{name}"]
         model._last_obs, model._last_episode_starts = observations, starts
         if (stack := unwrap_vec_wrapper(_env(model), VecFrameStack)) is not None:
             stack.stacked_obs.stacked_obs = observations.copy()
@@ -361,6 +364,11 @@ def _optimizers(model: Model) -> dict[str, torch.optim.Optimizer]:
     if model.ent_coef_optimizer is not None:
         optimizers["entropy_optimizer"] = model.ent_coef_optimizer
     return optimizers
+
+
+def _memory_of(model: Model) -> Arrays:
+    view = unwrap_vec_wrapper(_env(model), ActorView)
+    return {} if view is None or view.memory is None else dict(vars(view.memory))
 
 
 def _noise_of(model: Model) -> tuple[str, ...]:

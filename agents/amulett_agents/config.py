@@ -13,9 +13,10 @@ from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.settings import ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
-from amulett_gym.fleet import load_fleet, names_or_contents
+from amulett_gym.fleet import load_fleet, name_or_contents
 from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
+from amulett_gym.simulation.layout import LANES
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
 
 
@@ -28,7 +29,7 @@ class EnvSettings(Group):
 
     id: str = Field(ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field("testbed", description="shipped profile, YAML file or mapping (kept whole)")
-    fleet: list[str | dict[str, Any]] | None = Field(
+    fleet: str | list[str | dict[str, Any]] | None = Field(
         None, description="devices instead of a profile: a name, a file or a list of profiles (kept whole)"
     )
     suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
@@ -78,7 +79,7 @@ class EnvSettings(Group):
     @classmethod
     def _keep_fleet(cls, fleet: Any) -> Any:
         """Return shipped profiles' names and own ones' contents, as of `profile`."""
-        return None if fleet is None else names_or_contents(load_fleet(fleet))
+        return None if fleet is None else name_or_contents(load_fleet(fleet))
 
     @model_validator(mode="after")
     def _check_devices(self) -> EnvSettings:
@@ -201,6 +202,7 @@ class NetworkSettings(Group):
     )
     standard_inputs: bool = Field(True, description="standardise observations, by statistics from before the training")
     features: bool = Field(True, description="also see nonlinear features of the observation (laws.features)")
+    memory: bool = Field(False, description="also see means over the episode so far (laws.memory)")
     activation: Literal["tanh", "relu"] = Field("relu", description="activation of the hidden layers")
     initial_tension: float | None = Field(
         7.0, gt=0, le=1e6, description="initial policy's tension [N]; null: mid-range"
@@ -223,9 +225,23 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
+    fleet: str | list[str | dict[str, Any]] | None = Field(
+        None, description="devices instead of those of training: a name, a file or a list of profiles (kept whole)"
+    )
     every_steps: int = Field(500_000, ge=1, le=10**12, description="steps between two validations [agent steps]")
-    episodes: int = Field(200, ge=1, le=10**5, description="number of scenarios, one device each [1]")
+    episodes: int = Field(
+        200,
+        ge=1,
+        le=10**5,
+        description="number of scenarios, one device each [1]; with a fleet as many on each device, rounded up",
+    )
     seed: int = Field(0, ge=0, lt=2**63, description="seed of the first scenario [1]")
+
+    @field_validator("fleet", mode="before")
+    @classmethod
+    def _keep_fleet(cls, fleet: Any) -> Any:
+        """Return shipped profiles' names and own ones' contents, as of `EnvSettings.fleet`."""
+        return None if fleet is None else name_or_contents(load_fleet(fleet))
 
 
 class TrainConfig(Group):
@@ -245,6 +261,17 @@ class TrainConfig(Group):
     threads: int = Field(1, ge=1, le=256, description="torch's threads [1]")
     checkpoint_seconds: float = Field(10.0, ge=0, le=1e9, description="time between checkpoints [s]; 0: every rollout")
     checkpoint: bool = Field(False, description="also keep last_sb3.zip for Stable-Baselines3 (a pickle)")
+
+    @property
+    def validation_keywords(self) -> dict[str, Any]:
+        """The keywords for `gym.make_vec` of the environment in which policies are compared."""
+        episodes, fleet = self.validation.episodes, self.validation.fleet or self.env.fleet
+        keywords = self.env.keywords() | {"max_episode_steps": self.env.max_episode_steps}
+        if fleet is not None:
+            keywords.pop("profile", None)
+            keywords["fleet"], devices = fleet, LANES * len(load_fleet(fleet))  # a block has one device
+            episodes = math.ceil(episodes / devices) * devices
+        return keywords | {"num_envs": episodes}
 
     @property
     def first_scenario(self) -> int:

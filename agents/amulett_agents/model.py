@@ -53,14 +53,17 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
     env: VecEnv = Staggered(devices, first.constant, steps, progress) if config.staggered else devices
     mean_angle = devices.venv.settings.mean_angle_deg
     unit = config.ppo.mean_exploration if config.algorithm == "ppo" and mean_angle is not None else 1.0
-    env = ActorView(env, (low, high), config.network.features, settings.share, mean_angle, first.gain, unit)
+    network = config.network
+    env = ActorView(env, (low, high), network.features, settings.share, mean_angle, first.gain, unit, network.memory)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)
     inputs = None
-    if config.network.standard_inputs:
-        shown = (low, high) if config.network.features else None
-        inputs = measure_inputs(settings.id, keywords, steps, first, settings.history, shown, progress)
+    if network.standard_inputs:
+        shown = (low, high) if network.features else None
+        inputs = measure_inputs(
+            settings.id, keywords, steps, first, settings.history, shown, progress, memory=network.memory
+        )
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
         start_from(model, read_bundle(_start_folder(config.network.start)))

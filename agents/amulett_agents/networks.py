@@ -16,6 +16,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor, create_mlp
 
 from amulett_agents.config import NetworkSettings
 from amulett_gym.laws.features import with_features
+from amulett_gym.laws.memory import ClockedMemory
 from amulett_gym.reporting.progress import Progress
 
 ACTIVATIONS: dict[str, type[torch.nn.Module]] = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}
@@ -42,6 +43,7 @@ def measure_inputs(
     history: int,
     tension_range: tuple[float, float] | None = None,
     progress: bool = False,
+    memory: bool = False,
 ) -> Inputs:
     """Return the observations' means and deviations under a first policy, over episodes of `steps` agent steps.
 
@@ -62,17 +64,21 @@ def measure_inputs(
         Tensions at action -1 and +1 [N], if features are appended.
     progress : bool
         Show progress on stderr.
+    memory : bool
+        Whether means over the episode are appended.
     """
     env = gym.make_vec(env_id, num_envs=EPISODES, split="train", max_episode_steps=steps, **keywords)
-    seen = [env.reset(seed=SEED)[0]]
-    with Progress(steps - 1, "measuring the inputs", "steps", progress) as bar:
-        for _ in range(steps - 1):
-            seen.append(env.step(first(seen[-1]))[0])
+    remembered = ClockedMemory(env) if memory else None
+    observations, seen = env.reset(seed=SEED)[0], []
+    with Progress(steps, "measuring the inputs", "steps", progress) as bar:
+        for step in range(steps):
+            if step:
+                observations = env.step(first(observations))[0]
+            means = None if remembered is None else remembered.add(observations)
+            seen.append(with_features(observations.astype(np.float64), tension_range, means))
             bar.update()
     env.close()
-    shown = np.concatenate(seen).astype(np.float64)
-    if tension_range is not None:
-        shown = with_features(shown, tension_range)
+    shown = np.concatenate(seen)
     means, deviations = shown.mean(axis=0), np.maximum(shown.std(axis=0), LEAST_DEVIATION)
     return Inputs(np.tile(means, history).astype(np.float32), np.tile(deviations, history).astype(np.float32))
 

@@ -13,6 +13,7 @@ from amulett_agents.networks import AsymmetricPolicy, Inputs, policy_keywords, v
 from amulett_agents.schedules import learning_rate
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
 
 _SAME = {
     *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "clip_range", "target_kl"),
@@ -30,6 +31,7 @@ def make_ppo(config: TrainConfig, env: VecEnv, first: FirstPolicy, inputs: Input
         assert env.observation_space.shape is not None
         shown = env.observation_space.shape[0] // config.env.history
         known = len(OBSERVATIONS) + (len(FEATURES) if config.network.features else 0)
+        known += len(MEMORY) if config.network.memory else 0
         policy = AsymmetricPolicy
         about_policy["visible"] = visible_entries(shown, known, config.env.history)
 

@@ -153,9 +153,10 @@ def _about(path: Path, about: Mapping[str, Any] | None) -> About:
 def _about_of(recipe: Path) -> About:
     config = load_train_config(recipe)
     env = config.env
-    if env.id == DRIVES_ID or config.network.features or env.share < 1.0 or env.history > 1 or env.privileged:
+    sees_more = config.network.features or config.network.memory or env.history > 1 or env.privileged
+    if env.id == DRIVES_ID or env.share < 1.0 or sees_more:
         raise AmulettError(
-            f"'{recipe}' sets network.features, env.follow_time, env.history or env.privileged, or trains in "
-            f"{DRIVES_ID}, which its zip does not hold; use the bundle '{recipe.parent / 'last'}' instead"
+            f"'{recipe}' sets network.features, network.memory, env.follow_time, env.history or env.privileged, or "
+            f"trains in {DRIVES_ID}, which its zip does not hold; use the bundle '{recipe.parent / 'last'}' instead"
         )
     return About(**env.model_dump(include=set(About.model_fields) - {"env_id"}), env_id=env.id)

@@ -26,14 +26,7 @@ def make_validation_env(
     config: TrainConfig, split: str = "validation", tension_law: str = "agent"
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Return the environment in which a run's policies are compared."""
-    return gym.make_vec(
-        config.env.id,
-        num_envs=config.validation.episodes,
-        split=split,
-        tension_law=tension_law,
-        max_episode_steps=config.env.max_episode_steps,
-        **config.env.keywords(),
-    )
+    return gym.make_vec(config.env.id, split=split, tension_law=tension_law, **config.validation_keywords)
 
 
 def evaluate(

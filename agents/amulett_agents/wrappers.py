@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from amulett_agents.adapter import SB3VecEnv
 from amulett_gym.laws.actor import beyond_setpoint, follow
 from amulett_gym.laws.features import FEATURES, with_features
+from amulett_gym.laws.memory import MEMORY, Memory
 from amulett_gym.reporting.progress import Progress
 
 
@@ -65,11 +66,15 @@ class ActorView(VecEnvWrapper):
     mean_unit : float
         Action for the mean drive angle that the learner's action of 1 stands for: with the same exploration noise in
         both of its entries, that of the mean drive angle is smaller.
+    memory : bool
+        Whether means over the episode so far are appended, too.
 
     Attributes
     ----------
     seen : ndarray of float32, shape (num_envs, entries)
         The present observations of the network.
+    memory : Memory or None
+        Of all devices; a run's staggered devices begin with an empty one within their first episodes.
     """
 
     def __init__(
@@ -81,9 +86,11 @@ class ActorView(VecEnvWrapper):
         mean_angle_range: float | None = None,
         setpoint_gain: float | None = None,
         mean_unit: float = 1.0,
+        memory: bool = False,
     ) -> None:
         assert venv.observation_space.shape is not None
-        size = venv.observation_space.shape[0] + (len(FEATURES) if features else 0)
+        self.memory = Memory(venv.num_envs) if memory else None
+        size = venv.observation_space.shape[0] + (len(FEATURES) if features else 0) + (len(MEMORY) if memory else 0)
         shown = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
         bounds = np.array([1.0] if mean_angle_range is None else [1.0 / mean_unit, 1.0], dtype=np.float32)
         super().__init__(venv, shown, gym.spaces.Box(-bounds, bounds))
@@ -93,6 +100,8 @@ class ActorView(VecEnvWrapper):
 
     def reset(self) -> Any:
         """Start an episode with all devices."""
+        if self.memory is not None:
+            self.memory.forget(slice(None))
         self.seen = self._show(self.venv.reset())
         return self.seen
 
@@ -107,16 +116,20 @@ class ActorView(VecEnvWrapper):
     def step_wait(self) -> Any:
         """Take one step with all devices."""
         observations, rewards, dones, infos = self.venv.step_wait()
-        ended = np.flatnonzero(dones).tolist()
-        if ended:
-            last = self._show(np.stack([infos[device]["terminal_observation"] for device in ended]))
+        ended = np.flatnonzero(dones)
+        if ended.size:
+            last = self._show(np.stack([infos[device]["terminal_observation"] for device in ended]), ended)
             for device, seen in zip(ended, last, strict=True):
                 infos[device]["terminal_observation"] = seen
+            if self.memory is not None:
+                self.memory.forget(ended)
         self.seen = self._show(observations)
         return self.seen, rewards, dones, infos
 
-    def _show(self, observations: Any) -> NDArray[np.float32]:
-        return with_features(observations, self.tension_range) if self.features else observations
+    def _show(self, observations: Any, devices: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.float32]:
+        """Return what the network sees of the present observations of some devices, which are remembered."""
+        remembered = None if self.memory is None else self.memory.add(observations, devices)
+        return with_features(observations, self.tension_range if self.features else None, remembered)
 
 
 class ScaledRewards(VecEnvWrapper):

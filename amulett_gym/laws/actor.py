@@ -12,6 +12,7 @@ from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.laws.bundle import Layers, PolicyDescription, forward
 from amulett_gym.laws.features import with_features
 from amulett_gym.laws.history import History
+from amulett_gym.laws.memory import ClockedMemory
 
 TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 _SETPOINT = OBSERVATIONS.index("setpoint")
@@ -19,7 +20,7 @@ _COMMANDS = [OBSERVATIONS.index(f"command_{name}") for name in ("biceps", "trice
 
 
 class Actor:
-    """A network that acts in an environment; with a history, only for all of its devices at once.
+    """A network that acts in an environment; with a history or a memory, only for all of its devices at once.
 
     Observations and actions are scaled by the tension range of `policy`. The clock of `env`, an AMULETT environment
     (single or vector), shows where episodes begin.
@@ -28,6 +29,7 @@ class Actor:
     def __init__(self, layers: Layers, policy: PolicyDescription, env: Any) -> None:
         self._layers, self._policy = layers, policy
         self._range = policy.tension_range[0], policy.tension_range[1]
+        self._memory = ClockedMemory(env) if policy.memory else None
         self._history = History(env, policy.history, policy.size) if policy.history > 1 else None
 
     def __call__(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
@@ -40,8 +42,8 @@ class Actor:
     def inputs(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Return the network's inputs, shape (N, inputs)."""
         found = observations[:, : len(self._policy.observations)].astype(np.float64)
-        if self._policy.features:
-            found = with_features(found, self._range)
+        remembered = None if self._memory is None else self._memory.add(found)
+        found = with_features(found, self._range if self._policy.features else None, remembered)
         return found if self._history is None else self._history.add(found)
 
 

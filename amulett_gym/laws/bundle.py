@@ -37,7 +37,9 @@ from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEG
 from amulett_gym.envs.settings import AgentPeriod, MeanAngle, Steps, TensionList
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError, other_version, unknown
+from amulett_gym.fleet import fleet_names
 from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path, visible
@@ -81,6 +83,9 @@ class PolicyDescription(Group):
     features: list[str] = Field(
         default=[], description="names of the features after an observation's first 13 entries: all, or none"
     )
+    memory: list[str] | None = Field(
+        default=None, description="names of the means over the episode (laws.memory) after the features: all, or none"
+    )
     tension_range: TensionList = Field(
         description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
     )
@@ -115,7 +120,7 @@ class PolicyDescription(Group):
     @property
     def size(self) -> int:
         """Number of the network's inputs for one agent step."""
-        return len(self.observations) + len(self.features)
+        return len(self.observations) + len(self.features) + len(self.memory or ())
 
     @property
     def is_privileged(self) -> bool:
@@ -143,7 +148,11 @@ class TrainingEnv(Group):
         if self.id not in ENV_IDS:
             raise unknown("environment", self.id[:100], ENV_IDS)
         fleet = self.keywords.get("fleet") or []
-        for profile in (self.keywords.get("profile", {}), *(fleet if isinstance(fleet, list) else [fleet])):
+        if not isinstance(fleet, list):
+            if fleet not in fleet_names():
+                raise unknown("fleet", str(fleet)[:100], fleet_names())
+            fleet = []
+        for profile in (self.keywords.get("profile", {}), *fleet):
             if not isinstance(profile, dict) and profile not in profile_names():
                 raise unknown("profile", str(profile)[:100], profile_names())
         return self
@@ -343,6 +352,7 @@ def _check_observations(policy: PolicyDescription, path: Path) -> None:
             (OBSERVATIONS, OBSERVATIONS + PRIVILEGED, OBSERVATIONS + PRIVILEGED + FLEET_PRIVILEGED),
         ),
         ("features", policy.features, (FEATURES, ())),
+        ("memory", policy.memory or (), (MEMORY, ())),
     ):
         if tuple(theirs) not in ours:
             different = ", ".join(sorted(set(theirs) ^ set(ours[0]))) or "their order"

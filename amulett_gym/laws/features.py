@@ -86,11 +86,21 @@ def features(observations: Values, tension_range: tuple[float, float]) -> Values
     return np.stack(list(_columns(observations, tension_range).values()), axis=1)
 
 
-def with_features(observations: Values, tension_range: tuple[float, float]) -> NDArray[Any]:
-    """Return the inputs of a network with features, shape (N, 13 + len(FEATURES) + privileged entries).
+def with_features(
+    observations: Values, tension_range: tuple[float, float] | None, remembered: Values | None = None
+) -> NDArray[Any]:
+    """Return the inputs of a network, shape (N, 13 + features + means + privileged entries), of the observations' type.
 
-    The features follow the observation; privileged entries, if there are any, come last.
+    Parameters
+    ----------
+    observations : ndarray, shape (N, 13) or wider
+    tension_range : (float, float), optional
+        As for `features`; None: there are none.
+    remembered : ndarray, shape (N, means), optional
+        What the policy remembers (`laws.memory`), which follows the features; privileged entries come last.
     """
     known = len(OBSERVATIONS)
-    found = features(observations, tension_range)
-    return np.concatenate([observations[:, :known], found, observations[:, known:]], axis=1)
+    found = [] if tension_range is None else [features(observations, tension_range)]
+    if remembered is not None:
+        found.append(remembered.astype(observations.dtype))
+    return np.concatenate([observations[:, :known], *found, observations[:, known:]], axis=1) if found else observations

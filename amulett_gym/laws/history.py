@@ -37,14 +37,19 @@ class History:
             If the shape is not that of all devices.
         """
         steps, batch = self._episodes.steps(), np.asarray(observations)
-        if batch.shape != (len(steps), self._seen.shape[2]):
-            raise AmulettError(
-                f"the observations have shape {batch.shape}; a policy with a history needs those of all devices of "
-                f"its environment, ({len(steps)}, {self._seen.shape[2]})"
-            )
+        check_all_devices(batch.shape, (len(steps), self._seen.shape[2]), "history")
         self._seen[steps == 0] = 0.0
         passed = steps != self._steps
         self._seen[passed, :-1] = self._seen[passed, 1:]
         self._seen[:, -1] = batch
         self._steps = steps
         return self._seen.reshape(len(steps), -1).copy()
+
+
+def check_all_devices(shape: tuple[int, ...], wanted: tuple[int, ...], kept: str) -> None:
+    """Raise an AmulettError if observations for a policy that has `kept` some are not those of all devices."""
+    if shape != wanted:
+        raise AmulettError(
+            f"the observations have shape {shape}; a policy with a {kept} needs those of all devices of its "
+            f"environment, {wanted}"
+        )

@@ -1,18 +1,27 @@
 """Training on a fleet of devices."""
 
+import contextlib
 import json
 
+import numpy as np
 import pytest
+import torch
 from helpers import SMALL_RECIPE
 
 from amulett_agents.config import load_train_config
+from amulett_agents.model import make_model
 from amulett_agents.run import Run
 from amulett_agents.training import resume, train
+from amulett_agents.validation import make_validation_env
 from amulett_gym.cli import main
+from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED
+from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, training_differs
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
 from amulett_gym.profile import load_profile
 
 HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.4, "arm": 0.13}]}}
@@ -27,7 +36,7 @@ class Died(Exception):
 def test_a_run_on_a_fleet_is_resumed_and_run_again(tmp_path, monkeypatch, capsys):
     path = tmp_path / "fleet.json"
     path.write_text(json.dumps(["testbed", HEAVY, "simulation"]))
-    config = load_train_config(None, [*SMALL, f"env.fleet={path}"])
+    config = load_train_config(None, [*SMALL, "network.memory=true", f"env.fleet={path}", "validation.fleet=[testbed]"])
     train(config, tmp_path / "whole", progress=False)
 
     calls, validate = [], Run._validate
@@ -51,10 +60,11 @@ def test_a_run_on_a_fleet_is_resumed_and_run_again(tmp_path, monkeypatch, capsys
     keywords = read_bundle(tmp_path / "run" / "last").env.keywords
     assert [load_profile(each).name for each in keywords["fleet"]] == ["testbed", "heavy", "simulation"]
     assert "profile" not in keywords
+    assert tuple(read_bundle(tmp_path / "run" / "last").policy.memory) == MEMORY
     bundle = parse_contender(str(tmp_path / "run" / "last"))
     assert "with the simulation" in training_differs(bundle, Protocol(load_profile("simulation"), "reach"))
-    other = load_profile({"name": "other", "base": "testbed", "drives": {"lag": 0.1}})
-    without = "on a fleet of 3 devices without the other, which is outside their ranges in drives.lag 0.1"
+    other = load_profile({"name": "other", "base": "testbed", "drives": {"lag": 0.3}})
+    without = "on a fleet of 3 devices without the other, which is outside their ranges in drives.lag 0.3"
     assert without in training_differs(bundle, Protocol(other, "reach"))
 
 
@@ -66,3 +76,33 @@ def test_a_recipe_has_a_profile_or_a_fleet():
         load_train_config(None, ["env.profile=simulation", "env.fleet=[testbed]"])
     with pytest.raises(AmulettError, match="unknown profile 'testbad'"):
         load_train_config(None, ["env.fleet=[testbad]"])
+
+
+def test_policies_are_compared_on_other_devices_each_as_often():
+    fleets = ["env.fleet=[testbed, simulation]", f"validation.fleet=[testbed, {json.dumps(HEAVY)}, simulation]"]
+    config = load_train_config(None, [*SMALL, *fleets, "validation.episodes=25"])
+    with contextlib.closing(make_validation_env(config)) as env:
+        _, info = env.reset(seed=0)
+    names, counts = np.unique(info["device"], return_counts=True)
+    assert (names.tolist(), counts.tolist()) == (["heavy", "simulation", "testbed"], [16, 16, 16])
+    config = load_train_config(None, [*SMALL, fleets[1], "validation.episodes=24"])
+    assert config.env.keywords()["profile"] == "testbed"
+    assert config.validation_keywords["num_envs"] == 24
+    with pytest.raises(AmulettError, match=r"validation.fleet.*unknown profile 'testbad'"):
+        load_train_config(None, ["validation.fleet=[testbad]"])
+
+
+def test_the_critic_is_given_the_device_and_the_policy_is_not():
+    model = make_model(load_train_config(None, [*SMALL, f"env.fleet=[testbed, {json.dumps(HEAVY)}]"]))
+    env = model.get_env()
+    first = env.reset()
+    end = len(OBSERVATIONS) + len(FEATURES) + len(PRIVILEGED)
+    assert first.shape[1] == end + len(FLEET_PRIVILEGED)
+    inertia = first[:, end + FLEET_PRIVILEGED.index("device_inertia")]
+    assert len(np.unique(inertia)) == 2
+    assert model.policy.mlp_extractor.visible.tolist() == list(range(len(OBSERVATIONS) + len(FEATURES)))
+    changed = torch.as_tensor(first)
+    values, actions = model.policy.predict_values(changed), model.policy.get_distribution(changed).mode()
+    changed[:, end:] += 0.5
+    assert not torch.equal(model.policy.predict_values(changed), values)
+    assert torch.equal(model.policy.get_distribution(changed).mode(), actions)

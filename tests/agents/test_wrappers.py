@@ -37,12 +37,12 @@ def adapter_of(env):
 
 
 def spy(monkeypatch, owner, method):
-    """Return a list of what a method is called with from now on."""
+    """Return a list of the first arguments that a method is called with from now on."""
     calls, original = [], getattr(owner, method)
 
-    def record(argument):
-        calls.append(argument)
-        return original(argument)
+    def record(first, *others):
+        calls.append(first)
+        return original(first, *others)
 
     monkeypatch.setattr(owner, method, record)
     return calls
@@ -55,6 +55,8 @@ def spy(monkeypatch, owner, method):
         ["env.history=3"],
         ["env.history=3", "env.privileged=true"],
         ["ppo.privileged_critic=false", "network.standard_inputs=false"],
+        ["network.memory=true", "env.max_episode_steps=25"],
+        ["network.memory=true", "network.features=false", "env.history=2", "ppo.privileged_critic=false"],
         ["env.follow_time=0", "network.features=false"],
         ["algorithm=sac", "env.history=2", "env.tension_range=[5.0, 9.0]"],
     ],
