@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
 
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.eq6_costs import FLEET_COSTS, compact, device_digest, measure
@@ -344,13 +346,12 @@ def _shipped_value(name: str, readings: Readings) -> float | None:
     return values.get(name)
 
 
-def _rank_correlations(values: np.ndarray[Any, np.dtype[np.float64]]) -> Any:
+def _rank_correlations(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Spearman's correlations of rows of values; 0 where a row is constant."""
-    ranks = np.argsort(np.argsort(values, axis=1, kind="stable"), axis=1).astype(float)
-    ranks[values.min(axis=1) == values.max(axis=1)] = 0.0
+    ranks = rankdata(values, axis=1)
     ranks -= ranks.mean(axis=1, keepdims=True)
     norms = np.maximum(np.sqrt((ranks**2).sum(axis=1)), 1e-12)
-    return ranks @ ranks.T / np.outer(norms, norms)
+    return np.asarray(ranks @ ranks.T / np.outer(norms, norms))
 
 
 def _fleet_text(profiles: Sequence[Mapping[str, Any]], command: Sequence[str]) -> str:

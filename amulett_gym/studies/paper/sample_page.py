@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -62,7 +63,8 @@ def block(content: Mapping[str, Any]) -> str:
     figure = image(
         FIGURE,
         "Left: the devices' parameters within the ranges that were searched or drawn from, on the scale of the search; "
-        "black: the shipped testbed. Right: rank correlations of 0.2 or more between them.",
+        "black: the shipped testbed. Right: rank correlations; inertia, deflection, slider noise and stall torque go "
+        "with the joint pulley's radius.",
         "Parameters of the plausible devices and their rank correlations",
     )
     tables = [table.markdown() for table in _tables(content)]
@@ -78,9 +80,17 @@ def _summary(content: Mapping[str, Any]) -> str:
         f"exceeds the least one, {content['least_cost']:.2f}, by at most {recipe['bound']:g}. The walks gave "
         f"{content['members']} sets. {content['tried']} draws of what no table sees (up to {PASSES} for a set) gave "
         f"{len(content['devices'])} devices. Refused were {refused['range']} draws that left the searched ranges, "
-        f"{refused['cost']} by the bound, and {refused['environment']} with which an environment cannot play."
+        f"{refused['cost']} by the bound, and {refused['environment']} with which an environment cannot play. "
+        f"{_findings(content)}"
         f"\n\nCommand: `{words}`"
     )
+
+
+def _findings(content: Mapping[str, Any]) -> str:
+    """Return what `diagnose` finds in the devices, in the paper's loop and the default tension range."""
+    kinds = Counter(kind for device in content["devices"] for kind in device["findings"])
+    found = ", ".join(f"{kind} ({count} devices)" for kind, count in kinds.most_common())
+    return f"`amulett config validate` finds: {found}." if found else ""
 
 
 def _tables(content: Mapping[str, Any]) -> list[Table]:
@@ -95,8 +105,8 @@ def _spread_table(content: Mapping[str, Any]) -> Table:
             [
                 f"`{item['name']}`",
                 item["unit"],
-                *(f"{value:.3g}" for value in (item["range"][0], item["median"], item["range"][1])),
-                "" if item["shipped"] is None else f"{item['shipped']:.3g}",
+                *map(_digits, (item["range"][0], item["median"], item["range"][1])),
+                "" if item["shipped"] is None else _digits(item["shipped"]),
                 "{:g} to {:g}".format(*item["bounds"]),
                 item["kind"],
                 item["source"],
@@ -114,7 +124,8 @@ def _law_table(content: Mapping[str, Any]) -> Table:
         for begin in FLEETS.values():
             values = [_of(device, key) for device in _devices(content, begin)]
             known = [value for value in values if value is not None]
-            cells.append(f"{np.median(known):.3g} ({min(known):.3g} to {max(known):.3g})" if known else "")
+            shown = map(_digits, (float(np.median(known)), min(known), max(known))) if known else ()
+            cells.append("{} ({} to {})".format(*shown) if known else "")
         rows.append(cells)
     return Table(
         "How different the devices are for a law",
@@ -124,6 +135,12 @@ def _law_table(content: Mapping[str, Any]) -> Table:
         f"best whole number. Eq. 6: training scenarios of `{SUITE}`. Stiffness: of the resting joint, both strings at "
         "this tension.",
     )
+
+
+def _digits(value: float) -> str:
+    """Return a number with three digits, large ones without exponent."""
+    text = f"{value:.3g}"
+    return f"{float(text):.0f}" if "e+" in text else text
 
 
 def _devices(content: Mapping[str, Any], begin: str) -> list[Mapping[str, Any]]:
