@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, shorten, unknown
 from amulett_gym.profile import Profile, is_shipped, load_profile, parse_profile, physics
 from amulett_gym.settings import find_config
 from amulett_gym.storage.reading import parse_json, read_text, visible
@@ -76,6 +76,16 @@ def names_or_contents(fleet: Sequence[Profile]) -> list[str | dict[str, Any]]:
     return [each.name if is_shipped(each) else each.model_dump(mode="json") for each in fleet]
 
 
+def ranges(fleet: Sequence[Profile]) -> dict[str, str]:
+    """Return the physics of a fleet's devices in words, by the key of `profile.physics`.
+
+    That is a range, ``"0.02 to 0.05"``, a number that all have, or the values, ``"clamp or hold"``.
+    """
+    known = [physics(each) for each in fleet]
+    keys = dict.fromkeys(key for each in known for key in each)
+    return {key: _spread([each[key] for each in known if key in each]) for key in keys}
+
+
 def outside(profile: Profile, fleet: Sequence[Profile]) -> dict[str, str]:
     """Return which physics of a device is outside the ranges of a fleet's devices.
 
@@ -89,30 +99,25 @@ def outside(profile: Profile, fleet: Sequence[Profile]) -> dict[str, str]:
     for key, value in physics(profile).items():
         theirs = [each[key] for each in known if key in each]
         numbers = [each for each in theirs if _is_number(each)]
-        if _is_number(value) and numbers:
-            low, high = min(numbers), max(numbers)
-            margin = 1e-9 * max(abs(low), abs(high))
-            if not low - margin <= value <= high + margin:
-                found[key] = f"{value:.4g} ({_range(low, high)})"
-        elif value not in theirs:
-            found[key] = _words(value, theirs)
+        margin = 1e-9 * max(map(abs, numbers), default=0.0)
+        within = bool(numbers) and _is_number(value) and min(numbers) - margin <= value <= max(numbers) + margin
+        if not within and value not in theirs:
+            found[key] = f"{_spread([value])} ({_spread(theirs)})"
     return found
+
+
+def _spread(values: Sequence[Any]) -> str:
+    """Return values in words; long ones, such as measured curves, are not shown."""
+    numbers = [each for each in values if _is_number(each)]
+    words = dict.fromkeys("none" if each is None else shorten(str(each), 20) for each in values if each not in numbers)
+    if numbers:
+        low, high = min(numbers), max(numbers)
+        words = {f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}": None, **words}
+    return " or ".join(words) or "none"
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _range(low: float, high: float) -> str:
-    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-
-
-def _words(here: Any, there: list[Any]) -> str:
-    """Return values as ``"hold (clamp or ignore)"``; long ones, such as measured curves, are not shown."""
-    mine, *theirs = ("none" if each is None else str(each) for each in [here, *there])
-    if any(len(each) > 20 for each in [mine, *theirs]):
-        return "of another kind"
-    return f"{mine} ({' or '.join(dict.fromkeys(theirs)) or 'none'})"
 
 
 def _read(fleet: str | Path) -> tuple[Profile, ...]:

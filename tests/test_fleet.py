@@ -8,7 +8,7 @@ from helpers import device
 
 from amulett_gym import fleet as fleets
 from amulett_gym.errors import AmulettError
-from amulett_gym.fleet import fleet_names, in_words, load_fleet, name_or_contents, names_or_contents, outside
+from amulett_gym.fleet import fleet_names, in_words, load_fleet, name_or_contents, names_or_contents, outside, ranges
 from amulett_gym.profile import load_profile
 
 HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.5, "arm": 0.13}]}}
@@ -88,11 +88,19 @@ def test_physics_outside_the_ranges_of_a_fleet_is_named():
     assert outside(device("testbed", drives={"lag": 0.1}), fleet) == {"drives.lag": "0.1 (0.02 to 0.05)"}
     assert outside(device("testbed", drives={"lag": 0.05, "rate_limit_deg": None}), fleet[:1]) == {
         "drives.lag": "0.05 (0.02)",
-        "drives.rate_limit_deg": f"none ({load_profile('testbed').drives.rate_limit_deg})",
+        "drives.rate_limit_deg": f"none ({load_profile('testbed').drives.rate_limit_deg:.4g})",
     }
     limp = device("testbed", drives={"lag": 0.03}, damping={"keeps": "rate"})
     kept = load_profile("testbed").damping.keeps
     assert outside(limp, fleet) == ({} if kept == "rate" else {"damping.keeps": f"rate ({kept})"})
     curve = "deflection_m,force_N\n" + "\n".join(f"{k / 1000},{k * k}" for k in range(7))
     curved = device("testbed", drives={"lag": 0.03}, spring={"measured_curve": curve})
-    assert outside(curved, fleet)["spring.measured_curve"] == "of another kind"
+    assert outside(curved, fleet)["spring.measured_curve"].endswith("... (none)")
+
+
+def test_ranges_of_a_fleet_in_words():
+    found = ranges(
+        [device("testbed", drives={"lag": lag, "rate_limit_deg": most}) for lag, most in ((1, 9), (2, None))]
+    )
+    assert (found["drives.lag"], found["drives.rate_limit_deg"]) == ("1 to 2", "9 or none")
+    assert found["plant.orientation"] == load_profile("testbed").plant.orientation

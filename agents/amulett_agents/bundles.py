@@ -23,6 +23,7 @@ from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import MAX_WEIGHT, Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.laws.card import model_card
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY
 from amulett_gym.storage.provenance import git_revision, versions
@@ -108,7 +109,8 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     training_env = describe_env(env)
     if not description.is_privileged:
         training_env.keywords.pop("privileged", None)
-    return write_bundle(folder, layers, description, training_env, about)
+    card = model_card(description, training_env, about)
+    return write_bundle(folder, layers, description, training_env, about, card)
 
 
 def _check_spaces(model: BaseAlgorithm, env: VecEnv) -> None:

@@ -17,16 +17,18 @@ if TYPE_CHECKING:
 HELP = "check a device, fleet, recipe, scenario, benchmark or tuning file, a bundle or training run; show all values"
 EXAMPLES = """  amulett config validate configs/my_device.yaml
   amulett config validate configs/ppo.yaml --show
+  amulett config validate pretrained --show
   amulett config validate my_scenario.json --json
 """
 
 
 class Found(NamedTuple):
-    """A file's kind in words, its name, and its resolved content."""
+    """A file's kind in words, its name, its resolved content, and the model card of a policy."""
 
     kind: str
     name: str
     content: BaseModel | Mapping[str, BaseModel]
+    card: str | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,10 +36,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "action", choices=("validate",), help="validate: report the kind of a valid file, or its first errors"
     )
-    parser.add_argument("file", metavar="FILE", help="YAML or JSON file, or the folder of a bundle or a training run")
+    parser.add_argument(
+        "file", metavar="FILE", help="YAML or JSON file, the folder of a bundle or a training run, or pretrained"
+    )
     control = "loop in which a device of your own is diagnosed (default: decentralized, the paper's)"
     parser.add_argument("--control", default="decentralized", metavar="LOOP", help=control)
-    parser.add_argument("--show", action="store_true", help="print every resolved value with its meaning and unit")
+    parser.add_argument(
+        "--show",
+        action="store_true",
+        help="print every resolved value with its meaning and unit, and the model card of a policy",
+    )
     add_json(parser, "kind and resolved values")
 
 
@@ -60,8 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     print_remarks(remarks)
     if arguments.json:
         content = {"kind": found.kind, "name": found.name, "remarks": remarks, "content": found.content}
+        content |= {} if found.card is None else {"card": found.card}
         print(json.dumps(content, indent=2, allow_nan=False, default=_plain))
     elif arguments.show:
+        if found.card is not None:
+            print(found.card)
         print(f"# {found.name}, valid: {found.kind}")
         print("\n".join(show(found.content)))
     else:
@@ -77,10 +88,13 @@ def validate(path: str | Path) -> Found:
     AmulettError
         If the file cannot be read, is of no known kind, or is not valid.
     """
+    from amulett_gym.laws.contenders import PRETRAINED, bundle_folder
     from amulett_gym.settings import find_config
     from amulett_gym.storage.reading import user_path
 
-    path = user_path(path)
+    name, path = str(path), user_path(path)
+    if name in PRETRAINED and not path.exists():
+        path = bundle_folder(name)
     if path.is_dir():
         return _validate_folder(path)
     from amulett_gym.fleet import MAX_BYTES, parse_fleet
@@ -144,11 +158,13 @@ def validate(path: str | Path) -> Found:
 def _validate_folder(path: Path) -> Found:
     """Validate a policy bundle, or a training run: its recipe, the bundle that it starts from, and its best bundle."""
     from amulett_gym.laws.bundle import MANIFEST, read_bundle
+    from amulett_gym.laws.card import card_of
     from amulett_gym.storage.safe_yaml import read_yaml
 
     name, recipe, best, start = path.resolve().name, path / "config.yaml", path / "best", path / "start"
     if (path / MANIFEST).exists():
-        return Found("a policy bundle", name, read_bundle(path).policy)
+        bundle = read_bundle(path)
+        return Found("a policy bundle", name, bundle.policy, card_of(bundle))
     if not recipe.exists():
         raise AmulettError(
             f"'{path}' holds neither a policy bundle ({MANIFEST}) nor a training run (config.yaml, and best/ in it)"
@@ -160,8 +176,7 @@ def _validate_folder(path: Path) -> Found:
         _check_start(config)
     if not best.exists():
         return Found("a training run without a policy yet", name, config)
-    read_bundle(best)
-    return Found("a training run with its best policy", name, config)
+    return Found("a training run with its best policy", name, config, card_of(read_bundle(best)))
 
 
 def _parse_recipe(content: Mapping[str, Any], path: Path) -> Any:

@@ -7,6 +7,7 @@ A bundle is a folder:
 ``policy.json``          the network, the meaning of its observations and of its action
 ``env.json``             the environment that it was trained in: id, keywords, steps of an episode
 ``provenance.json``      where it comes from: command, configuration, versions, seed, scores
+``card.md``              the model card (`laws.card`); bundles of early versions have none
 ``manifest.json``        the SHA-256 of every other file
 =======================  ==============================================================================
 
@@ -47,6 +48,7 @@ from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
+CARD = "card.md"
 MAX_BYTES = 16_000_000
 """Largest file accepted in a bundle; the shipped recipes' networks have 20 kB."""
 
@@ -170,7 +172,8 @@ class Manifest(Group):
 class Bundle:
     """A verified policy bundle.
 
-    `layers` are pairs (weight, bias) of float32, shapes (outputs, inputs) and (outputs,).
+    `layers` are pairs (weight, bias) of float32, shapes (outputs, inputs) and (outputs,). `card` is the model card in
+    Markdown; None: the bundle was written without.
     """
 
     folder: Path
@@ -178,6 +181,7 @@ class Bundle:
     policy: PolicyDescription
     env: TrainingEnv
     provenance: dict[str, Any]
+    card: str | None = None
 
     def act(self, observations: ArrayLike) -> NDArray[np.float32]:
         """Return the network's output, shape (N, outputs): actions in [-1, 1] over the bundle's own ranges.
@@ -240,13 +244,21 @@ def read_bundle(folder: str | Path) -> Bundle:
         policy=policy,
         env=env,
         provenance=_json(contents[PROVENANCE], folder / PROVENANCE),
+        card=_read_card(contents[CARD], folder / CARD) if CARD in contents else None,
     )
 
 
 def write_bundle(
-    folder: str | Path, layers: Layers, policy: PolicyDescription, env: TrainingEnv, provenance: Mapping[str, Any]
+    folder: str | Path,
+    layers: Layers,
+    policy: PolicyDescription,
+    env: TrainingEnv,
+    provenance: Mapping[str, Any],
+    card: str | None = None,
 ) -> Path:
     """Write a policy bundle, completely or not at all, and return its folder; an existing bundle is replaced.
+
+    `card` is its model card (`laws.card.model_card`).
 
     The files are written into a temporary folder next to it and read back; then that folder is renamed.
 
@@ -263,7 +275,7 @@ def write_bundle(
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
             new = Path(temporary) / "new"
             new.mkdir()
-            _write_files(new, layers, policy, env, provenance)
+            _write_files(new, layers, policy, env, provenance, card)
             read_bundle(new)
             _put_in_place(new, folder, Path(temporary) / "old")
     except OSError as error:
@@ -272,7 +284,12 @@ def write_bundle(
 
 
 def _write_files(
-    folder: Path, layers: Layers, policy: PolicyDescription, env: TrainingEnv, provenance: Mapping[str, Any]
+    folder: Path,
+    layers: Layers,
+    policy: PolicyDescription,
+    env: TrainingEnv,
+    provenance: Mapping[str, Any],
+    card: str | None,
 ) -> None:
     tensors = {}
     for k, (weight, bias) in enumerate(layers):
@@ -282,7 +299,10 @@ def _write_files(
     write_json(folder / POLICY, policy.model_dump(exclude_none=True))
     write_json(folder / ENV, env.model_dump())
     write_json(folder / PROVENANCE, dict(provenance))
-    manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in FILES})
+    if card is not None:
+        (folder / CARD).write_bytes(card.encode())
+    names = FILES if card is None else (*FILES, CARD)
+    manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in names})
     write_json(folder / MANIFEST, manifest.model_dump())
 
 
@@ -302,9 +322,9 @@ def _put_in_place(new: Path, folder: Path, old: Path) -> None:
 
 def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     """Return the content of every file of the manifest; refuse changed, missing and unlisted files."""
-    for name in sorted(set(manifest.sha256) ^ set(FILES)):
+    for name in sorted((set(manifest.sha256) ^ set(FILES)) - {CARD}):
         lists = "lists" if name in manifest.sha256 else "does not list"
-        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}")
+        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}, {CARD}")
     try:
         for path in visible(folder):
             if path.name not in manifest.sha256 and path.name != MANIFEST:
@@ -363,6 +383,14 @@ def _check_observations(policy: PolicyDescription, path: Path) -> None:
         found = policy.observation_scales.get(name, math.nan)
         if not math.isclose(found, scale, rel_tol=1e-12):
             raise AmulettError(f"'{path}': the scale of observation '{name}' is {found}; here it has to be {scale}")
+
+
+def _read_card(content: bytes, path: Path) -> str:
+    """Return the text; refuse control characters, which could change a terminal."""
+    text = to_text(content, f"'{path}'")
+    if not text.replace("\n", "").isprintable():
+        raise AmulettError(f"'{path}' holds characters that cannot be printed")
+    return text
 
 
 def _parse(model: type[Any], content: bytes, path: Path) -> Any:

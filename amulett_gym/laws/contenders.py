@@ -28,8 +28,11 @@ from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
 
-PRETRAINED = {"pretrained": "scaling", "pretrained:tension": "tension"}
-"""Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card."""
+_PRETRAINED = "testbed"
+
+PRETRAINED = {"pretrained": _PRETRAINED, "pretrained:tension": _PRETRAINED, "pretrained:testbed": "testbed"}
+"""Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card. A policy acts in
+`Amulett/Scaling-v0` and `Amulett/Tension-v0` alike, so `pretrained:tension` is another name of `pretrained`."""
 
 IN_THE_LOOP: dict[str, dict[str, Any]] = {
     "eq6": {"tension_law": "eq6"},
@@ -44,8 +47,9 @@ _DESCRIPTIONS = {
     "position-only": "position control alone: a fixed co-contraction, no tension loop",
     "eq6-held": "eq. 6 as the text describes it, from outside at agent rate",
     "eq6-held-printed": "eq. 6 exactly as printed, from outside at agent rate",
-    "pretrained": "the best learned policy in the package (PPO on mixed, Amulett/Scaling-v0)",
-    "pretrained:tension": "the best learned policy that was trained in Amulett/Tension-v0",
+    "pretrained": "the best learned policy of the package; its card: amulett config validate pretrained --show",
+    "pretrained:tension": "another name of pretrained",
+    "pretrained:testbed": "the best learned policy that was trained on the shipped testbed alone (PPO on mixed)",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
     "<file.json>": "a tuned law, from `amulett tune-law`",

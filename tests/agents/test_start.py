@@ -92,9 +92,9 @@ def test_it_acts_as_the_bundle_does(given, asked, tmp_path):
 def test_the_causal_reference_starts_as_the_shipped_policy():
     config = load_train_config(CAUSAL, ["num_envs=4", "ppo.batch_size=128", "env.max_episode_steps=30"])
     layers, policy = describe_policy(make_model(config))
-    assert policy.is_privileged and config.network.start == "pretrained"
+    assert policy.is_privileged and config.network.start == "pretrained:testbed"
     weight, known = layers[0][0], len(OBSERVATIONS) + len(FEATURES)
-    shipped = read_bundle(bundle_folder("pretrained")).layers[0][0]
+    shipped = read_bundle(bundle_folder("pretrained:testbed")).layers[0][0]
     np.testing.assert_allclose(weight[:, :known], shipped, rtol=1e-5, atol=1e-6)
     assert weight.shape[1] > known and not weight[:, known:].any()
 

@@ -18,6 +18,7 @@ from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import (
+    CARD,
     FILES,
     MANIFEST,
     Manifest,
@@ -125,6 +126,23 @@ def test_a_flipped_bit_in_any_byte_of_any_file_is_noticed(folder):
                 read_bundle(folder)
         (folder / name).write_bytes(content)
     read_bundle(folder)
+
+
+def test_a_model_card_is_part_of_the_bundle_and_old_bundles_have_none(folder):
+    assert read_bundle(folder).card is None
+    content = random_layers((13, 8, 1)), describe(), ENV, {"seed": 0}
+    write_bundle(folder, *content, "# Card\n")
+    assert read_bundle(folder).card == "# Card\n"
+    (folder / CARD).write_text("# Cart\n")
+    with pytest.raises(AmulettError, match=f"{CARD}' was changed or damaged"):
+        read_bundle(folder)
+    vouch_for(folder)
+    assert read_bundle(folder).card == "# Cart\n"
+    (folder / CARD).unlink()
+    with pytest.raises(AmulettError, match=f"{CARD}.*No such file"):
+        read_bundle(folder)
+    with pytest.raises(AmulettError, match=f"{CARD}' holds characters that cannot be printed"):
+        write_bundle(folder, *content, "# \x1b[2J\n")
 
 
 def test_a_space_that_became_a_tab_in_the_manifest_is_noticed(folder):

@@ -14,33 +14,39 @@ from amulett_gym import ENV_IDS, load_policy
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.laws.bundle import read_bundle
-from amulett_gym.laws.contenders import bundle_folder, contender_names
+from amulett_gym.laws.card import model_card
+from amulett_gym.laws.contenders import PRETRAINED, bundle_folder, contender_names
 
-NAMES = ("pretrained", "pretrained:tension")
-CARD = Path(amulett_gym.__file__).parent / "policies" / "README.md"
+NAMES = ("pretrained", "pretrained:testbed")
+POLICIES = Path(amulett_gym.__file__).parent / "policies"
 
 
-@pytest.mark.parametrize(("name", "env_id"), zip(NAMES, ENV_IDS[:2], strict=True))
-def test_there_is_one_for_each_kind_of_action(name, env_id):
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_a_contender_without_privileges(name):
     bundle = read_bundle(bundle_folder(name))
     assert name in contender_names()
-    assert bundle.env.id == env_id
+    assert bundle.env.id in ENV_IDS[:2]
     assert not bundle.policy.is_privileged
 
 
-def test_both_act_alike_in_both_environments():
+def test_each_name_has_a_folder_and_each_folder_a_name():
+    assert set(PRETRAINED.values()) == {path.name for path in POLICIES.iterdir() if path.is_dir()}
+    assert set(PRETRAINED) <= set(contender_names())
+    assert bundle_folder("pretrained:tension") == bundle_folder("pretrained")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_acts_alike_in_both_environments(name):
     actions = []
-    for name in NAMES:
-        for env_id in ENV_IDS[:2]:
-            env = gym.make_vec(env_id, num_envs=5)
-            observations, _ = env.reset(seed=1)
-            policy = load_policy(name, env)
-            for _ in range(20):
-                chosen = policy(observations)
-                observations, *_ = env.step(chosen)
-            actions.append(chosen)
-    for other in actions[1:]:
-        np.testing.assert_allclose(other, actions[0], rtol=0, atol=1e-5)
+    for env_id in ENV_IDS[:2]:
+        env = gym.make_vec(env_id, num_envs=5)
+        observations, _ = env.reset(seed=1)
+        policy = load_policy(name, env)
+        for _ in range(20):
+            chosen = policy(observations)
+            observations, *_ = env.step(chosen)
+        actions.append(chosen)
+    np.testing.assert_allclose(actions[1], actions[0], rtol=0, atol=1e-5)
 
 
 def test_numpy_computes_what_torch_would():
@@ -73,9 +79,11 @@ def test_they_are_compared_without_torch():
 
 
 def test_it_costs_less_than_what_was_tuned_by_hand():
-    costs = evaluate(["pretrained", "eq6-tuned", "constant:5.5"], suite="mixed", episodes=100, seed=5_000).values
+    costs = evaluate(
+        ["pretrained:testbed", "eq6-tuned", "constant:5.5"], suite="mixed", episodes=100, seed=5_000
+    ).values
     mean = {name: values["cost"].mean() for name, values in costs.items()}
-    assert mean["pretrained"] < min(mean["eq6-tuned"], mean["constant:5.5"]) < mean["eq6"]
+    assert mean["pretrained:testbed"] < min(mean["eq6-tuned"], mean["constant:5.5"]) < mean["eq6"]
 
 
 def test_an_environment_of_another_rate_is_refused_with_the_right_one():
@@ -83,9 +91,9 @@ def test_an_environment_of_another_rate_is_refused_with_the_right_one():
         load_policy("pretrained", gym.make(ENV_IDS[0], agent_period=0.05))
 
 
-def test_their_card_says_where_they_come_from():
-    card = CARD.read_text()
-    for name in NAMES:
-        provenance = read_bundle(bundle_folder(name)).provenance
-        assert f"seed {provenance['seed']}" in card
-        assert f"{provenance['steps']:,} steps" in card
+@pytest.mark.parametrize("name", NAMES)
+def test_its_card_says_what_its_bundle_says_and_more_limits(name):
+    bundle = read_bundle(bundle_folder(name))
+    generated = model_card(bundle.policy, bundle.env, bundle.provenance)
+    assert bundle.card.startswith(generated.rstrip()) and len(bundle.card) > len(generated)
+    assert f"{bundle.provenance['steps']:,} agent steps, seed {bundle.provenance['seed']}" in bundle.card
