@@ -25,7 +25,7 @@ HELP = "tune a law or a loop's gains for a device or a fleet; the same command c
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
   amulett tune-law constant --suite reach --out runs/constant
   amulett tune-law parametric --suite mixed --budget 20000 --seeds 1 --out runs/short
-  amulett tune-law parametric --fleet my_fleet.yaml --out runs/over-a-fleet
+  amulett tune-law parametric --fleet plausible --choose-fleet plausible-choose --out runs/over-a-fleet
   amulett tune-law gains --control co-rotation --profile configs/my_device.yaml --out runs/gains
   amulett tune-law gains --control all --budget 100000 --out runs/gains-of-all-loops
 """
