@@ -32,6 +32,10 @@ SPECIALIST, ADAPTED = "specialist", "adapted"
 QUICK_DEVICES, QUICK_EPISODES, QUICK_BUDGET, QUICK_SECONDS = (4, 2, 4), 6, 15_000, 3.0
 
 
+LEAST_BUDGET = 30_000
+"""Least number of simulated episodes of a tuning if the description names none: a law's search needs some rounds."""
+
+
 class Fleets(Group):
     """The devices, of which none is in two of the fleets."""
 
@@ -75,7 +79,7 @@ class DevicesBenchmark(Group):
         default=None,
         ge=1,
         le=10**9,
-        description="simulated episodes of each law's tuning; null: those of one training run [episodes]",
+        description="simulated episodes of each law's tuning; null: of one training, at least 30,000 [episodes]",
     )
     constant_scenarios: int = Field(
         default=40, ge=1, le=1000, description="training scenarios for the best constant of each judged device [1]"

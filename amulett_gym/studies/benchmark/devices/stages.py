@@ -33,6 +33,7 @@ from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark.description import Learned, named, training_recipe
 from amulett_gym.studies.benchmark.devices.description import (
     ADAPTED,
+    LEAST_BUDGET,
     OWN_CONSTANT,
     SPECIALIST,
     DevicesBenchmark,
@@ -288,9 +289,9 @@ def _train(runs: Sequence[TrainingRun], say: Say, progress: bool, processes: int
 def _tuning(description: DevicesBenchmark, fleets: Mapping[str, Any], config: Any) -> dict[str, Recipe]:
     """Return by entry how each law is tuned; AmulettError if the budget is too small.
 
-    Without a budget it is the number of episodes of one training run, `config`.
+    Without a budget it is the number of episodes of one training run, `config`, and at least `LEAST_BUDGET`.
     """
-    budget = description.budget or config.total_steps // config.env.max_episode_steps
+    budget = description.budget or max(config.total_steps // config.env.max_episode_steps, LEAST_BUDGET)
     return {
         entry_name(law): Recipe(
             law,
