@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 import yaml
 
-from amulett_agents.config import ValidationSettings
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.fleet import load_fleet
 from amulett_gym.storage.provenance import read_provenance
 from amulett_gym.studies.benchmark import episodes, runs
-from amulett_gym.studies.benchmark.devices.description import load_fleets, parse_devices_benchmark, quick
+from amulett_gym.studies.benchmark.devices.description import (
+    DevicesBenchmark,
+    load_fleets,
+    parse_devices_benchmark,
+    quick,
+)
 from amulett_gym.studies.benchmark.devices.report import MARKS
 from amulett_gym.studies.benchmark.devices.stages import check_devices_benchmark, run_devices_benchmark
-
-if "fleet" not in ValidationSettings.model_fields:
-    pytest.skip("recipes cannot validate on a fleet yet", allow_module_level=True)
 
 
 def device(name, mass):
@@ -173,6 +174,15 @@ def test_other_loops_need_recipes_of_the_loop(tmp_path):
     changes = ["env.control=computed-torque", "env.track=full-control", "env.tension_range=[0, 15]"]
     other["learned"] = {"mine": {"set": [*SHORT, *changes], "seeds": [0]}}
     check_devices_benchmark(parse_devices_benchmark(other, "tiny.yaml"), tmp_path)
+
+
+def test_the_shipped_description_is_written_out():
+    path = Path(__file__).parents[4] / "configs" / "devices.yaml"
+    content = yaml.safe_load(path.read_text())
+    assert set(content) == set(DevicesBenchmark.model_fields)
+    made_on_one_device = {"contenders": ["pretrained:testbed", "parametric:mixed"]}
+    expected = {**DevicesBenchmark().model_dump(), **made_on_one_device}
+    assert parse_devices_benchmark(content, path).model_dump() == expected
 
 
 def test_a_quick_benchmark_has_the_same_parts_in_small(tmp_path):
