@@ -49,8 +49,11 @@ from amulett_gym.studies.benchmark.stages import DESCRIPTION, EPISODES, RUNS, TU
 
 OWN_CONSTANTS = "own_constants.json"
 
-ADAPTATION = ("max_seconds=60.0",)
-"""Changes of the learned entry's recipe for an adaptation."""
+ADAPTATION = (
+    *("max_seconds=60.0", "total_steps=1200000", "num_envs=1024", "ppo.batch_size=8192", "ppo.learning_rate=0.001"),
+    *("ppo.initial_std=0.1", "ppo.critic_steps=196608", "validation.every_steps=196608"),
+)
+"""Changes of the learned entry's recipe for an adaptation: little noise, and at first only the critic learns."""
 
 Kind = Literal["law", "tuned", "own", "learned", "specialist", "adapted"]
 

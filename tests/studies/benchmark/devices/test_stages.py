@@ -44,7 +44,7 @@ TINY = {
     "learned": {"mine": {"set": SHORT, "seeds": [3, 4]}},
     "best_learned": "mine",
     "specialists": {"devices": 1, "set": ["total_steps=256"]},
-    "adaptation": {"devices": 2, "set": ["total_steps=256"]},
+    "adaptation": {"devices": 2, "set": [*SHORT, "total_steps=256", "ppo.critic_steps=null"]},
     "bootstrap": {"resamples": 100},
 }
 
@@ -117,6 +117,7 @@ def test_specialists_and_adapted_policies_are_judged_on_their_own_devices(done, 
     assert found["results"]["mine"]["lower_on"]["specialist"]["devices"] == 1
     run = yaml.safe_load((done / "runs" / "adapted" / "light" / f"seed-{_start(found)}" / "config.yaml").read_text())
     assert run["env"]["profile"]["name"] == "light" and run["env"]["fleet"] is None
+    assert run["max_seconds"] == 60.0 and run["ppo"]["initial_std"] == 0.1
     assert Path(run["network"]["start"]) == done / "runs" / "mine" / f"seed-{_start(found)}" / "best"
     for device in ("heavy", "light"):
         values = [found["adaptation"][device][key] for key in ("start", "adapted", "own-constant", "eq6")]
