@@ -21,7 +21,7 @@ from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import read_bundle
-from amulett_gym.laws.contenders import bundle_folder
+from amulett_gym.laws.contenders import PRETRAINED, bundle_folder
 
 Model = PPO | SAC
 
@@ -77,8 +77,8 @@ def _start_folder(start: str) -> Path:
         return bundle_folder(start)
     except AmulettError as error:
         raise AmulettError(
-            f"network.start is '{start}'; it has to be pretrained, pretrained:tension, or the folder of a policy "
-            "bundle or of a training run"
+            f"network.start is '{start}'; it has to be {', '.join(PRETRAINED)}, or the folder of a "
+            "policy bundle or of a training run"
         ) from error
 
 

@@ -40,8 +40,9 @@ def run(arguments: argparse.Namespace) -> int:
     from dataclasses import asdict
 
     from amulett_gym import DRIVES_ID
-    from amulett_gym.evaluation.remarks import device_remarks, print_remarks
+    from amulett_gym.evaluation.remarks import device_remarks, print_remarks, start_remarks
     from amulett_gym.profile import load_profile
+    from amulett_gym.simulation.layout import DRIVES
     from amulett_gym.storage.provenance import process_words
 
     finished, show = False, printer(arguments)
@@ -61,6 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
         if config.env.fleet is None:  # those of a fleet are taken as they are
             device = load_profile(config.env.profile)
             print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
+        if config.network.start is not None:
+            control = DRIVES if config.env.id == DRIVES_ID else config.env.control
+            print_remarks(start_remarks(config.network.start, config.env.devices, control))
         train = load_learning("training").train
         result = train(config, arguments.out, command=process_words(), overwrite=arguments.overwrite)
     if arguments.json:

@@ -210,8 +210,9 @@ class ScalingEnv(TensionEnv):
 
     The tension setpoint is f_sigma times the nominal tension sigma (10 N): 4 to 15 N, the same range as
     `Amulett/Tension-v0`, in which the same action means the same tension. `tension_range=(low, high)` sets another
-    range [N]. The ramp moves in each control tick. A late tick leaves the setpoint unchanged; the next ramp begins at
-    the setpoint that the last action asked for.
+    range [N]. Below the floor of the force estimates, 5 N, a setpoint commands a release of the string at a rate, not a
+    force (docs/environments.md). The ramp moves in each control tick. A late tick leaves the setpoint unchanged; the
+    next ramp begins at the setpoint that the last action asked for.
 
     ## Observation Space
 

@@ -9,10 +9,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.eq6_costs import eq6_costs, shipped_costs
 from amulett_gym.envs.prices import divisors_owner
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.diagnosis import diagnose
 from amulett_gym.fleet import load_fleet
-from amulett_gym.laws.contenders import Contender, split_loop
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import Contender, bundle_folder, split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuned_over, tuning_differs
+from amulett_gym.laws.training import other_loop
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.simulation.layout import LOOPS, Control
 
@@ -82,6 +85,18 @@ def loop_remarks(contenders: Iterable[Contender]) -> list[str]:
     """
     loops = [(each.name, each.env_keywords.get("control")) for each in contenders if not split_loop(each.name)[0]]
     return [f"{name} acts in its own loop, {loop}, as {loop}/{name} would" for name, loop in loops if loop in LOOPS]
+
+
+def start_remarks(start: str, devices: Sequence[Profile], control: str) -> list[str]:
+    """Return for which other loop the policy was trained from which a training starts, without a full stop.
+
+    A policy that cannot be read has no remark; the training reports it.
+    """
+    try:
+        differences = other_loop(read_bundle(bundle_folder(start)).env, devices, control)
+    except AmulettError:
+        return []
+    return [f"this training starts from {start}, which was trained {'; '.join(differences)}"] if differences else []
 
 
 def fleet_remarks(remarks: Mapping[str, Iterable[str]]) -> list[str]:

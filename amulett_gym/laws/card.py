@@ -84,9 +84,8 @@ def _loop(env: TrainingEnv, profiles: Sequence[Profile]) -> list[str]:
 
 
 def _interface(policy: PolicyDescription, env: TrainingEnv) -> list[str]:
-    other = policy.size - len(policy.observations) - len(policy.features)
     counts = {"observations of the environment": len(policy.observations), "features of them": len(policy.features)}
-    counts["means over the episode"] = other
+    counts["means over the episode"] = len(policy.memory or ())
     inputs = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     stack = f", of the newest {policy.history} agent steps" if policy.history > 1 else ""
     low, high = policy.tension_range

@@ -9,6 +9,7 @@ from helpers import device, make_bundle
 from amulett_gym import ENV_IDS, load_policy
 from amulett_gym.cli import main
 from amulett_gym.errors import OtherLoopWarning
+from amulett_gym.evaluation.remarks import start_remarks
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.fleet import names_or_contents
 from amulett_gym.laws.bundle import TrainingEnv
@@ -93,3 +94,10 @@ def test_simulate_says_for_which_loop_a_policy_was_trained(tmp_path, capsys):
     assert main([*words, "--duration", "0.1"]) == 0
     note = "Note: mine was trained on the testbed, not the held; for sensors.below_floor clamp (here hold).\n"
     assert note in capsys.readouterr().err
+
+
+def test_a_training_that_starts_from_a_policy_says_for_which_loop_that_was_trained(tmp_path):
+    folder, held = str(make_bundle(tmp_path / "mine")), device("testbed", sensors={"below_floor": "hold"})
+    (remark,) = start_remarks(folder, [held], "decentralized")
+    assert remark.endswith("mine, which was trained for sensors.below_floor clamp (here hold)")
+    assert start_remarks(folder, [TESTBED], "decentralized") == start_remarks("none", [held], "decentralized") == []
