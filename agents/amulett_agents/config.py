@@ -11,9 +11,11 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.settings import ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
+from amulett_gym.envs.settings import NO_LIMIT, ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.fleet import load_fleet, name_or_contents
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.simulation.layout import LANES
@@ -324,7 +326,26 @@ SPRINT = (
 """Changes of the default recipe for `amulett bench --time-to-beat`: it learns within seconds."""
 
 
-def load_train_config(path: str | Path | None = None, overrides: Sequence[str] = ()) -> TrainConfig:
+ADAPTATION: dict[str, Any] = {
+    # Small rollouts: many updates within a minute.
+    "num_envs": 1024,
+    "total_steps": 1_200_000,
+    "max_seconds": 60.0,
+    "ppo": {
+        "batch_size": 8192,
+        "learning_rate": 1e-3,
+        # The policy is good already: little noise, and none of an untrained critic.
+        "initial_std": 0.1,
+        "critic_steps": 196_608,
+    },
+    "validation": {"every_steps": 196_608},
+}
+"""What a recipe that starts from a trained policy has instead of the defaults."""
+
+
+def load_train_config(
+    path: str | Path | None = None, overrides: Sequence[str] = (), start: str | None = None
+) -> TrainConfig:
     """Read a recipe.
 
     Parameters
@@ -333,6 +354,9 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
         A YAML file with the keys of `TrainConfig` that differ from its defaults; the defaults alone if None.
     overrides : sequence of str
         Changes like ``"ppo.learning_rate=3e-4"``: dotted keys, values in YAML.
+    start : str, optional
+        Policy to adapt, as `network.start`, instead of `path`: the recipe has its inputs, actions and devices, and what
+        `ADAPTATION` holds. A profile or a fleet among the changes replaces its devices.
 
     Returns
     -------
@@ -341,12 +365,50 @@ def load_train_config(path: str | Path | None = None, overrides: Sequence[str] =
     Raises
     ------
     AmulettError
-        If the file cannot be read, a key is unknown, or a value is wrong.
+        If the file or the policy cannot be read, a key is unknown, or a value is wrong.
     """
-    content: Mapping[str, Any] = {} if path is None else read_yaml(find_config(path, "recipe"), "recipe")
+    changes: Mapping[str, Any] = {}
     for override in overrides:
-        content = merge(content, _parse_override(override))
+        changes = merge(changes, _parse_override(override))
+    content: Mapping[str, Any] = {} if path is None else read_yaml(find_config(path, "recipe"), "recipe")
+    if start is not None:
+        env = changes.get("env")
+        content = _recipe_from(start, isinstance(env, Mapping) and not env.keys().isdisjoint(("profile", "fleet")))
+    content = merge(content, changes)
     return parse_train_config(content, "recipe" if path is None else f"recipe '{path}'")
+
+
+def _recipe_from(start: str, elsewhere: bool) -> Mapping[str, Any]:
+    """Return the recipe that adapts a policy, on its own devices or `elsewhere`."""
+    try:
+        bundle = read_bundle(bundle_folder(start))
+    except AmulettError as error:
+        raise AmulettError(f"the policy '{start}' to start from: {error}") from error
+    policy, trained = bundle.policy, bundle.env
+    kept = {"suite", "control", "track", "reward_weights", "observation_noise"}
+    kept |= set() if elsewhere else {"profile", "fleet"}
+    low, high = policy.tension_range
+    tension = NetworkSettings.model_fields["initial_tension"].default
+    env = {name: value for name, value in trained.keywords.items() if name in kept and value is not None} | {
+        "id": trained.id,
+        "tension_range": policy.tension_range,
+        "mean_angle_range": policy.mean_angle_range,
+        "agent_period": policy.agent_period,
+        "follow_time": policy.agent_period / policy.follow,
+        "history": policy.history,
+        "privileged": policy.is_privileged,
+    }
+    if trained.max_episode_steps != NO_LIMIT:
+        env["max_episode_steps"] = trained.max_episode_steps
+    network = {
+        "start": start,
+        "hidden": policy.network.layers[1:-1],
+        "activation": policy.network.activation,
+        "features": bool(policy.features),
+        "memory": bool(policy.memory),
+        "initial_tension": tension if low <= tension <= high else None,
+    }
+    return {**ADAPTATION, "env": env, "network": network}
 
 
 def parse_train_config(content: Mapping[str, Any], what: str) -> TrainConfig:

@@ -17,6 +17,7 @@ HELP = (
 EXAMPLES = """  amulett train --config configs/ppo.yaml --out runs/first
   amulett train --config configs/ppo.yaml --set env.suite=reach ppo.learning_rate=3e-4 --seed 1 --out runs/reach
   amulett train --config configs/sac.yaml --out runs/sac
+  amulett train --start pretrained --set env.profile=mine.yaml --out runs/mine
   amulett train --resume runs/first
   amulett evaluate --policies eq6 constant:10 runs/first --suite steps --out runs/first-evaluation
   tensorboard --logdir runs
@@ -27,6 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--config", metavar="FILE", help="recipe in YAML (default: the tuned recipe, configs/ppo.yaml)")
     add_options(parser, "--set", help="change keys of the recipe, for example ppo.gamma=0.98")
+    parser.add_argument(
+        "--start",
+        metavar="POLICY",
+        help="adapt a policy (pretrained, or a folder) for a minute, usually on another device, instead of a recipe: "
+        "its inputs and actions are kept, and itself if no better one is found",
+    )
     parser.add_argument("--out", metavar="DIR", help="folder of the run: logs, validations, bundles")
     parser.add_argument("--resume", metavar="DIR", help="continue the run in DIR with its own recipe")
     parser.add_argument("--seed", type=int, help="seed instead of the recipe's")
@@ -55,8 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.out is None:
             raise AmulettError("train needs --out DIR for a new run, or --resume DIR to continue one")
         overrides = [*arguments.overrides, *([] if arguments.seed is None else [f"seed={arguments.seed}"])]
+        if None not in (arguments.start, arguments.config):
+            raise AmulettError("--start has its own recipe, the policy's; change its keys with --set, not --config")
         # A wrong recipe is refused before torch is imported.
-        config = load_learning("recipes").load_train_config(arguments.config, overrides)
+        config = load_learning("recipes").load_train_config(arguments.config, overrides, arguments.start)
         tensions = tuple(config.env.tension_range)
         loops = () if config.env.id == DRIVES_ID else (config.env.control,)
         if config.env.fleet is None:  # those of a fleet are taken as they are
@@ -80,6 +89,8 @@ def run(arguments: argparse.Namespace) -> int:
         show(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
         show(f"best   cost {result.best_cost:.4f} on the validation scenarios, after {result.best_steps:,} steps")
         show(f"       {result.best}")
+        if arguments.start is not None and result.best_steps == 0:
+            show("       this is the policy to start from: none of those trained is better")
         show(f"last   cost {result.last_cost:.4f}")
         show(f"       {result.last}")
     return 130 if result.interrupted else 0 if result.diverged is None else 1
@@ -87,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check_alone(arguments: argparse.Namespace) -> None:
     """Refuse options that would change a resumed run."""
-    options = ("out", "config", "overrides", "seed", "overwrite")
+    options = ("out", "config", "start", "overrides", "seed", "overwrite")
     given = [name for name in options if getattr(arguments, name) not in (None, False, [])]
     if wrong := ", ".join(f"--{name}" for name in given).replace("overrides", "set"):
         raise AmulettError(f"--resume continues with the run's own recipe, in its own folder; leave out {wrong}")

@@ -8,6 +8,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from amulett_agents import run  # noqa: E402
 from amulett_agents.bundles import describe_policy, save_policy, start_from  # noqa: E402
 from amulett_agents.config import load_train_config  # noqa: E402
 from amulett_agents.model import callbacks, make_model  # noqa: E402
@@ -176,3 +177,49 @@ def test_the_critic_learns_first(tmp_path):
     assert learned(64) >= critic | policy
     start_from(model, read_bundle(tmp_path / "bundle"))  # and may start again
     assert learned(64) >= critic | policy
+
+
+def adapted(start, *changes):
+    """Return the recipe that adapts a policy, made small."""
+    return load_train_config(None, [*SHORT, *changes], start=str(start))
+
+
+SHORT = ["num_envs=4", "total_steps=256", "max_seconds=null", "ppo.n_steps=16", "ppo.batch_size=32"]
+SHORT += ["ppo.critic_steps=64", "validation.episodes=4", "validation.every_steps=64", "checkpoint_seconds=0"]
+OTHER_DEVICE = "env.profile={name: heavy, base: testbed, plant: {masses: [{mass: 0.4, arm: 0.13}]}}"
+
+
+def test_a_policy_is_adapted_by_a_recipe_of_its_own_kind(tmp_path):
+    kind = ["network.memory=true", "network.features=false", "network.activation=tanh", "env.history=2"]
+    kind += ["env.tension_range=[5.2, 9.0]", "env.agent_period=0.05", "env.follow_time=0.1", "env.suite=reach"]
+    start = bundle_of(tmp_path / "start", *kind, "env.fleet=[testbed, simulation]")
+    config = adapted(start.folder, OTHER_DEVICE)
+    env, network = config.env, config.network
+    assert [device.name for device in env.devices] == ["heavy"]
+    assert (env.tension_range, env.history, env.suite, env.max_episode_steps) == ([5.2, 9.0], 2, "reach", 30)
+    assert (network.hidden, network.activation, network.features, network.memory) == ([16, 8], "tanh", False, True)
+    assert (env.agent_period, env.share) == (0.05, pytest.approx(0.5))
+    model = make_model(config)
+    layers, policy = describe_policy(model)
+    assert policy == start.policy
+    np.testing.assert_allclose(layers[1][0], start.layers[1][0], rtol=0, atol=1e-6)
+    there = load_train_config(None, [], start=str(start.folder))
+    assert [device.name for device in there.env.devices] == ["testbed", "simulation"]
+    assert (there.max_seconds, there.network.initial_tension) == (60.0, 7.0)
+    with pytest.raises(AmulettError, match="policy 'runs/none' to start from"):
+        load_train_config(None, [], start="runs/none")
+
+
+def test_the_policy_to_start_from_stays_where_none_is_better(tmp_path, monkeypatch, capsys):
+    start = bundle_of(tmp_path / "start")
+    costs = iter([1.0, 1.5, 1.2, 1.1, 1.3])
+    rated = run.evaluate
+    monkeypatch.setattr(run, "evaluate", lambda *them: {**rated(*them), "cost": next(costs)})
+    out = tmp_path / "run"
+    assert main(["train", "--start", str(start.folder), "--out", str(out), "--set", *SHORT, OTHER_DEVICE]) == 0
+    assert "none of those trained is better" in capsys.readouterr().out
+    best, last = (read_bundle(out / name).layers for name in ("best", "last"))
+    assert not np.allclose(best[0][0], last[0][0], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(best[0][0], start.layers[0][0], rtol=0, atol=1e-5)
+    assert main(["train", "--start", "pretrained", "--config", str(CAUSAL), "--out", str(out)]) == 2
+    assert "--start has its own recipe" in capsys.readouterr().err
