@@ -43,8 +43,8 @@ def ensemble(
     parameters : tuple of Free
         What is searched.
     last : bool
-        Whether only the last place of each walker is returned: nearly independent draws, uniform below the limit, if
-        they make enough moves. Else all places that they reached.
+        Whether only the last place of each walker is returned: draws that are uniform below the limit if enough
+        moves are accepted. Else all places that they reached.
     """
     rng = np.random.default_rng(seed)
     within = [vector for vector in candidates[rng.permutation(len(candidates))] if cost(vector) <= limit]
