@@ -22,6 +22,7 @@ from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEG
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.errors import AmulettError
+from amulett_gym.fleet import name_or_contents
 from amulett_gym.laws.bundle import MAX_WEIGHT, Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.card import model_card
 from amulett_gym.laws.features import FEATURES
@@ -233,10 +234,16 @@ def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
 
 
 def describe_env(env: VecEnv) -> TrainingEnv:
-    """Return the id and keywords for making an environment again; a profile of your own is a complete mapping."""
+    """Return the id and keywords for making an environment again.
+
+    Shipped profiles and fleets are names; others are complete.
+    """
     settings = env.get_attr("settings")[0]
+    keywords = settings.keywords()
+    if settings.fleet is not None:
+        keywords["fleet"] = name_or_contents(settings.fleet)
     if isinstance(settings, VectorSettings):
         steps = settings.max_episode_steps
     else:  # of Gymnasium's wrapper
         steps = env.get_attr("_max_episode_steps")[0] if env.has_attr("_max_episode_steps") else NO_LIMIT
-    return TrainingEnv(id=env.get_attr("env_id")[0], keywords=settings.keywords(), max_episode_steps=int(steps))
+    return TrainingEnv(id=env.get_attr("env_id")[0], keywords=keywords, max_episode_steps=int(steps))

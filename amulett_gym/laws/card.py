@@ -66,6 +66,8 @@ def _training(devices: str, env: TrainingEnv, policy: PolicyDescription, provena
     if isinstance(seconds := _dict(provenance, "validation").get("seconds"), int | float):
         amount.append(f"{seconds / 60.0:.1f} minutes until this policy was reached")
     found += [f"Training: {', '.join(amount)}."] if amount else []
+    if start := _dict(_dict(provenance, "config"), "network").get("start"):
+        found.append(f"Began as the policy `{start}`.")
     if isinstance(command := provenance.get("command"), list):
         found.append(f"Command: `{' '.join(map(str, command))}`.")
     if versions := _dict(provenance, "versions"):

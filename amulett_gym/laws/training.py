@@ -6,14 +6,16 @@ A policy is trained over devices whose physics may differ, and belongs to one lo
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 from amulett_gym import DRIVES_ID
 from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import in_words, load_fleet, name_or_contents, outside
 from amulett_gym.laws.bundle import TrainingEnv
-from amulett_gym.profile import Profile, load_profile, loop_configuration
+from amulett_gym.profile import Profile, loop_configuration
 from amulett_gym.simulation.layout import CONTROLS, DRIVES
 
 MOST_NAMED = 3
@@ -29,7 +31,12 @@ def trained_on(env: TrainingEnv) -> tuple[Profile, ...]:
         If this version cannot read them.
     """
     fleet = env.keywords.get("fleet")
-    return load_fleet(fleet) if fleet else (load_profile(env.keywords.get("profile", "testbed")),)
+    return _loaded(json.dumps(fleet or [env.keywords.get("profile", "testbed")]))
+
+
+@lru_cache(maxsize=16)  # a fleet's content takes half a second
+def _loaded(fleet: str) -> tuple[Profile, ...]:
+    return load_fleet(json.loads(fleet))
 
 
 def control_of(env: TrainingEnv) -> str:

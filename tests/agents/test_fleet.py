@@ -8,6 +8,8 @@ import pytest
 import torch
 from helpers import SMALL_RECIPE
 
+from amulett_agents.adapter import make_sb3_env
+from amulett_agents.bundles import describe_env
 from amulett_agents.config import load_train_config
 from amulett_agents.model import make_model
 from amulett_agents.run import Run
@@ -106,3 +108,10 @@ def test_the_critic_is_given_the_device_and_the_policy_is_not():
     changed[:, end:] += 0.5
     assert not torch.equal(model.policy.predict_values(changed), values)
     assert torch.equal(model.policy.get_distribution(changed).mode(), actions)
+
+
+def test_a_bundle_names_a_shipped_fleet():
+    env = make_sb3_env("Amulett/Scaling-v0", 8, fleet="plausible-choose", suite="reach")
+    assert describe_env(env).keywords["fleet"] == "plausible-choose"
+    own = make_sb3_env("Amulett/Scaling-v0", 8, fleet=["testbed", HEAVY], suite="reach")
+    assert [load_profile(each).name for each in describe_env(own).keywords["fleet"]] == ["testbed", "heavy"]

@@ -13,6 +13,7 @@ from amulett_gym.laws.copies import copy_policies
 FLEET = [device("testbed", drives={"lag": lag}).model_copy(update={"name": f"lag-{lag}"}) for lag in (0.02, 0.05)]
 PROVENANCE = {
     "algorithm": "PPO",
+    "config": {"network": {"start": "pretrained"}},
     "command": ["amulett", "train"],
     "seed": 3,
     "steps": 12_000,
@@ -33,6 +34,7 @@ def test_it_says_on_what_and_for_what_a_policy_was_trained(tmp_path):
         "suite `mixed`, split `train`; episodes of 500 agent steps of 0.02 s",
         "Training: 12,000 agent steps, seed 3, 1.5 minutes until this policy was reached.",
         "Command: `amulett train`.",
+        "Began as the policy `pretrained`.",
         "Software: numpy 2.0.",
         "Control loop: `decentralized`",
         "`sensors.below_floor` clamp",
