@@ -20,6 +20,7 @@ from amulett_gym.evaluation.search.constants import best_constants
 from amulett_gym.evaluation.search.laws import Recipe, result_path, tune
 from amulett_gym.laws.contenders import CONSTANT, Contender, parse_contender
 from amulett_gym.laws.copies import NO_COPIES, Copies
+from amulett_gym.learning import load_learning
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import find_config
@@ -48,12 +49,6 @@ from amulett_gym.studies.benchmark.runs import TrainingRun, check_runs, outcome,
 from amulett_gym.studies.benchmark.stages import DESCRIPTION, EPISODES, RUNS, TUNED_LAWS, Say, remove_leftovers
 
 OWN_CONSTANTS = "own_constants.json"
-
-ADAPTATION = (
-    *("max_seconds=60.0", "total_steps=1200000", "num_envs=1024", "ppo.batch_size=8192", "ppo.learning_rate=0.001"),
-    *("ppo.initial_std=0.1", "ppo.critic_steps=196608", "validation.every_steps=196608"),
-)
-"""Changes of the learned entry's recipe for an adaptation: little noise, and at first only the critic learns."""
 
 Kind = Literal["law", "tuned", "own", "learned", "specialist", "adapted"]
 
@@ -167,7 +162,7 @@ def run_devices_benchmark(
         say("best constant of each judged device: " + ", ".join(f"{one['tension']:g}" for one in constants.values()))
         _train(learned + specialists, say, progress, processes)
         start = int(np.argmin([outcome(run)["best_cost"] for run in _of(learned, description.best_learned)]))
-        adapted = _adapted_runs(description, folder, runs_folder, judged, _of(learned, description.best_learned)[start])
+        adapted = _adapted_runs(description, runs_folder, judged, _of(learned, description.best_learned)[start])
         _train(adapted, say, progress, 1)  # limited by time: one at a time
         entries = [
             *_given(description, judged, own),
@@ -244,28 +239,23 @@ def _specialist_runs(
 
 
 def _adapted_runs(
-    description: DevicesBenchmark, folder: Path, place: Path, judged: Sequence[Profile], start: TrainingRun
+    description: DevicesBenchmark, place: Path, judged: Sequence[Profile], start: TrainingRun
 ) -> list[TrainingRun]:
     """Return the further trainings of a learned policy on single devices."""
     given, found = description.adaptation, []
     for profile in judged[: given.devices]:
-        config = adaptation_recipe(description, folder, start.folder / "best", profile, start.seed)
+        config = adaptation_recipe(description, start.folder / "best", profile, start.seed)
         found.append(
             TrainingRun(f"{ADAPTED}/{profile.name}", start.seed, config, _place(place, ADAPTED, profile, start.seed))
         )
     return found
 
 
-def adaptation_recipe(description: DevicesBenchmark, folder: Path, start: Path, profile: Profile, seed: int) -> Any:
-    """Return the checked recipe by which a policy is trained further on a device."""
-    entry = description.learned[description.best_learned]
-    changes = [
-        *_on_device(profile),
-        f"network.start={json.dumps(str(start))}",
-        *ADAPTATION,
-        *description.adaptation.set,
-    ]
-    return training_recipe(entry, seed, folder, changes)
+def adaptation_recipe(description: DevicesBenchmark, start: Path, profile: Profile, seed: int) -> Any:
+    """Return the checked recipe by which `amulett train --start` trains a policy further on a device."""
+    device = f"env.profile={json.dumps(profile.model_dump(mode='json'))}"
+    changes = [device, *description.adaptation.set, f"seed={seed}"]
+    return load_learning("recipes").load_train_config(None, changes, str(start))
 
 
 def _place(folder: Path, entry: str, profile: Profile, seed: int) -> Path:
