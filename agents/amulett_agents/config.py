@@ -329,16 +329,18 @@ SPRINT = (
 ADAPTATION: dict[str, Any] = {
     # Small rollouts: many updates within a minute.
     "num_envs": 1024,
-    "total_steps": 1_200_000,
+    "total_steps": 800_000,
     "max_seconds": 60.0,
     "ppo": {
         "batch_size": 8192,
-        "learning_rate": 1e-3,
-        # The policy is good already: little noise, and none of an untrained critic.
-        "initial_std": 0.1,
+        "n_epochs": 16,
+        # The policy is good already: small steps, little noise, and none of an untrained critic.
+        "learning_rate": 5e-4,
+        "target_kl": 0.01,
+        "initial_std": 0.06,
         "critic_steps": 196_608,
     },
-    "validation": {"every_steps": 196_608},
+    "validation": {"every_steps": 131_072},
 }
 """What a recipe that starts from a trained policy has instead of the defaults."""
 
