@@ -28,7 +28,7 @@ from amulett_gym.storage.reading import read_text, user_path
 
 CONSTANT = "constant:"
 
-_PRETRAINED = "testbed"
+_PRETRAINED = "robust"
 
 PRETRAINED = {"pretrained": _PRETRAINED, "pretrained:tension": _PRETRAINED, "pretrained:testbed": "testbed"}
 """Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card. A policy acts in
@@ -47,7 +47,7 @@ _DESCRIPTIONS = {
     "position-only": "position control alone: a fixed co-contraction, no tension loop",
     "eq6-held": "eq. 6 as the text describes it, from outside at agent rate",
     "eq6-held-printed": "eq. 6 exactly as printed, from outside at agent rate",
-    "pretrained": "the best learned policy of the package; its card: amulett config validate pretrained --show",
+    "pretrained": "a policy for all plausible devices (PPO on mixed); card: amulett config validate pretrained --show",
     "pretrained:tension": "another name of pretrained",
     "pretrained:testbed": "the best learned policy that was trained on the shipped testbed alone (PPO on mixed)",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",

@@ -154,8 +154,8 @@ def test_slack_strings_are_for_loops_that_feed_the_co_contraction_forward():
 
 
 def test_results_say_in_which_loop_a_policy_was_trained():
-    results = evaluate(["co-rotation/pretrained", "co-rotation/parametric"], "mixed", episodes=1, duration=0.1)
-    assert "co-rotation/pretrained was trained in the loop decentralized, not co-rotation" in results.remarks
+    results = evaluate(["co-rotation/pretrained:testbed", "co-rotation/parametric"], "mixed", episodes=1, duration=0.1)
+    assert "co-rotation/pretrained:testbed was trained in the loop decentralized, not co-rotation" in results.remarks
     assert "co-rotation/parametric acts with the parameters tuned in the paper's loop" in results.remarks
 
 
