@@ -493,7 +493,7 @@ def test_hidden_files_are_no_part_of_a_checkpoint(uninterrupted, broken_off):
 def test_a_checkpoint_holds_no_code(broken_off):
     for folder in (broken_off / "checkpoints").iterdir():
         names = {path.suffix for path in folder.rglob("*") if path.is_file()}
-        assert names == {".json", ".safetensors"}
+        assert names == {".json", ".md", ".safetensors"}
 
 
 @pytest.mark.parametrize("length", np.linspace(0, 0.9, 10))

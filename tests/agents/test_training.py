@@ -686,7 +686,7 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path,
     assert f"{steps:,} steps" in (out / "report.html").read_text()
     assert set(LAWS) | {str(out / "ppo")} == set(json.loads(printed.out)["policies"])
     laws = {name for name in contender_names() if not name.endswith(">")}
-    elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps")}
+    elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps", "plausible")}
     elsewhere |= {name for name in laws if name.startswith("pretrained")}  # made by hours of what is shown here
     assert laws - elsewhere <= set(LAWS)
     assert main(["rerun", str(out), "--out", str(tmp_path / "again")]) == 0

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from amulett_agents.config import ADAPTATION
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
@@ -117,7 +118,7 @@ def test_specialists_and_adapted_policies_are_judged_on_their_own_devices(done, 
     assert found["results"]["mine"]["lower_on"]["specialist"]["devices"] == 1
     run = yaml.safe_load((done / "runs" / "adapted" / "light" / f"seed-{_start(found)}" / "config.yaml").read_text())
     assert run["env"]["profile"]["name"] == "light" and run["env"]["fleet"] is None
-    assert run["max_seconds"] == 60.0 and run["ppo"]["initial_std"] == 0.1
+    assert run["max_seconds"] == 60.0 and run["ppo"]["initial_std"] == ADAPTATION["ppo"]["initial_std"]
     assert Path(run["network"]["start"]) == done / "runs" / "mine" / f"seed-{_start(found)}" / "best"
     for device in ("heavy", "light"):
         values = [found["adaptation"][device][key] for key in ("start", "adapted", "own-constant", "eq6")]
