@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
@@ -26,12 +26,20 @@ class RecipeError(AmulettError):
     """A recipe whose values are valid one by one, but not for its environment or its networks."""
 
 
+def _kept_fleet(fleet: Any) -> Any:
+    """Return a shipped fleet's name, or shipped profiles' names and own ones' contents: their files may change."""
+    return None if fleet is None else name_or_contents(load_fleet(fleet))
+
+
+Fleet = Annotated[str | list[str | dict[str, Any]] | None, BeforeValidator(_kept_fleet)]
+
+
 class EnvSettings(Group):
     """The training environment."""
 
     id: str = Field(ENV_IDS[0], description="environment; see `amulett list`")
     profile: str | dict[str, Any] = Field("testbed", description="shipped profile, YAML file or mapping (kept whole)")
-    fleet: str | list[str | dict[str, Any]] | None = Field(
+    fleet: Fleet = Field(
         None, description="devices instead of a profile: a name, a file or a list of profiles (kept whole)"
     )
     suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
@@ -76,12 +84,6 @@ class EnvSettings(Group):
     def _keep_profile(cls, profile: str | dict[str, Any]) -> str | dict[str, Any]:
         """Return a shipped profile's name, or an own one's content: its files may change or move."""
         return profile if profile in profile_names() else load_profile(profile).model_dump(mode="json")
-
-    @field_validator("fleet", mode="before")
-    @classmethod
-    def _keep_fleet(cls, fleet: Any) -> Any:
-        """Return shipped profiles' names and own ones' contents, as of `profile`."""
-        return None if fleet is None else name_or_contents(load_fleet(fleet))
 
     @model_validator(mode="after")
     def _check_devices(self) -> EnvSettings:
@@ -227,7 +229,7 @@ class NetworkSettings(Group):
 class ValidationSettings(Group):
     """How the best policy is chosen: on scenarios of the split `validation`, which are never trained on."""
 
-    fleet: str | list[str | dict[str, Any]] | None = Field(
+    fleet: Fleet = Field(
         None, description="devices instead of those of training: a name, a file or a list of profiles (kept whole)"
     )
     every_steps: int = Field(500_000, ge=1, le=10**12, description="steps between two validations [agent steps]")
@@ -238,12 +240,6 @@ class ValidationSettings(Group):
         description="number of scenarios, one device each [1]; with a fleet as many on each device, rounded up",
     )
     seed: int = Field(0, ge=0, lt=2**63, description="seed of the first scenario [1]")
-
-    @field_validator("fleet", mode="before")
-    @classmethod
-    def _keep_fleet(cls, fleet: Any) -> Any:
-        """Return shipped profiles' names and own ones' contents, as of `EnvSettings.fleet`."""
-        return None if fleet is None else name_or_contents(load_fleet(fleet))
 
 
 class TrainConfig(Group):
