@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,8 +17,9 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
 
+from amulett_agents.critic_file import Critic, critic_of_bundle, pack_critic
 from amulett_agents.networks import ACTIVATIONS, AsymmetricPolicy, StandardInputs, policy_inputs, visible_entries
-from amulett_agents.wrappers import ActorView
+from amulett_agents.wrappers import ActorView, ScaledRewards
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
@@ -75,6 +77,8 @@ def has_diverged(model: BaseAlgorithm) -> bool:
 def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[str, Any] | None = None) -> Path:
     """Write a model's policy as a bundle; return its folder. `amulett_gym.load_policy` reads it without torch.
 
+    The critic of PPO is written with it, for a training that starts from the bundle.
+
     Works for PPO, A2C and SAC with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
     `ActorView` or a `VecFrameStack`. Other wrappers that change the size or the range of observations or actions
     are refused; those that change values within the same range are not detected.
@@ -111,7 +115,8 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
     if not description.is_privileged:
         training_env.keywords.pop("privileged", None)
     card = model_card(description, training_env, about)
-    return write_bundle(folder, layers, description, training_env, about, card)
+    critic = pack_critic(describe_critic(model)) if isinstance(model, PPO) and not has_diverged(model) else None
+    return write_bundle(folder, layers, description, training_env, about, card, critic)
 
 
 def _check_spaces(model: BaseAlgorithm, env: VecEnv) -> None:
@@ -215,8 +220,87 @@ def start_from(model: PPO, bundle: Bundle) -> None:
     view = unwrap_vec_wrapper(model.get_env(), ActorView)  # type: ignore[arg-type]
     if view is not None and view.mean_unit != 1.0:
         layers[-1] = tuple(_scaled(values, 1.0 / view.mean_unit) for values in layers[-1])  # type: ignore[assignment]
+    _set_layers([*linear, policy.action_net], layers)
+
+
+def describe_critic(model: PPO) -> Critic:
+    """Return the weights of PPO's critic with the meaning of its inputs; `describe_policy` accepts the model."""
+    env, policy = model.get_env(), model.policy
+    assert env is not None
+    settings = env.get_attr("settings")[0]
+    view, stack = unwrap_vec_wrapper(env, ActorView), unwrap_vec_wrapper(env, VecFrameStack)
+    scaled, extractor = unwrap_vec_wrapper(env, ScaledRewards), policy.vf_features_extractor
+    names: tuple[str, ...] = OBSERVATIONS  # in the order of `laws.features.with_features`
+    if view is not None:
+        names += (FEATURES if view.features else ()) + (MEMORY if view.memory is not None else ())
+    if settings.privileged:
+        names += PRIVILEGED + (() if settings.fleet is None else FLEET_PRIVILEGED)
+    linear = [module for module in policy.mlp_extractor.value_net if isinstance(module, torch.nn.Linear)]
+    history = 1 if stack is None else stack.stacked_obs.n_stack
+    means, gains = np.zeros(history * len(names), np.float32), np.ones(history * len(names), np.float32)
+    if isinstance(extractor, StandardInputs):
+        means, gains = _array(extractor.means), _array(extractor.gains)
+    return Critic(
+        inputs=names,
+        history=history,
+        activation="tanh" if policy.activation_fn is ACTIVATIONS["tanh"] else "relu",
+        gamma=float(model.gamma),
+        reward_scale=1.0 if scaled is None else float(scaled.factor),
+        means=means,
+        gains=gains,
+        layers=[(_array(layer.weight), _array(layer.bias)) for layer in (*linear, policy.value_net)],
+    )
+
+
+def start_critic(model: PPO, bundle: Bundle) -> bool:
+    """Give PPO the critic of a bundle, if there is one of the same kind; return whether it has it.
+
+    Its inputs have to be among those of the model's critic; others get the weight 0. Those that describe the device
+    itself, which only a fleet has, are constant on one device: its own values become part of the bias.
+    """
+    theirs, mine = critic_of_bundle(bundle), describe_critic(model)
+    if theirs is None:
+        return False
+    env = model.get_env()
+    assert env is not None
+    constants: dict[str, float] = {}
+    if env.get_attr("settings")[0].fleet is None:
+        constants = dict(zip(FLEET_PRIVILEGED, env.get_attr("episodes")[0].described[0].tolist(), strict=True))
+    lacking = [name for name in theirs.inputs if name not in mine.inputs and name not in constants]
+    for what, own, given in (
+        ("inputs that this one does not have", [], lacking),
+        ("history", mine.history, theirs.history),
+        ("the activation", mine.activation, theirs.activation),
+        ("hidden layers", mine.hidden, theirs.hidden),
+        ("ppo.gamma", mine.gamma, theirs.gamma),
+        ("ppo.reward_scale", mine.reward_scale, theirs.reward_scale),
+    ):
+        if own != given:
+            shown = f"{given[:3]}" if given is lacking else f"{given}; this recipe's has {own}"
+            message = f"the critic of '{bundle.folder}' has {what}: {shown}. A new critic learns instead"
+            warnings.warn(message, stacklevel=3)
+            return False
+    weight, bias = (values.astype(np.float64) for values in theirs.layers[0])
+    raw = weight * theirs.gains
+    bias = bias - raw @ theirs.means
+    first = np.zeros((len(bias), mine.history * len(mine.inputs)))
+    for column in range(raw.shape[1]):
+        frame, entry = divmod(column, len(theirs.inputs))
+        name = theirs.inputs[entry]
+        if name in mine.inputs:
+            first[:, frame * len(mine.inputs) + mine.inputs.index(name)] = raw[:, column]
+        else:
+            bias += raw[:, column] * constants[name]
+    layers: list[tuple[NDArray[Any], NDArray[Any]]] = [(first / mine.gains, bias + first @ mine.means)]
+    layers += theirs.layers[1:]
+    linear = [module for module in model.policy.mlp_extractor.value_net if isinstance(module, torch.nn.Linear)]
+    _set_layers([*linear, model.policy.value_net], layers)
+    return True
+
+
+def _set_layers(modules: Sequence[torch.nn.Module], layers: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> None:
     with torch.no_grad():
-        for module, (weight, bias) in zip([*linear, policy.action_net], layers, strict=True):
+        for module, (weight, bias) in zip(modules, layers, strict=True):
             assert isinstance(module, torch.nn.Linear)
             module.weight.copy_(torch.as_tensor(weight))
             module.bias.copy_(torch.as_tensor(bias))

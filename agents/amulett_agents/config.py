@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
 
+from amulett_agents.critic_file import critic_of_bundle
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.settings import NO_LIMIT, ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
@@ -340,6 +341,9 @@ ADAPTATION: dict[str, Any] = {
 }
 """What a recipe that starts from a trained policy has instead of the defaults."""
 
+CRITIC_STEPS = 65_536
+"""`ppo.critic_steps` of such a recipe if the policy's bundle holds a critic, which only gets used to the device."""
+
 
 def load_train_config(
     path: str | Path | None = None, overrides: Sequence[str] = (), start: str | None = None
@@ -354,7 +358,8 @@ def load_train_config(
         Changes like ``"ppo.learning_rate=3e-4"``: dotted keys, values in YAML.
     start : str, optional
         Policy to adapt, as `network.start`, instead of `path`: the recipe has its inputs, actions and devices, and what
-        `ADAPTATION` holds. A profile or a fleet among the changes replaces its devices.
+        `ADAPTATION` holds; if its bundle holds a critic, that one's kind and `CRITIC_STEPS`. A profile or a fleet among
+        the changes replaces its devices.
 
     Returns
     -------
@@ -370,16 +375,17 @@ def load_train_config(
         changes = merge(changes, _parse_override(override))
     content: Mapping[str, Any] = {} if path is None else read_yaml(find_config(path, "recipe"), "recipe")
     if start is not None:
-        env = changes.get("env")
-        content = _recipe_from(start, isinstance(env, Mapping) and not env.keys().isdisjoint(("profile", "fleet")))
+        content = _recipe_from(start, changes)
     content = merge(content, changes)
     return parse_train_config(content, "recipe" if path is None else f"recipe '{path}'")
 
 
-def _recipe_from(start: str, elsewhere: bool) -> Mapping[str, Any]:
-    """Return the recipe that adapts a policy, on its own devices or `elsewhere`."""
+def _recipe_from(start: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the recipe that adapts a policy, as far as the changes, which will be made to it, matter."""
+    elsewhere = not _group(changes, "env").keys().isdisjoint(("profile", "fleet"))
     try:
         bundle = read_bundle(bundle_folder(start))
+        critic = critic_of_bundle(bundle)
     except AmulettError as error:
         raise AmulettError(f"the policy '{start}' to start from: {error}") from error
     policy, trained = bundle.policy, bundle.env
@@ -406,7 +412,26 @@ def _recipe_from(start: str, elsewhere: bool) -> Mapping[str, Any]:
         "memory": bool(policy.memory),
         "initial_tension": tension if low <= tension <= high else None,
     }
-    return {**ADAPTATION, "env": env, "network": network}
+    recipe = {**ADAPTATION, "env": env, "network": network}
+    if critic is None:
+        return recipe
+    kind: dict[str, dict[str, Any]] = {
+        "network": {"critic_hidden": critic.hidden},
+        "ppo": {
+            "gamma": critic.gamma,
+            "reward_scale": critic.reward_scale,
+            "privileged_critic": critic.is_privileged and not policy.is_privileged,
+        },
+    }
+    usable = merge(
+        kind, {group: {k: v for k, v in _group(changes, group).items() if k in kind[group]} for group in kind}
+    )
+    return merge(merge(recipe, kind), {"ppo": {"critic_steps": CRITIC_STEPS}} if usable == kind else {})
+
+
+def _group(changes: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    group = changes.get(name)
+    return group if isinstance(group, Mapping) else {}
 
 
 def parse_train_config(content: Mapping[str, Any], what: str) -> TrainConfig:

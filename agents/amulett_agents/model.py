@@ -10,7 +10,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack
 
 from amulett_agents.adapter import make_sb3_env
-from amulett_agents.bundles import start_from
+from amulett_agents.bundles import start_critic, start_from
 from amulett_agents.config import TrainConfig
 from amulett_agents.first_policy import first_policy
 from amulett_agents.networks import measure_inputs
@@ -66,7 +66,9 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
         )
     model: Model = (make_ppo if config.algorithm == "ppo" else make_sac)(config, env, first, inputs)
     if config.network.start is not None and isinstance(model, PPO) and not resumed:
-        start_from(model, read_bundle(_start_folder(config.network.start)))
+        bundle = read_bundle(_start_folder(config.network.start))
+        start_from(model, bundle)
+        start_critic(model, bundle)
     env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own would create an empty folder
     return model

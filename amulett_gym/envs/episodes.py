@@ -61,6 +61,8 @@ class Episodes:
         Devices that have started an episode.
     profiles : tuple of Profile
         The fleet, or the one profile of all devices.
+    described : ndarray of float32, shape (profiles, entries)
+        The entries `privileged.FLEET_PRIVILEGED` of each profile; a fleet with the hidden state observes them.
     """
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
@@ -93,7 +95,7 @@ class Episodes:
         self._max_forces = [max_force(parameters) for parameters in simulation.parameters]
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
-        self._described = describe_devices(simulation.parameters, self._bare_inertia)
+        self.described = describe_devices(simulation.parameters, self._bare_inertia)
         ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
@@ -349,7 +351,7 @@ class Episodes:
         first = len(transition.OBSERVATIONS)
         observe_privileged(parameters, which, self._bare_inertia, scenarios, states, devices, first, observations)
         if self.names is not None:
-            observations[:, first + len(PRIVILEGED) :] = self._described[which[devices // LANES]]
+            observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
 
     def _step_in_threads(
         self,

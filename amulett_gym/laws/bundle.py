@@ -8,6 +8,8 @@ A bundle is a folder:
 ``env.json``             the environment that it was trained in: id, keywords, steps of an episode
 ``provenance.json``      where it comes from: command, configuration, versions, seed, scores
 ``card.md``              the model card (`laws.card`); bundles of early versions have none
+``critic.npz``           PPO's critic, for another training that starts from the policy; most readers ignore it, and
+                         not every bundle has one (`amulett_agents.critic_file`)
 ``manifest.json``        the SHA-256 of every other file
 =======================  ==============================================================================
 
@@ -48,7 +50,7 @@ from amulett_gym.storage.writing import to_json, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
-CARD = "card.md"
+CARD, CRITIC = OPTIONAL = ("card.md", "critic.npz")
 MAX_BYTES = 16_000_000
 """Largest file accepted in a bundle; the shipped recipes' networks have 20 kB."""
 
@@ -173,7 +175,7 @@ class Bundle:
     """A verified policy bundle.
 
     `layers` are pairs (weight, bias) of float32, shapes (outputs, inputs) and (outputs,). `card` is the model card in
-    Markdown; None: the bundle was written without.
+    Markdown, `critic` the content of ``critic.npz``, which only training reads; None: the bundle was written without.
     """
 
     folder: Path
@@ -182,6 +184,7 @@ class Bundle:
     env: TrainingEnv
     provenance: dict[str, Any]
     card: str | None = None
+    critic: bytes | None = None
 
     def act(self, observations: ArrayLike) -> NDArray[np.float32]:
         """Return the network's output, shape (N, outputs): actions in [-1, 1] over the bundle's own ranges.
@@ -245,6 +248,7 @@ def read_bundle(folder: str | Path) -> Bundle:
         env=env,
         provenance=_json(contents[PROVENANCE], folder / PROVENANCE),
         card=_read_card(contents[CARD], folder / CARD) if CARD in contents else None,
+        critic=contents.get(CRITIC),
     )
 
 
@@ -255,10 +259,11 @@ def write_bundle(
     env: TrainingEnv,
     provenance: Mapping[str, Any],
     card: str | None = None,
+    critic: bytes | None = None,
 ) -> Path:
     """Write a policy bundle, completely or not at all, and return its folder; an existing bundle is replaced.
 
-    `card` is its model card (`laws.card.model_card`).
+    `card` is its model card (`laws.card.model_card`), `critic` the content of its ``critic.npz``.
 
     The files are written into a temporary folder next to it and read back; then that folder is renamed.
 
@@ -275,7 +280,7 @@ def write_bundle(
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
             new = Path(temporary) / "new"
             new.mkdir()
-            _write_files(new, layers, policy, env, provenance, card)
+            _write_files(new, layers, policy, env, provenance, card, critic)
             read_bundle(new)
             _put_in_place(new, folder, Path(temporary) / "old")
     except OSError as error:
@@ -290,6 +295,7 @@ def _write_files(
     env: TrainingEnv,
     provenance: Mapping[str, Any],
     card: str | None,
+    critic: bytes | None,
 ) -> None:
     tensors = {}
     for k, (weight, bias) in enumerate(layers):
@@ -301,7 +307,9 @@ def _write_files(
     write_json(folder / PROVENANCE, dict(provenance))
     if card is not None:
         (folder / CARD).write_bytes(card.encode())
-    names = FILES if card is None else (*FILES, CARD)
+    if critic is not None:
+        (folder / CRITIC).write_bytes(critic)
+    names = [name for name in (*FILES, *OPTIONAL) if (folder / name).is_file()]
     manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in names})
     write_json(folder / MANIFEST, manifest.model_dump())
 
@@ -322,9 +330,10 @@ def _put_in_place(new: Path, folder: Path, old: Path) -> None:
 
 def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:
     """Return the content of every file of the manifest; refuse changed, missing and unlisted files."""
-    for name in sorted((set(manifest.sha256) ^ set(FILES)) - {CARD}):
+    for name in sorted((set(manifest.sha256) ^ set(FILES)) - {*OPTIONAL}):
         lists = "lists" if name in manifest.sha256 else "does not list"
-        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {', '.join(FILES)}, {CARD}")
+        held = ", ".join((*FILES, *OPTIONAL))
+        raise AmulettError(f"'{folder / MANIFEST}' {lists} {name[:100]!r}; a bundle holds {held}")
     try:
         for path in visible(folder):
             if path.name not in manifest.sha256 and path.name != MANIFEST:

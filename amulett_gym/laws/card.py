@@ -51,7 +51,7 @@ def rewrite_card(folder: str | Path, limits: Sequence[str]) -> Path:
     """Write a bundle's model card anew, with sentences on its limits; the other files stay as they are."""
     found = read_bundle(folder)
     card = model_card(found.policy, found.env, found.provenance, limits)
-    return write_bundle(folder, found.layers, found.policy, found.env, found.provenance, card)
+    return write_bundle(folder, found.layers, found.policy, found.env, found.provenance, card, found.critic)
 
 
 def _training(devices: str, env: TrainingEnv, policy: PolicyDescription, provenance: Mapping[str, Any]) -> list[str]:

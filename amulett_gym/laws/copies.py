@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.bundle import CARD, FILES, MANIFEST
+from amulett_gym.laws.bundle import FILES, MANIFEST, OPTIONAL
 from amulett_gym.laws.contenders import CONSTANT, contender_names, python_file, split_loop
 from amulett_gym.storage.reading import read_bytes, user_path
 
@@ -155,7 +155,8 @@ def policy_digest(name: str) -> str | None:
 def _companions(main: Path) -> list[Path]:
     """Return the other files that a policy consists of."""
     if main.name == MANIFEST:
-        return [main.with_name(name) for name in FILES] + [path for path in [main.with_name(CARD)] if path.is_file()]
+        optional = [main.with_name(name) for name in OPTIONAL]
+        return [main.with_name(name) for name in FILES] + [path for path in optional if path.is_file()]
     if main.suffix == ".zip":  # the meaning of its actions (`amulett_agents.load_sb3_zip`)
         return [path for path in (main.with_suffix(".json"), main.with_name("config.yaml")) if path.is_file()][:1]
     return _imported(main) if main.suffix == ".py" else []

@@ -137,9 +137,13 @@ def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[s
     AmulettError
         If the file cannot be read, is larger than `limit` (also unpacked), or is damaged.
     """
+    return parse_arrays(read_bytes(path, what, limit), f"{what} '{path}'", limit)
+
+
+def parse_arrays(content: bytes, what: str, limit: int) -> dict[str, NDArray[Any]]:
+    """Return the arrays in an ``.npz`` file's content, which is called `what` in errors; errors as of `read_arrays`."""
     import numpy as np
 
-    content = read_bytes(path, what, limit)
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
@@ -151,7 +155,7 @@ def read_arrays(path: str | Path, what: str, limit: int = 400_000_000) -> dict[s
             raise ValueError("a part of it is no array")
         return found
     except Exception as error:  # zipfile, zlib and numpy do not say what they raise for damaged files
-        raise AmulettError(f"{what} '{path}' is damaged: {str(error)[:200]}") from error
+        raise AmulettError(f"{what} is damaged: {str(error)[:200]}") from error
 
 
 def check_tree(value: Any, finite: bool = True) -> None:

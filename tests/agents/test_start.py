@@ -10,7 +10,8 @@ torch = pytest.importorskip("torch")
 
 from amulett_agents import run  # noqa: E402
 from amulett_agents.bundles import describe_policy, save_policy, start_from  # noqa: E402
-from amulett_agents.config import load_train_config  # noqa: E402
+from amulett_agents.config import ADAPTATION, CRITIC_STEPS, load_train_config  # noqa: E402
+from amulett_agents.critic_file import critic_of_bundle  # noqa: E402
 from amulett_agents.model import callbacks, make_model  # noqa: E402
 from amulett_agents.run import Run  # noqa: E402
 from amulett_agents.training import resume, train  # noqa: E402
@@ -18,7 +19,7 @@ from amulett_gym.cli import main  # noqa: E402
 from amulett_gym.envs.transition import OBSERVATIONS  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.actor import Actor  # noqa: E402
-from amulett_gym.laws.bundle import read_bundle  # noqa: E402
+from amulett_gym.laws.bundle import read_bundle, write_bundle  # noqa: E402
 from amulett_gym.laws.contenders import bundle_folder  # noqa: E402
 from amulett_gym.laws.features import FEATURES  # noqa: E402
 
@@ -223,3 +224,128 @@ def test_the_policy_to_start_from_stays_where_none_is_better(tmp_path, monkeypat
     np.testing.assert_allclose(best[0][0], start.layers[0][0], rtol=0, atol=1e-5)
     assert main(["train", "--start", "pretrained", "--config", str(CAUSAL), "--out", str(out)]) == 2
     assert "--start has its own recipe" in capsys.readouterr().err
+
+
+def critic_of(model, observations):
+    """Return the values of observations by a model's critic."""
+    with torch.no_grad():
+        return model.policy.predict_values(torch.as_tensor(observations)).numpy().ravel()
+
+
+def same_critic(one, other):
+    critics = (model.policy.mlp_extractor.value_net.parameters() for model in (one, other))
+    return all(torch.equal(*pair) for pair in zip(*critics, strict=True))
+
+
+def seen_by(model):
+    """Return observations of a model's networks."""
+    model.get_env().seed(5)
+    observations = [model.get_env().reset()]
+    for _ in range(20):
+        observations.append(model.get_env().step(np.zeros((4, 1), dtype=np.float32))[0])
+    return np.concatenate(observations)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        [],
+        ["ppo.privileged_critic=false", "network.critic_hidden=[12]"],
+        ["env.privileged=true"],
+        ["env.history=2", "network.memory=true", "network.activation=tanh"],
+        ["env.fleet=[testbed, simulation]"],
+    ],
+)
+def test_the_critic_of_a_bundle_starts_too(kind, tmp_path):
+    trained = model_of(*kind)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for weights in trained.policy.parameters():
+            weights.copy_(0.2 * torch.randn(weights.shape, generator=generator))
+    save_policy(trained, tmp_path / "bundle")
+    model, shown = model_of(*kind, f"network.start={tmp_path / 'bundle'}"), seen_by(trained)
+    expected = critic_of(trained, shown)
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(critic_of(model, shown), expected, rtol=0, atol=1e-4)
+    plain = model_of(*kind, f"network.start={tmp_path / 'bundle'}", "network.standard_inputs=false")
+    np.testing.assert_allclose(critic_of(plain, shown), expected, rtol=0, atol=1e-4)
+
+
+def test_on_one_device_the_critic_of_a_fleet_knows_that_device(tmp_path):
+    bundle_of(tmp_path / "bundle", "env.fleet=[testbed, simulation]")
+    start = f"network.start={tmp_path / 'bundle'}"
+    values = {}
+    for device in ("testbed", "simulation"):
+        fleet = model_of(f"env.fleet=[{device}]", start)
+        shown = seen_by(fleet)
+        one = model_of(f"env.profile={device}", start)
+        entries = one.observation_space.shape[0]
+        assert entries < shown.shape[1]
+        values[device] = critic_of(one, shown[:, :entries])
+        np.testing.assert_allclose(values[device], critic_of(fleet, shown), rtol=0, atol=1e-4)
+    assert not np.allclose(values["testbed"][:4], values["simulation"][:4], atol=1e-2)
+    # A critic that did not know devices pays no attention to them at first.
+    bundle_of(tmp_path / "other", "env.profile=simulation")
+    fleet = model_of("env.fleet=[testbed, simulation]", f"network.start={tmp_path / 'other'}")
+    first = fleet.policy.mlp_extractor.value_net[0].weight.detach().numpy()
+    assert first[:, :entries].all() and not first[:, entries:].any()
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        (["ppo.privileged_critic=false"], "inputs that this one does not have: .'spring_biceps_factor'"),
+        (["network.critic_hidden=[16]"], r"hidden layers: \[128, 128\]; this recipe's has \[16\]"),
+        (["ppo.gamma=0.9"], "ppo.gamma: 0.99; this recipe's has 0.9"),
+        (["ppo.reward_scale=1.0"], "ppo.reward_scale: 10.0; this recipe's has 1.0"),
+    ],
+)
+def test_another_kind_of_critic_is_new_and_the_user_is_told(asked, message, tmp_path):
+    bundle_of(tmp_path / "bundle")
+    with pytest.warns(UserWarning, match=f"critic of '.*bundle' has {message}.* A new critic learns instead"):
+        model = model_of(*asked, f"network.start={tmp_path / 'bundle'}")
+    assert same_critic(model, model_of(*asked))
+
+
+def test_with_a_critic_it_learns_alone_for_a_shorter_time(tmp_path):
+    kind = ["network.critic_hidden=[12, 6]", "ppo.gamma=0.98", "ppo.privileged_critic=false", "ppo.reward_scale=5"]
+    start = bundle_of(tmp_path / "start", *kind).folder
+    config = load_train_config(None, [], start=str(start))
+    assert (config.network.critic_hidden, config.ppo.privileged_critic) == ([12, 6], False)
+    assert (config.ppo.gamma, config.ppo.reward_scale, config.ppo.critic_steps) == (0.98, 5.0, CRITIC_STEPS)
+    own = load_train_config(None, ["ppo.gamma=0.98", "ppo.critic_steps=1000"], start=str(start))
+    assert own.ppo.critic_steps == 1000
+    long = ADAPTATION["ppo"]["critic_steps"]
+    assert load_train_config(None, ["ppo.gamma=0.99"], start=str(start)).ppo.critic_steps == long > CRITIC_STEPS
+    without_critic(start)
+    config = load_train_config(None, [], start=str(start))
+    assert (config.network.critic_hidden, config.ppo.gamma, config.ppo.critic_steps) == ([128, 128], 0.99, long)
+
+
+def without_critic(folder):
+    """Write a bundle anew, as earlier versions did."""
+    found = read_bundle(folder)
+    write_bundle(folder, found.layers, found.policy, found.env, found.provenance, found.card)
+
+
+def test_a_bundle_without_a_critic_starts_as_before(tmp_path, recwarn):
+    bundle_of(tmp_path / "bundle")
+    without_critic(tmp_path / "bundle")
+    model = model_of(f"network.start={tmp_path / 'bundle'}")
+    assert same_critic(model, model_of())
+    assert not recwarn.list
+
+
+def test_the_best_policy_has_the_critic_of_its_time(tmp_path, monkeypatch):
+    costs, critics = iter([3.0, 1.0, 2.0, 2.0, 2.0]), []
+    rated = run.evaluate
+
+    def rate(model, *them):
+        critics.append(model.policy.value_net.weight.detach().numpy().copy())
+        return {**rated(model, *them), "cost": next(costs)}
+
+    monkeypatch.setattr(run, "evaluate", rate)
+    short = ["total_steps=192", "validation.every_steps=64", "validation.episodes=4"]
+    train(load_train_config(None, [*SMALL, *short]), tmp_path, progress=False)
+    best, last = (critic_of_bundle(read_bundle(tmp_path / name)).layers[-1][0] for name in ("best", "last"))
+    assert np.array_equal(best, critics[1]) and np.array_equal(last, critics[-1]) and not np.array_equal(best, last)

@@ -19,6 +19,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import (
     CARD,
+    CRITIC,
     FILES,
     MANIFEST,
     Manifest,
@@ -28,6 +29,7 @@ from amulett_gym.laws.bundle import (
     read_bundle,
     write_bundle,
 )
+from amulett_gym.laws.card import rewrite_card
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.storage.writing import write_json
 
@@ -143,6 +145,31 @@ def test_a_model_card_is_part_of_the_bundle_and_old_bundles_have_none(folder):
         read_bundle(folder)
     with pytest.raises(AmulettError, match=f"{CARD}' holds characters that cannot be printed"):
         write_bundle(folder, *content, "# \x1b[2J\n")
+
+
+def test_a_critic_is_part_of_the_bundle_and_only_a_training_reads_it(folder):
+    plain = (folder / MANIFEST).read_bytes()
+    assert read_bundle(folder).critic is None
+    content = random_layers((13, 8, 1)), describe(), ENV, {"seed": 0}
+    write_bundle(folder, *content, critic=b"arrays")
+    found = read_bundle(folder)
+    assert found.critic == b"arrays" and found.card is None
+    assert read_bundle(rewrite_card(folder, ["It fears pushes."])).critic == b"arrays"
+    (folder / CRITIC).write_bytes(b"others")
+    with pytest.raises(AmulettError, match=f"{CRITIC}' was changed or damaged"):
+        read_bundle(folder)
+    (folder / CRITIC).unlink()
+    with pytest.raises(AmulettError, match=f"{CRITIC}.*No such file"):
+        read_bundle(folder)
+    write_bundle(folder, *content)
+    assert (folder / MANIFEST).read_bytes() == plain
+    (folder / CRITIC).write_bytes(b"arrays")
+    with pytest.raises(AmulettError, match=f"{CRITIC}' is not listed"):
+        read_bundle(folder)
+    (folder / CRITIC).write_bytes(bytes(bundles.MAX_BYTES + 1))
+    vouch_for(folder)
+    with pytest.raises(AmulettError, match=f"{CRITIC}' has .* bytes; at most"):
+        read_bundle(folder)
 
 
 def test_a_space_that_became_a_tab_in_the_manifest_is_noticed(folder):

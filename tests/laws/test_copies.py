@@ -8,7 +8,7 @@ import pytest
 from helpers import make_bundle
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.bundle import FILES
+from amulett_gym.laws.bundle import FILES, MANIFEST, OPTIONAL, read_bundle, write_bundle
 from amulett_gym.laws.copies import FOLDER, copy_policies, kept_policies, policy_digest
 
 
@@ -74,3 +74,10 @@ def test_a_law_of_the_package_has_no_file_even_if_a_file_has_its_name(tmp_path, 
 def test_a_damaged_record_is_refused(record, tmp_path):
     with pytest.raises(AmulettError, match="'kept' in command.json is damaged"):
         kept_policies(tmp_path, record)
+
+
+def test_a_copied_bundle_keeps_its_critic(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = read_bundle(make_bundle(tmp_path / "mine"))
+    write_bundle("mine", found.layers, found.policy, found.env, found.provenance, "# Card\n", b"arrays")
+    assert set(copy_policies(["mine"]).record["mine"]["sha256"]) == {MANIFEST, *FILES, *OPTIONAL}
