@@ -24,6 +24,7 @@ LAYERS = (
     ("learning", "reporting"),
     ("evaluation",),
     ("c",),
+    ("firmware",),
     ("studies",),
     ("cli", "__main__"),
 )

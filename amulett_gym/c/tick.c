@@ -1,4 +1,4 @@
-/* The tick of amulett_gym/simulation/kernel.py in plain C: a yardstick for its speed only.
+/* The tick of amulett_gym/simulation/kernel.py in plain C: a yardstick for its speed only. Its loop is in loop.h.
 
    Names and order of operations are those of the kernel. layout.h is generated from the dtypes of simulation/layout.py.
    A `real` holds WIDTH devices: with WIDTH 1 it is a double, and each device does the whole tick before the next one;
@@ -10,6 +10,9 @@
 #include <stdint.h>
 
 #define INLINE static inline __attribute__((always_inline))
+
+typedef double scalar;
+typedef int64_t lane;
 
 #if WIDTH == 1
 
@@ -85,10 +88,7 @@ typedef const parameters *restrict Parameters;
 typedef const scenarios *restrict Scenarios;
 typedef states *restrict States;
 
-/* Python's min and max: the first argument unless the second is less, greater. */
-INLINE real least(real a, real b) { return select(b < a, b, a); }
-INLINE real greatest(real a, real b) { return select(b > a, b, a); }
-INLINE real square(real a) { return a * a; }
+typedef const double (*Table)[4];
 
 /* ---- the C library's functions ---- */
 
@@ -133,6 +133,28 @@ INLINE real sine(real a) {
 INLINE mask is_nan(real a) { return (bits_of(a) << 1) > 0xFFE0000000000000u; }
 INLINE mask is_near(real a) { return (bits_of(a) << 1) <= (bits_of(all(FARTHEST)) << 1); }
 
+/* Read the coefficients of a table's cells. */
+INLINE void load_cell(Table table, integer cell, real *k0, real *k1, real *k2, real *k3) {
+#if WIDTH == 1
+    *k0 = table[cell][0], *k1 = table[cell][1], *k2 = table[cell][2], *k3 = table[cell][3];
+#else
+    /* Loading whole rows and transposing them is faster than the processor's own gather. */
+#define TABLE_ROW(lane) (*(const row *)table[cell[lane]])
+#define JOIN(one, other) __builtin_shufflevector(TABLE_ROW(one), TABLE_ROW(other), 0, 1, 2, 3, 4, 5, 6, 7)
+    real a = JOIN(0, 4), b = JOIN(1, 5), c = JOIN(2, 6), d = JOIN(3, 7);
+    real ab02 = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+    real ab13 = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+    real cd02 = __builtin_shufflevector(c, d, 0, 8, 2, 10, 4, 12, 6, 14);
+    real cd13 = __builtin_shufflevector(c, d, 1, 9, 3, 11, 5, 13, 7, 15);
+    *k0 = __builtin_shufflevector(ab02, cd02, 0, 1, 8, 9, 4, 5, 12, 13);
+    *k1 = __builtin_shufflevector(ab13, cd13, 0, 1, 8, 9, 4, 5, 12, 13);
+    *k2 = __builtin_shufflevector(ab02, cd02, 2, 3, 10, 11, 6, 7, 14, 15);
+    *k3 = __builtin_shufflevector(ab13, cd13, 2, 3, 10, 11, 6, 7, 14, 15);
+#endif
+}
+
+#include "loop.h"
+
 /* ---- simulation/random.py ---- */
 
 INLINE word random_bits(word key, word counter) {
@@ -149,45 +171,7 @@ INLINE real noise(word key, word counter) {
     return (total - NOISE_MEAN) / NOISE_DEVIATION;
 }
 
-/* ---- model/ and control/ ---- */
-
-typedef struct {
-    real w, k0, k1, k2, k3; /* position within its cell, and the cell's coefficients */
-} cubic;
-
-INLINE cubic find_cell(const double table[CELLS][4], real position) {
-    real scaled = least(greatest(position, all(0.0)), all(1.0)) * CELLS;
-    integer cell = to_integer(least(scaled, all(CELLS - 1)));
-    cubic found = {scaled - to_real(cell)};
-#if WIDTH == 1
-    found.k0 = table[cell][0], found.k1 = table[cell][1], found.k2 = table[cell][2], found.k3 = table[cell][3];
-#else
-    /* Loading whole rows and transposing them is faster than the processor's own gather. */
-#define TABLE_ROW(lane) (*(const row *)table[cell[lane]])
-#define JOIN(one, other) __builtin_shufflevector(TABLE_ROW(one), TABLE_ROW(other), 0, 1, 2, 3, 4, 5, 6, 7)
-    real a = JOIN(0, 4), b = JOIN(1, 5), c = JOIN(2, 6), d = JOIN(3, 7);
-    real ab02 = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
-    real ab13 = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
-    real cd02 = __builtin_shufflevector(c, d, 0, 8, 2, 10, 4, 12, 6, 14);
-    real cd13 = __builtin_shufflevector(c, d, 1, 9, 3, 11, 5, 13, 7, 15);
-    found.k0 = __builtin_shufflevector(ab02, cd02, 0, 1, 8, 9, 4, 5, 12, 13);
-    found.k1 = __builtin_shufflevector(ab13, cd13, 0, 1, 8, 9, 4, 5, 12, 13);
-    found.k2 = __builtin_shufflevector(ab02, cd02, 2, 3, 10, 11, 6, 7, 14, 15);
-    found.k3 = __builtin_shufflevector(ab13, cd13, 2, 3, 10, 11, 6, 7, 14, 15);
-#endif
-    return found;
-}
-
-INLINE real look_up(const double table[CELLS][4], real position) {
-    cubic at = find_cell(table, position);
-    return at.k0 + at.w * (at.k1 + at.w * (at.k2 + at.w * at.k3));
-}
-
-INLINE real look_up_slope(const double table[CELLS][4], real position) {
-    cubic at = find_cell(table, position);
-    real slope = (at.k1 + at.w * (2.0 * at.k2 + at.w * 3.0 * at.k3)) * CELLS;
-    return select((position < 0.0) | (position > 1.0), all(0.0), slope);
-}
+/* ---- model/ ---- */
 
 /* model/spring.py: what a string has beyond the tables' end. */
 INLINE real spring_force(Parameters p, real position) {
@@ -214,10 +198,6 @@ INLINE real slider_deflection(Parameters p, real position) {
     double width = p->beyond_width * p->beyond_width;
     real x = greatest(position, all(1.0));
     return deflection + p->beyond_slider * (root(width + x * x) - sqrt(width + 1.0));
-}
-
-INLINE real estimate_force(Parameters p, real spring_deflection) {
-    return look_up(p->estimate_table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
 }
 
 INLINE real stretch_biceps(Parameters p, Scenarios c, int64_t i, real drive, real joint) {
@@ -247,33 +227,6 @@ INLINE real quantise(real value, double resolution) {
     return floor_of(value / resolution + 0.5) * resolution;
 }
 
-INLINE real filtered_derivative(real derivative, real change, double gain, double time_constant, double period) {
-    return (time_constant * derivative + gain * change) / (time_constant + period);
-}
-
-INLINE real integrate(real integral, real error, double gain, double period, mask up, mask down) {
-    mask held = ((error > 0.0) & not(up)) | ((error < 0.0) & not(down));
-    return select(held, integral, integral + gain * error * period);
-}
-
-INLINE real select_agonist(Parameters p, real agonist, real difference, real error) {
-    mask tie = (absolute(difference) <= p->tie_width) & (absolute(error) >= p->tie_error) & (error != 0.0);
-    real selected = select(tie, select(error > 0.0, all(BICEPS), all(TRICEPS)), agonist);
-    selected = select(difference < -p->switch_hysteresis, all(TRICEPS), selected);
-    return select(difference > p->switch_hysteresis, all(BICEPS), selected);
-}
-
-INLINE real scaling_factor(Parameters p, real error) {
-    double lowest = p->minimum_tension / p->nominal_tension;
-    real distance = greatest(1.0 - absolute(error) / p->error_offset, all(0.0));
-    return (1.0 - lowest) * square(square(distance)) + lowest;
-}
-
-INLINE real scaling_factor_printed(Parameters p, real error) {
-    double lowest = p->minimum_tension / p->nominal_tension;
-    return least((1.0 - lowest) * square(square(absolute(error) / p->error_offset)) + lowest, all(1.0));
-}
-
 INLINE real minimum_jerk(real progress) {
     return progress * progress * progress * (10.0 + progress * (6.0 * progress - 15.0));
 }
@@ -286,43 +239,6 @@ INLINE real start_counting(Parameters p, Scenarios c, States s, int64_t i) {
     return select(counts, all(1.0), all(0.0));
 }
 
-INLINE void control_position(Parameters p, States s, int64_t i, real error) {
-    real signal = p->position_on_error ? error : -s->measured_angle[i];
-    s->position_derivative[i] = filtered_derivative(s->position_derivative[i], signal - s->position_signal[i],
-                                                    p->position_kd, p->position_filter, p->control_period);
-    s->position_signal[i] = signal;
-    real command = select(s->agonist[i] == BICEPS, s->command_biceps[i], s->command_triceps[i]);
-    s->position_integral[i] = integrate(s->position_integral[i], error, p->position_ki, p->control_period,
-                                        command < p->command_limit, command > -p->command_limit);
-    s->position_output[i] = p->position_kp * error + s->position_integral[i] + s->position_derivative[i];
-}
-
-INLINE real choose_tension(Parameters p, States s, int64_t i, real error) {
-    if (p->law == AGENT) return s->tension_command[i] += s->tension_rate[i];
-    real factor = p->law == EQ6 ? scaling_factor(p, error) : scaling_factor_printed(p, error);
-    return factor * p->nominal_tension;
-}
-
-INLINE void control_tension(Parameters p, States s, int64_t i, mask restart) {
-    mask biceps_is_antagonist = s->agonist[i] == TRICEPS;
-    real estimate = select(biceps_is_antagonist, s->estimate_biceps[i], s->estimate_triceps[i]);
-    mask untrusted = either(biceps_is_antagonist, s->untrusted_biceps[i], s->untrusted_triceps[i]) != 0;
-    real measured = select(biceps_is_antagonist, s->measured_biceps[i], s->measured_triceps[i]);
-    real command = select(biceps_is_antagonist, s->command_biceps[i], -s->command_triceps[i]);
-    real error = s->tension_setpoint[i] - estimate;
-    if (p->below_floor == IGNORE) error = select(untrusted, all(0.0), error);
-    real signal = p->tension_on_error ? error : -estimate;
-    real derivative = filtered_derivative(s->tension_derivative[i], signal - s->tension_signal[i], p->tension_kd,
-                                          p->tension_filter, p->control_period);
-    real integral = integrate(s->tension_integral[i], error, p->tension_ki, p->control_period,
-                              (command < p->command_limit) & (measured < p->slider_end),
-                              (command > -p->command_limit) & not(untrusted));
-    s->tension_derivative[i] = select(restart, all(0.0), derivative);
-    s->tension_integral[i] = select(restart, -p->tension_kp * error, integral);
-    s->tension_signal[i] = signal;
-    s->tension_output[i] = p->tension_kp * error + s->tension_integral[i] + s->tension_derivative[i];
-}
-
 INLINE real setpoint_kick(Parameters p, States s, int64_t i, real counting) {
     real decayed = s->kick_derivative[i];
     if (p->position_on_error)
@@ -332,10 +248,6 @@ INLINE real setpoint_kick(Parameters p, States s, int64_t i, real counting) {
     s->isav_kick[i] += counting * kick * kick / p->control_period;
     s->setpoint_jump[i] = all(0.0);
     return kick;
-}
-
-INLINE real limit(Parameters p, real command) {
-    return least(greatest(command, all(-p->command_limit)), all(p->command_limit));
 }
 
 INLINE void command_drives(Parameters p, States s, int64_t i, real counting, real biceps, real triceps,
@@ -357,34 +269,13 @@ INLINE void command_drives(Parameters p, States s, int64_t i, real counting, rea
     s->command_triceps[i] = triceps;
 }
 
-INLINE void control(Parameters p, States s, int64_t i, real counting) {
-    real error = s->setpoint[i] - s->measured_angle[i];
-    real agonist = all(p->fixed_agonist);
-    if (p->fixed_agonist == 0.0)
-        agonist = select_agonist(p, s->agonist[i], s->measured_difference[i], error);
-    mask switched = agonist != s->agonist[i], biceps_leads = agonist == BICEPS;
-    s->agonist[i] = agonist;
-    s->switch_count[i] += select(switched, counting, all(0.0));
-    real last_position_output = s->position_output[i];
-    control_position(p, s, i, error);
-    real biceps_share = all(1.0), triceps_share = all(1.0);
-    if (p->tension_loop) {
-        biceps_share = select(biceps_leads, all(1.0), all(p->antagonist_share));
-        triceps_share = select(biceps_leads, all(p->antagonist_share), all(1.0));
-        s->tension_setpoint[i] = choose_tension(p, s, i, error);
-        control_tension(p, s, i, switched);
-        if (any(switched)) {
-            real offset_biceps = s->command_biceps[i] - biceps_share * last_position_output;
-            real offset_triceps = s->command_triceps[i] - triceps_share * last_position_output;
-            s->offset_biceps[i] = select(switched, offset_biceps, s->offset_biceps[i]);
-            s->offset_triceps[i] = select(switched, offset_triceps, s->offset_triceps[i]);
-        }
-    }
-    real pull = s->tension_output[i];
-    real biceps = s->offset_biceps[i] + biceps_share * s->position_output[i] + select(biceps_leads, all(0.0), pull);
-    real triceps = s->offset_triceps[i] + triceps_share * s->position_output[i] - select(biceps_leads, pull, all(0.0));
+/* The loop of loop.h, with the metrics of its commands. */
+INLINE void run_loop(Parameters p, States s, int64_t i, real counting) {
+    commands wanted = control(p, s, i);
+    s->switch_count[i] += select(wanted.switched, counting, all(0.0));
     real kick = setpoint_kick(p, s, i, counting);
-    command_drives(p, s, i, counting, biceps, triceps, biceps_share * kick, triceps_share * kick);
+    command_drives(p, s, i, counting, wanted.biceps, wanted.triceps, wanted.biceps_share * kick,
+                   wanted.triceps_share * kick);
 }
 
 INLINE real obstacle_torque(Scenarios c, int64_t i, real angle, real velocity) {
@@ -460,10 +351,6 @@ INLINE real pushes(Parameters p, Scenarios c, States s, int64_t i) {
     return push;
 }
 
-INLINE real low_pass(Parameters p, real last, real value, real time_constant) {
-    return last + (value - last) * p->control_period / (time_constant + p->control_period);
-}
-
 INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
     real rms = to_real(c->shake_rms[i]);
     mask shakes = rms > 0.0;
@@ -478,7 +365,7 @@ INLINE real shake(Parameters p, Scenarios c, States s, int64_t i, real push) {
     s->shake_inner[i] = select(shakes, inner, s->shake_inner[i]);
     s->shake_outer[i] = select(shakes, outer, s->shake_outer[i]);
     real q = lag / (lag + p->control_period), rest = 1.0 - q * q;
-    real deviation = square(1.0 - q) * root((1.0 + q * q) / (rest * rest * rest));
+    real deviation = squared(1.0 - q) * root((1.0 + q * q) / (rest * rest * rest));
     return select(shakes, push + rms * outer / deviation, push);
 }
 
@@ -569,11 +456,6 @@ INLINE void move(Parameters p, Scenarios c, States s, int64_t i, real counting) 
 #endif
 }
 
-INLINE real trust(Parameters p, real estimate, real last) {
-    real distrusted = p->below_floor == CLAMP ? all(p->force_floor) : p->below_floor == HOLD ? last : estimate;
-    return select(estimate >= p->force_floor, estimate, distrusted);
-}
-
 INLINE real sensor_noise(double deviation, word key, word counter) {
     if (deviation > 0.0) return deviation * noise(key, counter);
     return all(0.0);
@@ -597,16 +479,7 @@ INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
     real triceps_error = to_real(c->slider_bias_triceps[i]) + more * triceps_noise;
     s->measured_biceps[i] = read_slider(p, slider_deflection(p, biceps), biceps_error);
     s->measured_triceps[i] = read_slider(p, slider_deflection(p, triceps), triceps_error);
-    real difference = s->measured_biceps[i] - s->measured_triceps[i];
-    s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, all(p->switch_filter));
-    real raw = estimate_force(p, s->measured_biceps[i]);
-    s->untrusted_biceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    real trusted = trust(p, raw, s->estimate_biceps[i]);
-    s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trusted, all(p->force_filter));
-    raw = estimate_force(p, s->measured_triceps[i]);
-    s->untrusted_triceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    trusted = trust(p, raw, s->estimate_triceps[i]);
-    s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trusted, all(p->force_filter));
+    estimate_strings(p, s, i);
 }
 
 INLINE void begin_step(States s, int64_t i, mask begins, real time, real target, real change) {
@@ -669,8 +542,7 @@ INLINE void sense(Parameters p, Scenarios c, States s, int64_t i, real counting)
     s->tick[i] += 1;
     real last_angle = s->measured_angle[i];
     read_sensors(p, c, s, i);
-    s->measured_velocity[i] = filtered_derivative(s->measured_velocity[i], s->measured_angle[i] - last_angle, 1.0,
-                                                  p->velocity_filter, p->control_period);
+    estimate_velocity(p, s, i, last_angle);
     real force = select(s->agonist[i] == BICEPS, s->estimate_triceps[i], s->estimate_biceps[i]);
     real error = s->tension_setpoint[i] - force;
     s->tension_ise_estimated[i] += counting * p->control_period * error * error;
@@ -722,12 +594,12 @@ INLINE mask is_late(Scenarios c, States s, int64_t i) {
 INLINE void act(Parameters p, Scenarios c, States s, int64_t i, real counting) {
     mask late = is_late(c, s, i);
 #if WIDTH == 1
-    if (!late) control(p, s, i, counting);
+    if (!late) run_loop(p, s, i, counting);
 #else
     bool some_late = any(late);
     states before;
     if (some_late) before = *s;
-    control(p, s, i, counting);
+    run_loop(p, s, i, counting);
     if (some_late) keep(s, &before, late);
 #endif
 }

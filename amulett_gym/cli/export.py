@@ -1,0 +1,36 @@
+"""`amulett export`: loop and law as C for a microcontroller."""
+
+from __future__ import annotations
+
+import argparse
+
+from amulett_gym.cli.options import add_device, add_json, chosen_device
+from amulett_gym.cli.output import print_json, printer
+
+HELP = "write loop and law as C99 for a microcontroller, with test vectors"
+EXAMPLES = """  amulett export eq6 --out firmware
+  amulett export constant:8 --profile configs/my_device.yaml --out firmware
+  amulett export eq6-tuned --control decentralized --out firmware
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.add_argument("law", metavar="LAW", help="law by name, tuned law's file or policy bundle's folder")
+    add_device(parser)
+    parser.add_argument("--control", metavar="LOOP", help="control loop (default: that of the law)")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder for the sources, or of an earlier export")
+    add_json(parser, "the files' names and sizes")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the folder; return 0."""
+    from amulett_gym.firmware.export import export
+
+    files = export(arguments.law, chosen_device(arguments), arguments.control, arguments.out)
+    if arguments.json:
+        print_json({name: len(content.encode()) for name, content in files.items()})
+    show = printer(arguments)
+    show(f"The firmware is in {arguments.out}: {', '.join(sorted(files))}.")
+    show("make check compares it with the simulation; README.md says what was checked.")
+    return 0

@@ -1,0 +1,1 @@
+"""Loop and law as C for a microcontroller: export, the host's build, and the comparison with the simulation."""

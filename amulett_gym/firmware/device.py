@@ -1,0 +1,129 @@
+"""A profile with its loop as numbers of the firmware: ``device.h`` and ``tables.h``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.settings import Settings
+from amulett_gym.envs.transition import OBSERVATION_SCALES
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.numbers import array, defines, initialiser
+from amulett_gym.profile import Profile
+from amulett_gym.simulation.layout import pack_parameters
+
+MOST_BITS = 24
+"""Of a converter: its counts are exact as 32-bit floating-point numbers."""
+
+LET_GO_RATE = 1.0
+"""Rate at which the strings are let go [rad/s]: less than half a second for the shipped springs."""
+
+_BEYOND = math.radians(10.0)
+"""A joint angle may be read this far beyond the profile's limit [rad]."""
+
+FIELDS = (
+    "max_spring_deflection",
+    "command_limit",
+    "slider_end",
+    "force_filter",
+    "force_floor",
+    "control_period",
+    "position_kp",
+    "position_ki",
+    "position_kd",
+    "position_filter",
+    "tension_kp",
+    "tension_ki",
+    "tension_kd",
+    "tension_filter",
+    "antagonist_share",
+    "position_only_offset",
+    "fixed_agonist",
+    "switch_filter",
+    "switch_hysteresis",
+    "tie_width",
+    "tie_error",
+    "velocity_filter",
+    "nominal_tension",
+    "minimum_tension",
+    "error_offset",
+    "below_floor",
+    "position_on_error",
+    "tension_on_error",
+    "tension_loop",
+    "law",
+)
+"""What the firmware's loop reads of `layout.PARAMETERS`, by the same names, in addition to the estimates' table."""
+
+
+def device_header(profile: Profile, settings: Settings, law: Mapping[str, float | int]) -> str:
+    """Return ``device.h``: the numbers of sensors, loop and law.
+
+    Raises
+    ------
+    AmulettError
+        If a converter has too many bits.
+    """
+    record = pack_parameters(profile, settings.control, settings.tension_law)[0]
+    low, high = settings.tension_range
+    ticks = settings.ticks(profile)
+    values = {
+        "CONTROL_PERIOD": record["control_period"],
+        "CONTROL_TICKS_US": round(1e6 * float(record["control_period"])),
+        **sensor_numbers(profile, record),
+        "SETPOINT_MOST": record["angle_limit"],
+        "COMMAND_LIMIT": record["command_limit"],
+        "LET_GO_RATE": LET_GO_RATE,
+        **{f"OBSERVED_{name.split('_')[-1].upper()}": scale for name, scale in _scales().items()},
+        "LAW_TICKS": ticks,
+        "LAW_LOW": low,
+        "LAW_HIGH": high,
+        **law,
+    }
+    parameters = {"estimate_table": "estimate_table", **{name: _plain(record[name]) for name in FIELDS}}
+    return (
+        "/* Generated: the numbers of device, loop and law in SI units and rad. */\n\n"
+        "#ifndef DEVICE_H\n#define DEVICE_H\n\n"
+        f"{defines(values)}\n#define PARAMETERS \\\n    {initialiser(parameters)}\n\n#endif\n"
+    )
+
+
+def tables_header(profile: Profile, settings: Settings) -> str:
+    """Return ``tables.h``: the loop's tables."""
+    record = pack_parameters(profile, settings.control, settings.tension_law)[0]
+    return (
+        "/* Generated: tables of cubics over 256 cells, the constant term first. */\n\n"
+        f'#include "flash.h"\n\n{array("table_real", "estimate_table", np.asarray(record["estimate_table"]))}'
+    )
+
+
+def sensor_numbers(profile: Profile, record: NDArray[np.void] | np.void) -> dict[str, float | int]:
+    """Return what a count of each sensor means, and its largest one."""
+    sensors = profile.sensors
+    for key in ("encoder_bits", "potentiometer_bits"):
+        if (bits := getattr(sensors, key)) > MOST_BITS:
+            raise AmulettError(f"sensors.{key} is {bits}; the firmware reads converters of at most {MOST_BITS} bit")
+    angle, slider = float(record["encoder_resolution"]), float(record["slider_resolution"])
+    farthest, travel = float(record["angle_limit"]) + _BEYOND, float(record["slider_travel"])
+    return {
+        "ENCODER_EXACT": int(angle == 0.0),
+        "ENCODER_RESOLUTION": angle or 1.0,
+        "ENCODER_MOST": math.ceil(farthest / angle) if angle else farthest,
+        "SLIDER_EXACT": int(slider == 0.0),
+        "SLIDER_RESOLUTION": slider or 1.0,
+        "SLIDER_MOST": math.floor(travel / slider + 0.5) if slider else travel,
+    }
+
+
+def _scales() -> dict[str, float]:
+    names = {"position_error": "error", "joint_angle": "angle", "joint_velocity": "velocity"}
+    names |= {"time_since_move": "time", "estimated_tension": "tension", "command": "command"}
+    return {names[name]: scale for name, scale in OBSERVATION_SCALES.items()}
+
+
+def _plain(value: Any) -> float | int:
+    return int(value) if isinstance(value, np.integer) else float(value)

@@ -1,0 +1,120 @@
+"""Write the firmware's folder: C texts of the package, and generated numbers."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+from amulett_gym.c.build import find_compiler
+from amulett_gym.envs.settings import Settings
+from amulett_gym.firmware.device import device_header, tables_header
+from amulett_gym.firmware.host import FLAGS, Controller
+from amulett_gym.firmware.laws import choose, firmware_law
+from amulett_gym.firmware.readme import compare, readme
+from amulett_gym.firmware.recording import Recording, record
+from amulett_gym.firmware.vectors import vectors_header
+from amulett_gym.laws.contenders import Contender
+from amulett_gym.profile import Profile, load_profile
+from amulett_gym.simulation.layout import pack_parameters
+from amulett_gym.storage.writing import files_together, output_folder
+
+TEXTS = ("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "flash.h", "host.c", "check.c")
+"""Files of `amulett_gym.c` that are copied unchanged, beside the law's and the Makefile."""
+
+BOARD_FILES: tuple[str, ...] = ()
+"""Further ones, for the board: copied unchanged."""
+
+README = "README.md"
+
+_STEPS, _DEVICES = 50, 8  # of the recording that the firmware is compared with
+
+
+def export(law: str, profile: str | Path | Profile, control: str | None, folder: str | Path) -> dict[str, str]:
+    """Write the firmware of a law with its loop on a device.
+
+    Parameters
+    ----------
+    law : str
+        As `laws.contenders.contender_names` lists them, such as ``constant:10``, ``eq6`` or a policy bundle's folder.
+    profile : str, Path or Profile
+    control : str, optional
+        Loop; None: that of the law, in general the paper's.
+    folder : str or Path
+        New, empty, or of an earlier export, which is replaced.
+
+    Returns
+    -------
+    dict
+        The files: name -> content.
+
+    Raises
+    ------
+    AmulettError
+        If law, loop or profile is unknown, does not fit the microcontroller, or the folder cannot be written.
+    """
+    device = load_profile(profile)
+    contender, settings = choose(law, device, control)
+    with output_folder(folder, "firmware", [("device.h", "controller.c")]):
+        files = firmware_files(contender, device, settings)
+        recording = record_mixed(contender, settings)
+        numbers = pack_parameters(device, settings.control)[0]
+        resolutions = float(numbers["encoder_resolution"]), float(numbers["slider_resolution"])
+        files["vectors.h"] = vectors_header(recording, *resolutions)
+        period, ticks = device.loop.control_period, settings.ticks(device)
+        with files_together(folder, ()) as new:
+            _write(new, files)
+            checked = _checked(new, recording)
+            files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
+            _write(new, {README: files[README]})
+    return files
+
+
+def firmware_files(contender: Contender, profile: Profile, settings: Settings) -> dict[str, str]:
+    """Return the sources, name -> content, of a law that `laws.choose` returned; AmulettError if it does not fit."""
+    found = firmware_law(contender, profile, settings)
+    files = {name: text(name) for name in (*TEXTS, *BOARD_FILES)}
+    files |= {"law.c": text(found.source), "tables.h": tables_header(profile, settings), **found.files}
+    files["Makefile"] = text("firmware.mk")
+    header = device_header(profile, settings, found.defines)
+    digest = zlib.crc32("".join([*(files[name] for name in sorted(files)), header]).encode())
+    files["device.h"] = header.replace(
+        "\n#define PARAMETERS", f"#define FIRMWARE_ID {digest}u\n\n#define PARAMETERS", 1
+    )
+    return files
+
+
+def record_mixed(contender: Contender, settings: Settings) -> Recording:
+    """Return a second of the simulation's own loop, in scenarios of `mixed` that no policy was trained on."""
+    given = {key: getattr(settings, key) for key in settings.model_fields_set}
+    mixed = type(settings)(**{**given, "suite": "mixed", "split": "held-out"})
+    return record(contender, mixed, _STEPS, _DEVICES)
+
+
+def text(name: str) -> str:
+    """Return a file of `amulett_gym.c`."""
+    return resources.files("amulett_gym.c").joinpath(name).read_text("utf-8")
+
+
+def _checked(folder: Path, recording: Recording) -> str:
+    """Return what a comparison of the compiled controller with the simulation gives, as Markdown."""
+    if find_compiler() is None:
+        return "Nothing: there was no C compiler. `make check` compares the controller with the test vectors."
+    ticks, devices = recording.outputs["biceps"].shape
+    lines = [
+        f"With the readings of {devices} simulated episodes of `mixed`, {ticks} control ticks each, the largest "
+        "difference from the simulation's own loop was:",
+        "",
+        "| Build for this computer | command [rad] | tension setpoint [N] |",
+        "|---|---|---|",
+    ]
+    for real in FLAGS:
+        found = compare(Controller(folder, real), recording)
+        lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
+    return "\n".join(lines)
+
+
+def _write(folder: Path, files: Mapping[str, str]) -> None:
+    for name, content in files.items():
+        (folder / name).write_text(content, encoding="utf-8")

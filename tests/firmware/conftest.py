@@ -1,0 +1,47 @@
+"""Firmware that several tests use, compiled once."""
+
+from pathlib import Path
+
+import pytest
+
+from amulett_gym.c.build import NO_COMPILER, find_compiler
+from amulett_gym.firmware.export import firmware_files
+from amulett_gym.firmware.host import Controller
+from amulett_gym.firmware.laws import choose
+from amulett_gym.firmware.recording import record
+from amulett_gym.profile import load_profile
+
+
+class Firmware:
+    """A law's sources in a folder, with the contender and settings that they were written for."""
+
+    def __init__(self, folder: Path, law: str, profile="testbed", control=None, **environment):
+        self.folder, self.profile = folder, load_profile(profile)
+        self.contender, settings = choose(law, self.profile, control)
+        given = {key: getattr(settings, key) for key in settings.model_fields_set} | environment
+        self.settings = type(settings)(**given)
+        self.files = firmware_files(self.contender, self.profile, self.settings)
+        for name, content in self.files.items():
+            (folder / name).write_text(content)
+
+    def controller(self, real="double") -> Controller:
+        return Controller(self.folder, real)
+
+    def record(self, steps=60, num_devices=6, **options):
+        return record(self.contender, self.settings, steps, num_devices, **options)
+
+
+@pytest.fixture(scope="session")
+def firmware(tmp_path_factory):
+    """Make the firmware of a law, profile and loop; the same one is made once."""
+    if find_compiler() is None:
+        pytest.skip(NO_COMPILER)
+    made = {}
+
+    def make(law, profile="testbed", control=None, **environment):
+        key = (law, str(profile), control, *sorted(environment.items()))
+        if key not in made:
+            made[key] = Firmware(tmp_path_factory.mktemp("firmware"), law, profile, control, **environment)
+        return made[key]
+
+    return make

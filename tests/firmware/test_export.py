@@ -1,0 +1,82 @@
+"""An exported folder is complete: it compiles without a warning and passes its own test vectors."""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+from helpers import device
+
+from amulett_gym.c.build import NO_COMPILER, find_compiler
+from amulett_gym.cli import main
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.export import export
+from amulett_gym.firmware.host import FLAGS, SOURCES
+
+needs_compiler = pytest.mark.skipif(find_compiler() is None, reason=NO_COMPILER)
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+def test_a_folder_checks_itself(tmp_path, capsys):
+    assert main(["export", "eq6-held", "--out", str(tmp_path / "firmware"), "--json"]) == 0
+    sizes = json.loads(capsys.readouterr().out)
+    assert sizes == {path.name: path.stat().st_size for path in (tmp_path / "firmware").iterdir()}
+    done = subprocess.run(["make", "check"], cwd=tmp_path / "firmware", capture_output=True, text=True, check=True)
+    assert done.stdout.count("as it should be") == len(FLAGS)
+    header = tmp_path / "firmware" / "device.h"
+    header.write_text(header.read_text().replace(".position_ki = 5.8", ".position_ki = 5.9"))
+    assert (
+        "TOO MUCH"
+        in subprocess.run(["make", "check"], cwd=tmp_path / "firmware", capture_output=True, text=True).stdout
+    )
+    readme = (tmp_path / "firmware" / "README.md").read_text()
+    assert "| double | 0 | 0 |" in readme and "eq6-held" in readme
+
+
+@needs_compiler
+@pytest.mark.parametrize("real", FLAGS)
+def test_sources_compile_without_a_warning(firmware, real, tmp_path):
+    folder = firmware("eq6-tuned", suite="mixed", split="shifted").folder
+    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wno-sign-conversion", "-Werror", *FLAGS[real]]
+    for source in SOURCES:
+        command = [find_compiler(), *flags, "-c", str(folder / source), "-o", str(tmp_path / "out.o")]
+        assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+def test_an_export_replaces_an_earlier_one_and_nothing_else(tmp_path):
+    export("eq6", "testbed", None, tmp_path / "firmware")
+    export("constant:8", "testbed", None, tmp_path / "firmware")
+    assert "constant:8" in (tmp_path / "firmware" / "README.md").read_text()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("")
+    with pytest.raises(AmulettError, match="not empty"):
+        export("eq6", "testbed", None, tmp_path / "mine")
+
+
+@pytest.mark.parametrize(
+    ("law", "control", "message"),
+    [
+        ("eq7", None, "unknown policy"),
+        ("constant:20", None, "needs 20 N"),
+        ("eq6", "positon-only", "unknown control"),
+        ("constant:10", "position-only", "no contender"),
+    ],
+)
+def test_wrong_words(law, control, message, tmp_path):
+    with pytest.raises(AmulettError, match=message):
+        export(law, "testbed", control, tmp_path / "firmware")
+    assert not (tmp_path / "firmware").exists()
+
+
+def test_a_converter_with_too_many_bits(tmp_path):
+    with pytest.raises(AmulettError, match="encoder_bits is 30; .* at most 24"):
+        export("eq6", device("testbed", sensors={"encoder_bits": 30}), None, tmp_path / "firmware")
+
+
+def test_a_hostile_name_of_a_profile_stays_text(tmp_path):
+    name = '*/ #include "/etc/passwd" <script>`x` | [a](http://b)'
+    files = export("eq6", device("testbed").model_copy(update={"name": name}), None, tmp_path / "firmware")
+    for content in files.values():
+        assert "passwd" not in content or "*/" not in content.split("passwd")[0][-20:]
+    assert "<script>" not in files["README.md"] and "`x`" not in files["README.md"]
