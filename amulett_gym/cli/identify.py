@@ -30,7 +30,7 @@ _COUNTS = {
     "steps": "moves of each walker of the ensemble",
 }
 FLOORS = ("clamp", "hold", "ignore")  # of `studies.paper.reproduction.Readings.floor`
-_OF_FLEET = ("below_floor", "bound", "devices", "write", "doc")
+_OF_FLEET = ("below_floor", "spring_laws", "bound", "devices", "write", "doc")
 """Options for `--fleet` alone."""
 
 
@@ -38,7 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted study in it is continued")
     parser.add_argument(
-        "--seeds", nargs="+", type=int, metavar="N", help="seeds of the independent starts (default: 1 2 3)"
+        "--seeds",
+        nargs="+",
+        type=int,
+        metavar="N",
+        help="seeds of the independent starts (default: 1 2 3, of a fleet 1 to 6)",
     )
     for name, text in _COUNTS.items():
         parser.add_argument(f"--{name}", type=int, metavar="N", help=f"{text} (default: as the shipped study)")
@@ -57,6 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--below-floor", choices=FLOORS, help="of a fleet: treatment of forces below the floor (default: the testbed's)"
+    )
+    parser.add_argument(
+        "--spring-laws",
+        nargs="*",
+        type=float,
+        metavar="X",
+        help="of a fleet: free lengths of a spring over its half width, each of them fixed in a further start; 0 is "
+        "linear, 1 mounted unstretched (default: 0 0.7)",
     )
     parser.add_argument(
         "--bound",
@@ -118,16 +130,20 @@ def _sample(arguments: argparse.Namespace) -> int:
         raise AmulettError("--refinement is not for --fleet, whose starts are not refined; leave it out")
     if arguments.bound is not None and not 0.0 < arguments.bound < 1e6:
         raise AmulettError(f"--bound is {arguments.bound:g}; it has to be above 0, and below 1e6")
+    if outside := [ratio for ratio in arguments.spring_laws or () if not 0.0 <= ratio <= 1.0]:
+        raise AmulettError(f"--spring-laws has {outside[0]:g}; a free length over the half width is from 0 to 1")
     if arguments.devices and min(arguments.devices) < 1:
         raise AmulettError(f"--devices are {arguments.devices}; each fleet needs at least 1")
-    recipe = Recipe(**_given(arguments, "seeds", "population", "generations", "steps", "bound", "devices"))
+    recipe = Recipe(
+        **_given(arguments, "seeds", "spring_laws", "population", "generations", "steps", "bound", "devices")
+    )
     floor = arguments.below_floor or load_profile("testbed").sensors.below_floor
     readings = Readings(spring_end=arguments.spring_end, floor=floor)
     if arguments.doc:
         check_document(arguments.doc, [MARKS], images=True)
     total, show = stage_count(recipe), printer(arguments)
     show(f"{total} steps, {min(arguments.processes, total)} in parallel; a search may take minutes.")
-    sizes = command_words(argparse.Namespace(**_plain(recipe)), *_plain(recipe))
+    sizes = command_words(argparse.Namespace(**_plain(recipe)), *(name.replace("_", "-") for name in _plain(recipe)))
     words = ["amulett", "identify", "--fleet", "--spring-end", arguments.spring_end, "--below-floor", floor, *sizes]
     progress = Progress(total, "identify", "steps")
     with output_folder(arguments.out, "sample of devices", [[RECIPE]]), locked_folder(arguments.out), progress:

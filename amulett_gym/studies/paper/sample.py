@@ -1,10 +1,11 @@
 """A sample of plausible devices: physics that explains Tables 2-5 under one configuration of the testbed's loop.
 
 The testbed's loop (control period, filters, gains, floor) is that of the shipped profile; only physics is searched,
-and the filters of the simulation, which is another device. Independent searches are followed by walks through the sets
-whose cost exceeds the least one by at most a bound. The last places of the walkers are a sample of these sets. Each
-gets a draw of what no table sees (`parameters.UNSEEN`), and is taken in if it is still within the bound, and if the
-environments can play it. Stages are kept as in `study`.
+and the filters of the simulation, which is another device. Independent searches, some of them with a given law of the
+spring, are each followed by a walk through the sets whose cost exceeds the least one by at most a bound. The last
+places of the walkers are a sample of these sets. Each gets a draw of what no table sees (`parameters.UNSEEN`), and is
+taken in if it is still within the bound, and if the environments can play it. Each fleet gets springs of all kinds.
+Stages are kept as in `study`.
 """
 
 from __future__ import annotations
@@ -77,8 +78,9 @@ costs in it, and the stiffness of the resting joint at two tensions [N]."""
 class Recipe:
     """Size of a sample; the defaults gave the shipped fleets."""
 
-    seeds: tuple[int, ...] = (1, 2, 3)  # of the independent starts; the first one draws
-    population: int = 150  # candidates of each start, and walkers
+    seeds: tuple[int, ...] = (1, 2, 3, 4, 5, 6)  # of the independent starts; the first one draws
+    spring_laws: tuple[float, ...] = (0.0, 0.7)  # `length_ratio` of a further start each: linear, strong pretension
+    population: int = 150  # candidates of each start; half as many walk from each
     generations: int = 160  # of each start
     steps: int = 60  # moves of each walker
     bound: float = EQUAL  # largest cost above the least one
@@ -128,13 +130,20 @@ def sample(
             report(name, result)
 
     size = {"population": recipe.population, "generations": recipe.generations, "loop": False}
-    run({f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds})
-    starts = [stages[f"start-{seed}"] for seed in recipe.seeds]
-    limit = min(start["cost"] for start in starts) + recipe.bound
-    candidates = [vector for start in starts for vector in start["population"]]
-    walk = {"candidates": candidates, "limit": limit, "walkers": recipe.population, "steps": recipe.steps}
-    run({f"walk-{seed}": {"seed": seed, **walk, "last": True, "loop": False} for seed in recipe.seeds})
-    walked = [member for seed in recipe.seeds for member in stages[f"walk-{seed}"]]
+    own = {"seed": recipe.seeds[0], **size}
+    run(
+        {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds}
+        | {f"start-spring-{ratio:g}": {**own, "fixed": {"length_ratio": ratio}} for ratio in recipe.spring_laws}
+    )
+    starts = {name: stages[name] for name in _starts(recipe)}
+    limit = min(start["cost"] for start in starts.values()) + recipe.bound
+    walk = {"limit": limit, "walkers": max(recipe.population // 2, 2), "steps": recipe.steps, "last": True}
+    walks = {
+        f"walk-{name}": {"seed": k, "candidates": start["population"], **walk, "loop": False}
+        for k, (name, start) in enumerate(starts.items())
+    }
+    run(walks)
+    walked = [member for name in walks for member in stages[name]]
     members = [{name: float(f"{value:.6g}") for name, value in member.items()} for member in walked]
     count = sum(recipe.devices)
     draws = {"members": members, "limit": limit, "count": count, "seed": recipe.seeds[0]}
@@ -145,7 +154,7 @@ def sample(
             f"only {len(drawn)} of {count} devices were found among {len(members)} sets within the bound of "
             f"{recipe.bound:g}; more walkers (--population), a larger --bound or fewer --devices give them"
         )
-    named = dict(zip(_names(recipe), drawn, strict=True))
+    named = _split(drawn, recipe)
     profiles = {name: profile_content(name, device["parameters"], readings) for name, device in named.items()}
     law = {"suite": SUITE, "scenarios": SCENARIOS, "stiffness_at": STIFFNESS_AT}
     run({f"device-{name}": {"profile": profiles[name], **named[name], **law} for name in named}, _judge)
@@ -162,7 +171,12 @@ def sample(
 
 def stage_count(recipe: Recipe) -> int:
     """Return the number of a sample's stages."""
-    return 2 * len(recipe.seeds) + len(("draws",)) + sum(recipe.devices)
+    return 2 * len(_starts(recipe)) + len(("draws",)) + sum(recipe.devices)
+
+
+def _starts(recipe: Recipe) -> list[str]:
+    """Return the names of the stages that search."""
+    return [f"start-{own}" for own in (*recipe.seeds, *(f"spring-{ratio:g}" for ratio in recipe.spring_laws))]
 
 
 def ship(folder: str | Path) -> Path:
@@ -193,14 +207,26 @@ def _source(key: str) -> str:
     return "assumed: drawn from a range" if key in unseen else "identified: one of the sets that explain the tables"
 
 
-def _names(recipe: Recipe) -> list[str]:
-    """Return the devices' names, fleet by fleet."""
-    counts = dict(zip(FLEETS.values(), recipe.devices, strict=True))
-    return [f"{begin}-{k:02}" for begin, count in counts.items() for k in range(1, count + 1)]
+def _split(drawn: Sequence[Mapping[str, Any]], recipe: Recipe) -> dict[str, Mapping[str, Any]]:
+    """Return the devices by their names, fleet by fleet.
+
+    Each fleet, the smallest one first, takes devices at equal distances of those that are left, in the order of the
+    springs' free length: by chance, a small fleet may miss a kind of spring.
+    """
+    left = sorted(drawn, key=lambda device: float(device["parameters"]["length_ratio"]))
+    sizes = dict(zip(FLEETS.values(), recipe.devices, strict=True))
+    rng = np.random.default_rng(recipe.seeds[0])
+    taken: dict[str, list[Mapping[str, Any]]] = {}
+    for begin, size in sorted(sizes.items(), key=lambda item: item[1]):
+        places = set(((np.arange(size) + 0.5) * len(left) / size).astype(int).tolist())
+        own = [device for k, device in enumerate(left) if k in places]
+        left = [device for k, device in enumerate(left) if k not in places]
+        taken[begin] = [own[k] for k in rng.permutation(size)]
+    return {f"{begin}-{k:02}": device for begin in sizes for k, device in enumerate(taken[begin], start=1)}
 
 
 def _draw(call: Mapping[str, Any], readings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return devices in random order, each another of the members, and the number of draws and why some were refused.
+    """Return devices, each another of the members, and the number of draws and why some were refused.
 
     All members without a device get one draw in each pass.
     """
@@ -223,8 +249,7 @@ def _draw(call: Mapping[str, Any], readings: Mapping[str, Any]) -> dict[str, Any
             else:
                 found.append({"cost": value, "parameters": parameters})
         waiting = left
-    order = rng.permutation(len(found))
-    return {"devices": [found[k] for k in order], "tried": len(found) + sum(refused.values()), "refused": refused}
+    return {"devices": found, "tried": len(found) + sum(refused.values()), "refused": refused}
 
 
 def _value(parameters: Mapping[str, float], readings: Readings, limit: float) -> tuple[float, str]:
@@ -283,7 +308,7 @@ def _content(
     members: Sequence[Mapping[str, float]],
     command: Sequence[str],
 ) -> dict[str, Any]:
-    least = min(stages[f"start-{seed}"]["cost"] for seed in recipe.seeds)
+    starts = {name.removeprefix("start-"): stages[name] for name in _starts(recipe)}
     free = [item for item in searched(readings.spring_end, loop=False) if not item.name.startswith("simulation.")]
     shown = [*free, *UNSEEN]
     values = {item.name: [device["parameters"][item.name] for device in named.values()] for item in shown}
@@ -296,10 +321,14 @@ def _content(
         "readings": asdict(readings),
         "loop": _loop_configuration(readings),
         "of": len(TABLES_2_TO_5),
-        "least_cost": least,
+        "least_cost": min(start["cost"] for start in starts.values()),
         "starts": [
-            {"seed": seed, **{key: stages[f"start-{seed}"][key] for key in ("cost", "explained", "parameters")}}
-            for seed in recipe.seeds
+            {
+                "name": name,
+                **{key: start[key] for key in ("cost", "explained", "parameters")},
+                "walked": len(stages[f"walk-start-{name}"]),
+            }
+            for name, start in starts.items()
         ],
         "members": len(members),
         "tried": stages["draws"]["tried"],

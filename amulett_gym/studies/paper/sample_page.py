@@ -68,17 +68,16 @@ def block(content: Mapping[str, Any]) -> str:
         "Parameters of the plausible devices and their rank correlations",
     )
     tables = [table.markdown() for table in _tables(content)]
-    return "\n\n".join([_summary(content), tables[0], figure, tables[1]])
+    return "\n\n".join([_summary(content), *tables[:2], figure, tables[2]])
 
 
 def _summary(content: Mapping[str, Any]) -> str:
     recipe, refused = content["recipe"], content["refused"]
-    costs = ", ".join(f"{start['cost']:.2f} ({start['explained']} rows)" for start in content["starts"])
     words = " ".join(content["command"])
     return (
-        f"Costs of the independent starts: {costs} of {content['of']} rows. A device is within the bound if its cost "
-        f"exceeds the least one, {content['least_cost']:.2f}, by at most {recipe['bound']:g}. The walks gave "
-        f"{content['members']} sets. {content['tried']} draws of what no table sees (up to {PASSES} for a set) gave "
+        f"A device is within the bound if its cost exceeds the least one, {content['least_cost']:.2f}, by at most "
+        f"{recipe['bound']:g}. The walks gave {content['members']} sets. {content['tried']} draws of what no table "
+        f"sees (up to {PASSES} for a set) gave "
         f"{len(content['devices'])} devices. Refused were {refused['range']} draws that left the searched ranges, "
         f"{refused['cost']} by the bound, and {refused['environment']} with which an environment cannot play. "
         f"{_findings(content)}"
@@ -94,7 +93,30 @@ def _findings(content: Mapping[str, Any]) -> str:
 
 
 def _tables(content: Mapping[str, Any]) -> list[Table]:
-    return [_spread_table(content), _law_table(content)]
+    return [_start_table(content), _spread_table(content), _law_table(content)]
+
+
+def _start_table(content: Mapping[str, Any]) -> Table:
+    ends = [device["parameters"]["length_ratio"] for device in content["devices"]]
+    rows = []
+    for start in content["starts"]:
+        kind, _, ratio = start["name"].partition("-")
+        label = f"free length {float(ratio):g} of the half width" if kind == "spring" else f"seed {start['name']}"
+        found = start["parameters"]
+        rows.append(
+            [label, f"{start['cost']:.2f}", f"{start['explained']} of {content['of']}", f"{found['length_ratio']:.2f}"]
+            + [_digits(found[name]) for name in ("width_ratio", "max_force", "stall_torque") if name in found]
+            + [str(start["walked"])]
+        )
+    own = ("stall torque [N m]",) if "stall_torque" in content["starts"][0]["parameters"] else ()
+    fitted = ("free length / half width", "half width / deflection", "end force [N]", *own)
+    return Table(
+        "Starts",
+        ("search", "cost", "rows explained", *fitted, "sets walked from it"),
+        rows,
+        "No set is walked from a start beyond the bound. The free length decides the spring's law: 0 is linear, 1 "
+        f"cubic at rest. In the devices it is from {min(ends):.2f} to {max(ends):.2f}.",
+    )
 
 
 def _spread_table(content: Mapping[str, Any]) -> Table:

@@ -21,7 +21,7 @@ from amulett_gym.studies.paper.reproduction import Readings
 from amulett_gym.studies.paper.sample import FLEETS, Recipe, profile_content, sample
 from amulett_gym.studies.paper.sample_page import MARKS, block, draw, in_words
 
-SMALL = Recipe(seeds=(1,), population=6, generations=1, steps=2, devices=(3, 1, 2))
+SMALL = Recipe(seeds=(1,), spring_laws=(), population=12, generations=1, steps=2, devices=(3, 1, 2))
 STALL = Readings(spring_end="stall")
 
 
@@ -134,6 +134,37 @@ def test_another_joint_pulley_changes_no_row_but_the_torques():
     assert two.plant.drive_pulley_radius == pytest.approx(1.2 * one.plant.drive_pulley_radius, rel=1e-4)
 
 
+def test_each_fleet_has_springs_of_all_kinds():
+    rng = np.random.default_rng(5)
+    lengths = np.concatenate([rng.uniform(0.9, 1.0, 96), rng.uniform(0.1, 0.4, 16)])
+    drawn = [{"parameters": {"length_ratio": value}} for value in rng.permutation(lengths).tolist()]
+    named = module._split(drawn, Recipe())
+    assert sorted(map(id, named.values())) == sorted(map(id, drawn))
+    for begin, size, soft in zip(FLEETS.values(), Recipe().devices, (9, 2, 5), strict=True):
+        own = [device["parameters"]["length_ratio"] for name, device in named.items() if name.startswith(f"{begin}-")]
+        assert len(own) == size and abs(sum(value < 0.5 for value in own) - soft) <= 1
+        assert own != sorted(own)
+    assert module._split(drawn, Recipe()) == named
+
+
+def test_a_start_has_a_law_of_the_spring_and_none_walks_from_beyond_the_bound(tmp_path, monkeypatch):
+    calls = {}
+
+    def stages(folder, given, readings, processes, work=None):
+        calls.update(given)
+        for name in given:
+            cost, own = (50.0, 0.7) if name == "start-spring-0.7" else (33.0, 0.98)
+            start = {"cost": cost, "explained": 30, "parameters": physics(), "population": [[own] * 13] * 12}
+            yield name, [] if name.startswith("walk-") else start if work is None else {"devices": []}
+
+    monkeypatch.setattr(module, "run_stages", stages)
+    with pytest.raises(AmulettError, match="only 0 of 6"):
+        sample(tmp_path, replace(SMALL, seeds=(1, 2), spring_laws=(0.7,)), STALL)
+    assert calls["start-spring-0.7"]["fixed"] == {"length_ratio": 0.7} and "fixed" not in calls["start-2"]
+    assert {call["limit"] for name, call in calls.items() if name.startswith("walk-")} == {33.0 + SMALL.bound}
+    assert calls["walk-start-spring-0.7"]["candidates"] == [[0.7] * 13] * 12
+
+
 def test_the_weights_arm_is_at_the_same_inertia_and_seen_by_no_row():
     parameters = physics()
     other = {**parameters, "mass_arm": 0.18}
@@ -183,6 +214,11 @@ def test_physics_alone_is_searched_with_the_testbeds_loop():
         (["--fleet", "--bound", "0"], "--bound is 0; it has to be above 0"),
         (["--fleet", "--devices", "3", "0", "1"], "each fleet needs at least 1"),
         (["--devices", "3", "1", "1"], "--devices is for a sample of devices; add --fleet"),
+        (
+            ["--fleet", "--spring-laws", "0.5", "1.2"],
+            "--spring-laws has 1.2; a free length over the half width is from",
+        ),
+        (["--spring-laws", "0.5"], "--spring-laws is for a sample of devices; add --fleet"),
         (["--below-floor", "hold"], "--below-floor is for a sample of devices; add --fleet"),
     ],
 )
@@ -196,8 +232,8 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, capsys, 
 def test_the_command_draws_writes_and_continues(tmp_path, capsys):
     folder, page = tmp_path / "out", tmp_path / "page.md"
     page.write_text("\n\n".join(["# Page", *MARKS]))
-    words = ["identify", "--fleet", "--seeds", "1", "--population", "8", "--generations", "1", "--steps", "2"]
-    words += ["--bound", "1000", "--devices", "1", "1", "1", "--out", str(folder), "--doc", str(page)]
+    words = ["identify", "--fleet", "--seeds", "1", "--spring-laws", "--population", "16", "--generations", "1"]
+    words += ["--steps", "1", "--bound", "1000", "--devices", "1", "1", "1", "--out", str(folder), "--doc", str(page)]
     assert main(words) == 0
     content = (folder / "fleet.json").read_text()
     assert len(json.loads(content)["devices"]) == 3
