@@ -201,6 +201,7 @@ def test_a_quick_benchmark_has_the_same_parts_in_small(tmp_path):
     assert [profile.name for profile in load_fleets(small, tmp_path)["judge"]] == ["d0", "d1", "d2", "d3"]
     assert list(small.learned) == ["mine"] and small.learned["mine"].seeds == [3, 4]
     assert (small.episodes, small.specialists.devices, small.adaptation.devices) == (6, 1, 1)
+    assert small.specialists.set == [*TINY["specialists"]["set"], *small.learned["mine"].set[len(SHORT) :]]
     check_devices_benchmark(small, tmp_path)
 
 
