@@ -140,8 +140,9 @@ UNSEEN = (
         0.03,
         0.05,
         "m",
-        "R_2: half the breadth of a small elbow (56 mm), to that of a wide one (78 mm) within a cuff of 1 cm; the "
-        "other lengths, J and the torques go with it, so that strings and motions stay the same",
+        "R_2: half the breadth of a small elbow, to that of a wide one within a cuff of 1 cm (57 to 79 mm for medium "
+        "frames: Metropolitan tables of 1983); the other lengths, J and the torques go with it, so that strings and "
+        "motions stay the same",
     ),
     Free(
         "mass_arm",
@@ -157,7 +158,8 @@ UNSEEN = (
         0.015,
         0.03,
         "m",
-        "short slide potentiometers have 15, 20 or 30 mm (Bourns PTA); 10 bits of it are the resolution",
+        "short slide potentiometers: 20 and 30 mm (Bourns PTL, datasheet), and one shorter; 10 bits of it are the "
+        "resolution",
         choices=(0.015, 0.02, 0.03),
     ),
     Free("command_limit", 360.0, 1080.0, "deg", "one to three turns of the string's drum; 300 deg move the joint"),
