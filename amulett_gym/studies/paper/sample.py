@@ -130,10 +130,10 @@ def sample(
             report(name, result)
 
     size = {"population": recipe.population, "generations": recipe.generations, "loop": False}
-    own = {"seed": recipe.seeds[0], **size}
+    first = {"seed": recipe.seeds[0], **size}
     run(
         {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds}
-        | {f"start-spring-{ratio:g}": {**own, "fixed": {"length_ratio": ratio}} for ratio in recipe.spring_laws}
+        | {f"start-spring-{ratio:g}": {**first, "fixed": {"length_ratio": ratio}} for ratio in recipe.spring_laws}
     )
     starts = {name: stages[name] for name in _starts(recipe)}
     limit = min(start["cost"] for start in starts.values()) + recipe.bound
