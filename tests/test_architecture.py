@@ -17,6 +17,7 @@ LAYERS = (
     ("model",),
     ("control",),
     ("simulation",),
+    ("logs",),
     ("tasks",),
     ("envs",),
     ("laws",),

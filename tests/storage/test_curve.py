@@ -40,7 +40,10 @@ BAD_CURVES = {
     "not a number": ("deflection_m,force_N\n0,0\n1,nan\n2,4\n", "row 3, column 'force_N': 'nan' is no finite number"),
     "infinity": ("deflection_m,force_N\n0,0\n1,1\n2,inf\n", "row 4, column 'force_N': 'inf'"),
     "text": ("deflection_m,force_N\n0,0\n1,much\n2,4\n", "row 3, column 'force_N': 'much' is no finite number"),
-    "a decimal comma": ("deflection_m;force_N\n0;0\n0,1;1\n", "row 3, column 'deflection_m': '0,1'"),
+    "a decimal comma beside a decimal point": (
+        "deflection_m;force_N\n0;0\n0.1;1\n0,2;4\n",
+        "row 4, column 'deflection_m': '0,2' has a decimal comma, but row 3, column 'deflection_m' has the other mark",
+    ),
     "a short row": ("deflection_m,force_N\n0,0\n1\n2,4\n", "row 3 has 1 cells, the header has 2"),
     "a long row": ("deflection_m,force_N\n0,0\n\n0.002,1,100\n0.004,9\n", "row 4 has 3 cells, the header has 2"),
     "a column twice": (
