@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.studies.benchmark.claims import check_claims
     from amulett_gym.studies.benchmark.description import PAPERS, load_benchmark, load_profile_of, quick, recipe_folder
     from amulett_gym.studies.benchmark.document import MARKS, write_document
-    from amulett_gym.studies.benchmark.page import PAGE, in_words, judged, write_benchmark
+    from amulett_gym.studies.benchmark.page import in_words, judged, write_benchmark
     from amulett_gym.studies.benchmark.results import content
     from amulett_gym.studies.benchmark.stages import run_benchmark
 
@@ -79,13 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
         show(f"Renewed: {arguments.doc}")
-    if arguments.json:
-        print_json(judged(found, claims))
-        return 0
-    show(f"\n{in_words(found, claims)}\n")
     lost = ", and the scenarios with the largest losses" if found["worst"] else ""
-    show(f"Written to {out}: {PAGE}, benchmark.json, tables, figures{lost}.")
-    return 0
+    return _print(arguments, judged(found, claims), in_words(found, claims), lost)
 
 
 def _over_devices(path: str) -> Mapping[str, Any] | None:
@@ -116,7 +111,6 @@ def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[st
     )
     from amulett_gym.studies.benchmark.devices.results import content
     from amulett_gym.studies.benchmark.devices.stages import run_devices_benchmark
-    from amulett_gym.studies.benchmark.page import PAGE
 
     folder = recipe_folder(arguments.config)
     description = parse_devices_benchmark(content_of_file, arguments.config)
@@ -143,9 +137,17 @@ def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[st
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
         show(f"Renewed: {arguments.doc}")
+    return _print(arguments, judged(found, claims), in_words(found, claims))
+
+
+def _print(arguments: argparse.Namespace, found: Mapping[str, Any], text: str, more: str = "") -> int:
+    """Print a benchmark's results as JSON or in words, with the files that it wrote; `more` names further ones."""
+    from amulett_gym.studies.benchmark.page import PAGE
+
     if arguments.json:
-        print_json(judged(found, claims))
+        print_json(found)
         return 0
-    show(f"\n{in_words(found, claims)}\n")
-    show(f"Written to {out}: {PAGE}, benchmark.json, tables, figures.")
+    show = printer(arguments)
+    show(f"\n{text}\n")
+    show(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{more}.")
     return 0
