@@ -1,0 +1,34 @@
+"""A folder with the board's own files and a stub for the controller, for tests of protocol and board alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import amulett_gym
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.toolchain import BOARD_FILES, build_chip, build_hex
+
+STUB = Path(__file__).with_name("stub")
+BEGIN = [1.0, -1.0, *[0.5] * 12]
+"""Numbers of `controller_begin`: commands of 1 and -1 rad."""
+
+
+def stub_folder(folder: Path) -> Path:
+    sources = Path(amulett_gym.__file__).parent / "c"
+    for path in [*STUB.iterdir(), *(sources / name for name in ("controller.h", *BOARD_FILES))]:
+        shutil.copy(path, folder)
+    return folder
+
+
+def hex_or_skip(folder: Path) -> Path:
+    """Return the stub's hex file; skip if avr-gcc or simavr is missing."""
+    try:
+        build_chip(folder / "chip")
+        return build_hex(stub_folder(folder), folder / "build")
+    except AmulettError as error:
+        if "install it:" not in str(error):
+            raise
+        pytest.skip(str(error).splitlines()[0])

@@ -1,0 +1,2 @@
+/* The stub has no law. */
+typedef int no_law;
