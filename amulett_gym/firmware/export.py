@@ -14,6 +14,7 @@ from amulett_gym.firmware.host import FLAGS, Controller
 from amulett_gym.firmware.laws import choose, firmware_law
 from amulett_gym.firmware.readme import compare, readme
 from amulett_gym.firmware.recording import Recording, record
+from amulett_gym.firmware.toolchain import BOARD_FILES
 from amulett_gym.firmware.vectors import vectors_header
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.profile import Profile, load_profile
@@ -22,9 +23,6 @@ from amulett_gym.storage.writing import files_together, output_folder
 
 TEXTS = ("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "flash.h", "host.c", "check.c")
 """Files of `amulett_gym.c` that are copied unchanged, beside the law's and the Makefile."""
-
-BOARD_FILES: tuple[str, ...] = ()
-"""Further ones, for the board: copied unchanged."""
 
 README = "README.md"
 

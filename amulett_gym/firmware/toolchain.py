@@ -9,6 +9,7 @@ from pathlib import Path
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.host import FLAGS, Real
 
 BOARD_FILES = (
     *("protocol.h", "protocol.c", "board.h", "board.c", "mega.h", "mega.c"),
@@ -27,15 +28,15 @@ FLASH, RAM = 253_952, 8192
 """Memory of the ATmega2560 for a program beside the boot loader [bytes]."""
 
 HOST_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra")
-AVR_FLAGS = (
-    *("-std=c99", "-O2", "-mmcu=atmega2560", f"-DF_CPU={FREQUENCY}UL", "-Wall", "-Wextra"),
-    *("-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"),
+AVR_FLAGS = (  # those of c/firmware.mk
+    *("-std=gnu99", "-O2", "-mmcu=atmega2560", f"-DF_CPU={FREQUENCY}UL"),
+    *("-ffunction-sections", "-fdata-sections"),
 )
 _C = Path(__file__).parents[1] / "c"
 
 
 SOURCES = ("controller.c", "law.c", "protocol.c", "board.c")
-"""C files of an exported folder that run on the chip and on the host; beside these, `mega.c` and `simulated_board.c`."""
+"""C files of a folder that run on the chip and on the host; beside these, `mega.c` and `simulated_board.c`."""
 
 
 def build_hex(folder: Path, out: Path) -> Path:
@@ -50,12 +51,12 @@ def build_hex(folder: Path, out: Path) -> Path:
         raise AmulettError(f"there is no avr-gcc, which compiles for the ATmega2560; install it: {INSTALL}")
     out.mkdir(parents=True, exist_ok=True)
     elf, hex_file = out / "firmware.elf", out / "firmware.hex"
-    _run(["avr-gcc", *AVR_FLAGS, *_sources(folder, "mega.c"), "-o", str(elf), "-lm"], folder)
+    _run(["avr-gcc", *AVR_FLAGS, "-Wl,--gc-sections", *_sources(folder, "mega.c"), "-o", str(elf), "-lm"], folder)
     _run(["avr-objcopy", "-O", "ihex", "-R", ".eeprom", str(elf), str(hex_file)], folder)
     return hex_file
 
 
-def build_board(folder: Path, out: Path, real: str = "float") -> Path:
+def build_board(folder: Path, out: Path, real: Real = "float") -> Path:
     """Compile an exported folder as a program with the board's protocol on its standard input and output.
 
     Parameters
@@ -73,8 +74,9 @@ def build_board(folder: Path, out: Path, real: str = "float") -> Path:
         raise AmulettError(NO_COMPILER)
     out.mkdir(parents=True, exist_ok=True)
     program = out / "board"
-    wide = ["-DCONTROLLER_DOUBLE"] if real == "double" else []
-    _run([compiler, *HOST_FLAGS, *wide, *_sources(folder, "simulated_board.c"), "-o", str(program), "-lm"], folder)
+    _run(
+        [compiler, *HOST_FLAGS, *FLAGS[real], *_sources(folder, "simulated_board.c"), "-o", str(program), "-lm"], folder
+    )
     return program
 
 
@@ -95,9 +97,8 @@ def build_chip(out: Path) -> Path:
     try:
         _run([*command, "-lsimavr", "-lelf"], _C)
     except AmulettError as error:
-        raise AmulettError(
-            f"simavr, which simulates the ATmega2560, is missing; install it: {INSTALL}\n{error}"
-        ) from None
+        missing = f"simavr, which simulates the ATmega2560, is missing; install it: {INSTALL}"
+        raise AmulettError(f"{missing}\n{error}") from None
     return library
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -185,7 +186,7 @@ def test_a_silent_host_lets_the_strings_go_at_a_bounded_rate(board: Board, chip:
         report = board.read()
         apart.append(report.commands[0] - report.commands[1])
         chip.wait(0.01)
-    steps = [before - after for before, after in zip(apart[1:], apart[2:], strict=False)]
+    steps = [before - after for before, after in pairwise(apart[1:])]
     assert (report.mode, report.reason) == (3, SILENCE)
     assert report.status & (LETTING_GO | SLACK) == LETTING_GO | SLACK
     assert apart[-1] == pytest.approx(0.0, abs=1e-6)

@@ -33,7 +33,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def real_board(program: Path) -> Iterator[tuple[SerialPort, subprocess.Popen[bytes]]]:
-    """A board behind a pseudo-terminal: its port, and its process."""
+    """Start a board behind a pseudo-terminal: its port, and its process."""
     near, far = pty.openpty()
     tty.setraw(far)
     process = subprocess.Popen([program], stdin=near, stdout=near)
@@ -51,7 +51,7 @@ Answer = Callable[[int, int, bytes], bytes]
 
 @pytest.fixture
 def scripted() -> Iterator[Callable[[Answer], SerialPort]]:
-    """A pseudo-terminal behind which a function answers: kind, sequence number, content -> bytes."""
+    """Open a pseudo-terminal behind which a function answers: kind, sequence number, content -> bytes."""
     opened: list[tuple[int, SerialPort, threading.Thread]] = []
 
     def open_port(answer: Answer) -> SerialPort:
