@@ -1,0 +1,1 @@
+"""Identification of one device from its logs: measured trajectories to parameters with intervals."""

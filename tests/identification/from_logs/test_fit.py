@@ -1,0 +1,107 @@
+"""A hidden device is found again from its log."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amulett_gym.fleet import load_fleet
+from amulett_gym.identification.from_logs.fit import Fit, fit
+from amulett_gym.identification.from_logs.model import Model
+from amulett_gym.identification.from_logs.physics import physics_of
+from amulett_gym.identification.from_logs.profile import draw_fleet, profile_content
+from amulett_gym.identification.from_logs.result import undetermined
+from amulett_gym.identification.from_logs.sensors import bits_of, encoder, sliders
+from amulett_gym.profile import load_profile
+
+
+@pytest.fixture(scope="module")
+def found(base, fleet, log) -> Fit:
+    return fit(base, [replace(log, end=13.0)], fleet, tried=1)
+
+
+def test_the_hidden_device_predicts_its_log_up_to_the_noise(hidden, log):
+    model = Model(hidden, [log])
+    apart = model.predict([physics_of(hidden)], hidden.sensors.potentiometer_noise)[0] - model.measured
+    angles = model.channel_of() == 0
+    assert np.std(apart[angles]) < 1.3 * np.hypot(np.radians(hidden.sensors.encoder_noise_deg), 2 * np.pi / 2**14 / 3)
+    assert np.std(apart[~angles]) == pytest.approx(hidden.sensors.potentiometer_noise, rel=0.1)
+
+
+def test_what_the_log_determines_is_found(found, hidden):
+    truth = physics_of(hidden)
+    known = {each.seen.name: each for each in found.estimates if each.determined}
+    assert {"radius_ratio", "lag"} <= set(known)
+    assert known["radius_ratio"].value == pytest.approx(truth["radius_ratio"], rel=2e-3)
+    assert known["lag"].value == pytest.approx(truth["lag"], rel=2e-2)
+    deviations = np.sqrt(np.diag(found.covariance))
+    places = [each.place(truth.get(each.name, 0.0)) for each in found.prior.seen]
+    assert (np.abs(places - found.place) < 4.0 * deviations).all()
+
+
+def test_forces_inertia_and_the_dampings_preload_change_together(found):
+    names = [each.name for each in found.prior.seen]
+    correlation = found.covariance / np.sqrt(np.outer(np.diag(found.covariance), np.diag(found.covariance)))
+    for one in ("inertia", "stall_torque"):  # a scale of all forces moves nothing
+        assert correlation[names.index(one), names.index("damping_preload")] > 0.8
+    widest = undetermined(found)[0]
+    assert {"inertia", "damping_preload"} <= set(widest)
+
+
+def test_what_was_held_out_is_predicted(found, hidden, log):
+    held = replace(log, begin=13.0)
+    model = Model(found.model.template, [held], whole=True)
+    best = Model(hidden, [held], whole=True)
+    apart = [model.predict([found.values])[0] - model.measured, best.predict([physics_of(hidden)])[0] - best.measured]
+    ours, theirs = (np.sqrt(np.mean(each[model.channel_of() == 0] ** 2)) for each in apart)
+    assert ours < 1.5 * theirs
+
+
+def test_noise_and_resolution_of_the_sensors_are_found(found, hidden):
+    angle, slider = encoder(found), sliders(found)
+    assert slider is not None
+    assert bits_of(angle, 2.0 * np.pi) == 14
+    assert np.degrees(angle.noise) == pytest.approx(hidden.sensors.encoder_noise_deg, rel=0.1)
+    assert slider.noise == pytest.approx(hidden.sensors.potentiometer_noise, rel=0.1)
+    assert slider.low < slider.noise < slider.high
+
+
+def test_the_residuals_are_white(found):
+    assert all(abs(each.largest) < 0.15 for each in found.whiteness.values())
+
+
+def test_the_profile_has_value_interval_and_source(found, base):
+    content = profile_content(found, base, "mine")
+    profile = load_profile(content)
+    assert profile.name == "mine"
+    assert profile.loop == base.loop
+    assert physics_of(profile)["lag"] == pytest.approx(found.values["lag"], rel=1e-5)
+    assert "90 %), from steps.csv" in profile.drives.sources["lag"]
+    assert "most of it is the prior" in profile.plant.sources["masses"]
+    assert profile.sensors.encoder_bits == 14
+    assert "residuals of steps.csv" in profile.sensors.sources["encoder_noise_deg"]
+
+
+def test_a_fleet_is_drawn_from_the_posterior(found, base):
+    drawn = draw_fleet(found, base, "mine", 30, seed=0)
+    fleet = load_fleet(drawn)
+    assert [fleet[0].name, fleet[-1].name] == ["mine-01", "mine-30"]
+    values = np.log([physics_of(each)["inertia"] for each in fleet])
+    k = [each.name for each in found.prior.seen].index("inertia")
+    assert np.std(values) == pytest.approx(np.sqrt(found.covariance[k, k]), rel=0.4)
+    assert draw_fleet(found, base, "mine", 2, seed=0)[1] != draw_fleet(found, base, "mine", 2, seed=1)[1]
+
+
+def test_forces_and_setpoints_do_where_commands_and_sliders_are_missing(base, fleet, log, hidden):
+    names = ("time", "setpoint", "angle", "force_biceps", "force_triceps", "tension_setpoint")
+    closed = replace(log, columns={name: log.columns[name] for name in names}, end=6.0)
+    model = Model(hidden, [closed])
+    assert {part.channel for part in model.parts} == {"angle", "force_biceps", "force_triceps"}
+    assert "command_delay" not in {each.name for each in model.seen}
+    apart = model.predict([physics_of(hidden), physics_of(fleet[0])]) - model.measured
+    angles = model.channel_of() == 0
+    own, other = np.sqrt(np.mean(apart[:, angles] ** 2, axis=1))
+    assert own < np.radians(1.0)
+    assert own < 0.8 * other
