@@ -123,7 +123,10 @@ def _release(device: Profile, tension: float, weight: Payload) -> Recording:
     simulation = Simulation(device)
     simulation.reset(pack(Scenario(initial_tension=tension), device))
     rows = round(DURATION / len(_TENSIONS) / device.loop.control_period)
-    columns = {"time": np.arange(rows) * device.loop.control_period, "angle": np.zeros(rows)}
+    columns: dict[str, Values] = {
+        "time": np.arange(rows, dtype=np.float64) * device.loop.control_period,
+        "angle": np.zeros(rows),
+    }
     columns["angle"][0] = _RELEASED
     columns |= {name: np.full(rows, float(simulation.read(name)[0])) for name in COMMANDS}
     columns |= {name: np.zeros(rows) for name in SLIDERS}

@@ -34,6 +34,7 @@ _STATE = (np.radians(0.5), np.radians(20.0))
 _COARSE, _CELLS = 10.0, 8000
 """Of a start's search: factor of the noise in its first part, where the way to the minimum is smoother, and cells."""
 
+_SIGNS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 _CLEAR = 1.1  # rms of residuals over the noise of the readings, below which a start has found the device
 _STEP = 1e-5  # of a finite difference, in standard deviations of the prior
 _FAR = 6.0  # bound of the search, in those
@@ -146,24 +147,30 @@ def fit(
         found += [(score, model, start) for score, start in _screen(model, members)]
     found.sort(key=lambda each: each[0])
     report(f"{len(found)} plausible devices compared with the logs")
-    best: tuple[float, Model, Values] | None = None
+    best: tuple[float, _Search, Values] | None = None
     reached = []
-    for _, model, start in found[:tried]:
-        prior = prior_of(model.seen, kinds[_kind(model.template)])
-        noise, stride = _first_noise(model), -(-model.measured.size // _CELLS)
-        coarse = _Search(model, prior, {name: _COARSE * value for name, value in noise.items()}, stride)
-        search = _Search(model, prior, noise, stride)
-        vector, cost = search.run(coarse.run(coarse.vector(start), 3e-3, 20)[0])
+    for number in range(tried):
+        if best is not None and number % 2:  # from the best so far, with other drives: their limits make other minima
+            _, search, vector = best
+            vector = search.with_other_drives(vector, number // 2)
+        else:
+            _, model, start = found[number // 2 % len(found)]
+            prior = prior_of(model.seen, kinds[_kind(model.template)])
+            noise, stride = _first_noise(model), -(-model.measured.size // _CELLS)
+            coarse = _Search(model, prior, {name: _COARSE * value for name, value in noise.items()}, stride)
+            search = _Search(model, prior, noise, stride)
+            vector, _ = coarse.run(coarse.vector(start), 3e-3, 20)
+        vector, cost = search.run(vector)
         reached.append(cost)
-        left = max(value / noise[name] for name, value in search.residual_noise(vector).items())
-        report(f"start {len(reached)} of at most {min(tried, len(found))}: residuals of {left:.3g} times the noise")
+        left = max(value / search.noise[name] for name, value in search.residual_noise(vector).items())
+        report(f"start {number + 1} of at most {tried}: residuals of {left:.3g} times the noise")
         if best is None or cost < best[0]:
-            best = cost, model, vector
+            best = cost, search, vector
         if left < _CLEAR:
             break
     assert best is not None
-    _, model, vector = best
-    search = _Search(model, prior_of(model.seen, kinds[_kind(model.template)]), _first_noise(model))
+    _, search, vector = best
+    model = search.model
     for _ in range(2):
         search = _Search(model, search.prior, search.residual_noise(vector))
         vector, _ = search.run(vector)
@@ -254,6 +261,14 @@ class _Search:
         limits = (self.low, self.high)
         found = least_squares(self._residuals, start, self._jacobian, limits, xtol=1e-6, ftol=tolerance, max_nfev=most)
         return found.x, float(found.cost)
+
+    def with_other_drives(self, vector: Values, number: int) -> Values:
+        """Return a vector with one of the drives' limits a standard deviation from its prior mean, the other at it."""
+        signs = dict(zip(("stall_torque", "rate_limit"), _SIGNS[number % len(_SIGNS)], strict=True))
+        moved = vector.copy()
+        for k, each in enumerate(self.prior.seen):
+            moved[k] = signs.get(each.name, vector[k])
+        return moved
 
     def place(self, vector: Values) -> Values:
         """Return the parameters' coordinates (`Seen.place`)."""

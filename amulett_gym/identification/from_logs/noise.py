@@ -38,8 +38,7 @@ def resolution(values: Values) -> float:
         return 0.0
     least = float(np.median(steps[steps < 1.5 * steps.min()]))
     whole = steps / least
-    # A bit shows in many readings; among as many different values as readings it does not.
-    if distinct.size > 0.5 * values.size or np.abs(whole - np.round(whole)).max() > 0.1:
+    if np.abs(whole - np.round(whole)).max() > 0.1:
         return 0.0
     return float(np.ptp(distinct) / np.round(np.ptp(distinct) / least))
 

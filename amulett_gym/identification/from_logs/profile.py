@@ -41,20 +41,21 @@ def profile_content(fit: Fit, base: Profile, name: str) -> dict[str, Any]:
         Of the profile.
     """
     logs = ", ".join(dict.fromkeys(piece.recording.name for piece in fit.model.pieces))
-    content = _content(device(fit.model.template, fit.values), base, name, f"Fitted to {logs}.", _sensors(fit, base))
+    fitted, sensors = device(fit.model.template, fit.values), _sensors(fit, base)
+    content = _content(fitted, base, name, f"Fitted to {logs}.", sensors)
     estimates = {each.seen.name: each for each in fit.estimates}
-    for group, keys in _KEYS.items():
-        content[group]["sources"] = {}
-        for key in content[group]:
-            if (parameter := keys.get(key)) in estimates:
+    for group, changed in _changes(fitted, base).items():
+        sources = dict.fromkeys(changed, "assumed: as of the plausible devices that explain the logs best")
+        for key in changed:
+            if (parameter := _KEYS[group].get(key)) in estimates:
                 each = estimates[parameter]
                 unit = f" {each.seen.unit}" if each.seen.unit else ""
                 how = f"from {logs}" if each.determined else f"hardly from {logs}: most of it is the prior"
                 text = f"{parameter} {each.value:.4g}{unit} ({each.low:.4g} to {each.high:.4g}, 90 %), {how}"
-                content[group]["sources"][key] = f"identified: {text}"
-            elif key != "sources":
-                content[group]["sources"][key] = "assumed: as of the plausible devices that explain the logs best"
-    content["sensors"]["sources"] = dict.fromkeys(content["sensors"], f"identified: residuals of {logs}")
+                sources[key] = f"identified: {text}"
+        content[group]["sources"] = content[group].get("sources", {}) | sources
+    sources = dict.fromkeys(sensors, f"identified: residuals of {logs}")
+    content["sensors"]["sources"] = content["sensors"].get("sources", {}) | sources
     load_profile(content)
     return content
 
@@ -95,20 +96,20 @@ def _content(
     profile: Profile, base: Profile, name: str, description: str, sensors: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return a profile as its differences from the base, in rounded numbers."""
-    whole = base.model_dump(mode="json")
-    start = {"base": base.name} if is_shipped(base) else whole
-    new = profile.model_dump(mode="json", include=set(_KEYS))
-    changes = {
-        group: {
-            key: _plain(value)
-            for key, value in new[group].items()
-            if key != "sources" and _plain(value) != whole[group].get(key)
-        }
-        for group in _KEYS
-    }
+    start: dict[str, Any] = {"base": base.name} if is_shipped(base) else base.model_dump(mode="json")
+    changes = {**_changes(profile, base), "sensors": sensors}
     merged = {group: {**start.get(group, {}), **changed} for group, changed in changes.items()}
-    merged["sensors"] = {**start.get("sensors", {}), **sensors}
     return {**start, "name": name, "description": description, **merged}
+
+
+def _changes(profile: Profile, base: Profile) -> dict[str, dict[str, Any]]:
+    """Return the keys of the fitted groups whose rounded values are not the base's."""
+    new, old = (each.model_dump(mode="json", include=set(_KEYS)) for each in (profile, base))
+    rounded = {group: {key: _plain(value) for key, value in new[group].items() if key != "sources"} for group in _KEYS}
+    return {
+        group: {key: value for key, value in values.items() if value != old[group].get(key)}
+        for group, values in rounded.items()
+    }
 
 
 def _plain(value: Any) -> Any:

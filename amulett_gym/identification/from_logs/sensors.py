@@ -52,7 +52,11 @@ def _sensor(fit: Fit, channels: tuple[str, ...]) -> Sensor:
     measured, predicted = (
         np.concatenate([values[part.cells] for part in parts]) for values in (fit.model.measured, fit.predicted)
     )
-    step = float(np.median([resolution(fit.model.measured[part.cells]) for part in parts]))
+    steps = [
+        resolution(np.concatenate([fit.model.measured[part.cells] for part in parts if part.channel == channel]))
+        for channel in {part.channel for part in parts}
+    ]
+    step = min(steps)
     apart = measured - predicted
     if channels == SLIDERS:
         clear = apart[predicted > _ABOVE * np.median(np.abs(apart)) / 0.6745]
