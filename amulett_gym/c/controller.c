@@ -28,9 +28,13 @@ typedef uint8_t mask;
 #ifdef CONTROLLER_DOUBLE
 #define absolute fabs
 #define root sqrt
-#else
+#define over(a, b) ((a) / (b))
+#define share(a, b, c) ((a) * (b) / (c))
+#else /* the compiler computes with the parameters: an AVR takes three times as long for a division */
 #define absolute fabsf
 #define root sqrtf
+#define over(a, b) ((a) * (1 / (real)(b)))
+#define share(a, b, c) ((a) * ((b) / (c)))
 #endif
 
 #define CELLS 256
@@ -41,7 +45,9 @@ enum { CLAMP, HOLD, IGNORE };
 #define FARTHEST ((real)1e30) /* [rad] */
 
 typedef struct {
+#ifndef FORCES
     Table estimate_table;
+#endif
     real max_spring_deflection, command_limit, slider_end, force_filter, force_floor, control_period;
     real position_kp, position_ki, position_kd, position_filter;
     real tension_kp, tension_ki, tension_kd, tension_filter;
@@ -72,6 +78,12 @@ INLINE void load_cell(Table table, integer cell, real *k0, real *k1, real *k2, r
 
 #include "loop.h"
 
+#ifdef LAW_AT_ONCE /* all slices of the law in the first tick, as the simulation computes it */
+#define AT_ONCE 1
+#else
+#define AT_ONCE 0
+#endif
+
 /* ---- the device ---- */
 
 static const parameters device = {PARAMETERS};
@@ -96,13 +108,20 @@ static void read_counts(States s, const controller_input *input) {
     s->measured_triceps[0] = (real)input->slider[TRICEPS_STRING] * (real)SLIDER_RESOLUTION;
 }
 
+/* The string force that the sliders' table gives: by count where that fits, which takes no time. */
+#ifdef FORCES
+#define force_by(s, name, count) ((void)(s), read_real(force_table + (count)))
+#else
+#define force_by(s, name, count) ((void)(count), estimate_force(&device, device.estimate_table, (s)->measured_##name[0]))
+#endif
+
 void controller_begin_here(const controller_input *first_input, const real command[2], controller_begin *begin) {
     states s;
     memset(&s, 0, sizeof s);
     memset(begin, 0, sizeof *begin);
     read_counts(&s, first_input);
-    real biceps = estimate_force(&device, device.estimate_table, s.measured_biceps[0]);
-    real triceps = estimate_force(&device, device.estimate_table, s.measured_triceps[0]);
+    real biceps = force_by(&s, biceps, first_input->slider[BICEPS_STRING]);
+    real triceps = force_by(&s, triceps, first_input->slider[TRICEPS_STRING]);
     begin->command[0] = command[0], begin->command[1] = command[1];
     begin->angle = begin->averaged_angle = s.measured_angle[0];
     begin->averaged_slider[0] = s.measured_biceps[0], begin->averaged_slider[1] = s.measured_triceps[0];
@@ -144,14 +163,14 @@ void controller_start(const controller_begin *begin) {
 /* Read the sensors: the first reading is already in the filters. */
 static void sense(States s, const controller_input *input) {
     real last_angle = s->measured_angle[0];
+    real difference = s->measured_difference[0], biceps = s->estimate_biceps[0], triceps = s->estimate_triceps[0];
     read_counts(s, input);
+    estimate_strings(&device, s, 0, force_by(s, biceps, input->slider[BICEPS_STRING]),
+                     force_by(s, triceps, input->slider[TRICEPS_STRING]));
     if (!first) {
-        estimate_strings(&device, s, 0);
         estimate_velocity(&device, s, 0, last_angle);
         return;
     }
-    real difference = s->measured_difference[0], biceps = s->estimate_biceps[0], triceps = s->estimate_triceps[0];
-    estimate_strings(&device, s, 0);
     s->measured_difference[0] = difference, s->estimate_biceps[0] = biceps, s->estimate_triceps[0] = triceps;
     real error = s->setpoint[0] - s->measured_angle[0];
     real antagonist = s->agonist[0] == BICEPS ? triceps : biceps;
@@ -178,19 +197,19 @@ static real entry(real value) {
 
 static void observe(States s, real observation[OBSERVED]) {
     const real low = LAW_LOW, high = LAW_HIGH;
-    real setpoint = 2 * (s->tension_setpoint[0] - low) / (high - low) - 1;
-    observation[POSITION_ERROR] = entry((s->setpoint[0] - s->measured_angle[0]) / (real)OBSERVED_ERROR);
-    observation[JOINT_ANGLE] = entry(s->measured_angle[0] / (real)OBSERVED_ANGLE);
-    observation[JOINT_VELOCITY] = entry(s->measured_velocity[0] / (real)OBSERVED_VELOCITY);
-    observation[SETPOINT] = entry(s->setpoint[0] / (real)OBSERVED_ANGLE);
-    observation[TIME_SINCE_MOVE] = entry((real)since_move * device.control_period / (real)OBSERVED_TIME);
-    observation[ESTIMATED_TENSION_BICEPS] = entry(s->estimate_biceps[0] / (real)OBSERVED_TENSION);
-    observation[ESTIMATED_TENSION_TRICEPS] = entry(s->estimate_triceps[0] / (real)OBSERVED_TENSION);
-    observation[SPRING_DEFLECTION_BICEPS] = entry(s->measured_biceps[0] / device.max_spring_deflection);
-    observation[SPRING_DEFLECTION_TRICEPS] = entry(s->measured_triceps[0] / device.max_spring_deflection);
+    real setpoint = over(2 * (s->tension_setpoint[0] - low), high - low) - 1;
+    observation[POSITION_ERROR] = entry(over((s->setpoint[0] - s->measured_angle[0]), (real)OBSERVED_ERROR));
+    observation[JOINT_ANGLE] = entry(over(s->measured_angle[0], (real)OBSERVED_ANGLE));
+    observation[JOINT_VELOCITY] = entry(over(s->measured_velocity[0], (real)OBSERVED_VELOCITY));
+    observation[SETPOINT] = entry(over(s->setpoint[0], (real)OBSERVED_ANGLE));
+    observation[TIME_SINCE_MOVE] = entry(over((real)since_move * device.control_period, (real)OBSERVED_TIME));
+    observation[ESTIMATED_TENSION_BICEPS] = entry(over(s->estimate_biceps[0], (real)OBSERVED_TENSION));
+    observation[ESTIMATED_TENSION_TRICEPS] = entry(over(s->estimate_triceps[0], (real)OBSERVED_TENSION));
+    observation[SPRING_DEFLECTION_BICEPS] = entry(over(s->measured_biceps[0], device.max_spring_deflection));
+    observation[SPRING_DEFLECTION_TRICEPS] = entry(over(s->measured_triceps[0], device.max_spring_deflection));
     observation[AGONIST] = s->agonist[0];
-    observation[COMMAND_BICEPS] = entry(s->command_biceps[0] / (real)OBSERVED_COMMAND);
-    observation[COMMAND_TRICEPS] = entry(s->command_triceps[0] / (real)OBSERVED_COMMAND);
+    observation[COMMAND_BICEPS] = entry(over(s->command_biceps[0], (real)OBSERVED_COMMAND));
+    observation[COMMAND_TRICEPS] = entry(over(s->command_triceps[0], (real)OBSERVED_COMMAND));
     observation[TENSION_SETPOINT] = entry(setpoint);
 }
 
@@ -205,9 +224,13 @@ static void think(States s) {
         law_begin(observation);
         thinking = 1;
     }
-    if (thinking && law_slice(&wanted_tension)) {
-        thinking = 0;
-        s->tension_rate[0] = (wanted_tension - s->tension_command[0]) / (real)(LAW_TICKS - phase);
+    while (thinking) {
+        if (law_slice(&wanted_tension)) {
+            thinking = 0;
+            s->tension_rate[0] = (wanted_tension - s->tension_command[0]) / (real)(LAW_TICKS - phase);
+        } else if (!AT_ONCE && phase + 1 < LAW_TICKS) {
+            break;
+        }
     }
     if (++phase == LAW_TICKS) phase = 0;
 }

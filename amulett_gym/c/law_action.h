@@ -9,12 +9,12 @@
 #define EXP exp
 #define TANH tanh
 #define POWER pow
-#define ROOT sqrt
-#else
+#define OVER(a, b) ((a) / (b))
+#else /* of constants b: an AVR takes three times as long for a division */
 #define EXP expf
 #define TANH tanhf
 #define POWER powf
-#define ROOT sqrtf
+#define OVER(a, b) ((a) * (1 / (real)(b)))
 #endif
 
 static inline real tension_of_action(real action) {
@@ -30,7 +30,7 @@ static inline real limit_action(real action) {
 
 static inline real action_of_tension(real tension) {
     const real low = LAW_LOW, high = LAW_HIGH;
-    return limit_action(2 * (tension - low) / (high - low) - 1);
+    return limit_action(OVER(2 * (tension - low), high - low) - 1);
 }
 
 #endif

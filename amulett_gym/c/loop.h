@@ -8,6 +8,7 @@
      to_real, to_integer, not, any       conversions and conditions
      absolute, root                      functions of numbers
      Parameters, States                  pointers to records with the fields of simulation/layout.py
+     over, share                         a / b and a * b / c with parameters b, c
      Table, load_cell                    a table of cubics, and how its coefficients are read
      CELLS, BICEPS, TRICEPS, ...         the constants of simulation/layout.py and control/agonist.py */
 
@@ -43,17 +44,17 @@ INLINE real look_up_slope(Table table, real position) {
 }
 
 INLINE real estimate_force(Parameters p, Table table, real spring_deflection) {
-    return look_up(table, root(greatest(spring_deflection, all(0.0)) / p->max_spring_deflection));
+    return look_up(table, root(over(greatest(spring_deflection, all(0.0)), p->max_spring_deflection)));
 }
 
 /* ---- control/ ---- */
 
 INLINE real low_pass(Parameters p, real last, real value, real time_constant) {
-    return last + (value - last) * p->control_period / (time_constant + p->control_period);
+    return last + share(value - last, p->control_period, time_constant + p->control_period);
 }
 
 INLINE real filtered_derivative(real derivative, real change, scalar gain, scalar time_constant, scalar period) {
-    return (time_constant * derivative + gain * change) / (time_constant + period);
+    return over(time_constant * derivative + gain * change, time_constant + period);
 }
 
 INLINE real integrate(real integral, real error, scalar gain, scalar period, mask up, mask down) {
@@ -70,13 +71,13 @@ INLINE real select_agonist(Parameters p, real agonist, real difference, real err
 
 INLINE real scaling_factor(Parameters p, real error) {
     scalar lowest = p->minimum_tension / p->nominal_tension;
-    real distance = greatest(1.0 - absolute(error) / p->error_offset, all(0.0));
+    real distance = greatest(1.0 - over(absolute(error), p->error_offset), all(0.0));
     return (1.0 - lowest) * squared(squared(distance)) + lowest;
 }
 
 INLINE real scaling_factor_printed(Parameters p, real error) {
     scalar lowest = p->minimum_tension / p->nominal_tension;
-    return least((1.0 - lowest) * squared(squared(absolute(error) / p->error_offset)) + lowest, all(1.0));
+    return least((1.0 - lowest) * squared(squared(over(absolute(error), p->error_offset))) + lowest, all(1.0));
 }
 
 INLINE real limit(Parameters p, real command) {
@@ -91,17 +92,15 @@ INLINE real trust(Parameters p, real estimate, real last) {
     return select(estimate >= p->force_floor, estimate, distrusted);
 }
 
-/* From both sliders' readings, the filtered difference and the estimated string forces. */
-INLINE void estimate_strings(Parameters p, States s, lane i) {
+/* From both sliders' readings, and the string forces that the table gives for them, the filtered values. */
+INLINE void estimate_strings(Parameters p, States s, lane i, real force_biceps, real force_triceps) {
     real difference = s->measured_biceps[i] - s->measured_triceps[i];
     s->measured_difference[i] = low_pass(p, s->measured_difference[i], difference, all(p->switch_filter));
-    real raw = estimate_force(p, p->estimate_table, s->measured_biceps[i]);
-    s->untrusted_biceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    real trusted = trust(p, raw, s->estimate_biceps[i]);
+    s->untrusted_biceps[i] = either(force_biceps < p->force_floor, all_integers(1), all_integers(0));
+    real trusted = trust(p, force_biceps, s->estimate_biceps[i]);
     s->estimate_biceps[i] = low_pass(p, s->estimate_biceps[i], trusted, all(p->force_filter));
-    raw = estimate_force(p, p->estimate_table, s->measured_triceps[i]);
-    s->untrusted_triceps[i] = either(raw < p->force_floor, all_integers(1), all_integers(0));
-    trusted = trust(p, raw, s->estimate_triceps[i]);
+    s->untrusted_triceps[i] = either(force_triceps < p->force_floor, all_integers(1), all_integers(0));
+    trusted = trust(p, force_triceps, s->estimate_triceps[i]);
     s->estimate_triceps[i] = low_pass(p, s->estimate_triceps[i], trusted, all(p->force_filter));
 }
 

@@ -89,6 +89,8 @@ typedef const scenarios *restrict Scenarios;
 typedef states *restrict States;
 
 typedef const double (*Table)[4];
+#define over(a, b) ((a) / (b))
+#define share(a, b, c) ((a) * (b) / (c))
 
 /* ---- the C library's functions ---- */
 
@@ -479,7 +481,9 @@ INLINE void read_sensors(Parameters p, Scenarios c, States s, int64_t i) {
     real triceps_error = to_real(c->slider_bias_triceps[i]) + more * triceps_noise;
     s->measured_biceps[i] = read_slider(p, slider_deflection(p, biceps), biceps_error);
     s->measured_triceps[i] = read_slider(p, slider_deflection(p, triceps), triceps_error);
-    estimate_strings(p, s, i);
+    real force_biceps = estimate_force(p, p->estimate_table, s->measured_biceps[i]);
+    real force_triceps = estimate_force(p, p->estimate_table, s->measured_triceps[i]);
+    estimate_strings(p, s, i, force_biceps, force_triceps);
 }
 
 INLINE void begin_step(States s, int64_t i, mask begins, real time, real target, real change) {

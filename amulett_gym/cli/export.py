@@ -10,7 +10,8 @@ from amulett_gym.cli.output import print_json, printer
 HELP = "write loop and law as C99 for a microcontroller, with test vectors"
 EXAMPLES = """  amulett export eq6 --out firmware
   amulett export constant:8 --profile configs/my_device.yaml --out firmware
-  amulett export eq6-tuned --control decentralized --out firmware
+  amulett export parametric --control decentralized --out firmware
+  amulett export runs/small --numbers int8 --out firmware
 """
 
 
@@ -19,6 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("law", metavar="LAW", help="law by name, tuned law's file or policy bundle's folder")
     add_device(parser)
     parser.add_argument("--control", metavar="LOOP", help="control loop (default: that of the law)")
+    numbers = "numbers of a network: float, int16 or int8 (default: the finest that fit an agent period)"
+    parser.add_argument("--numbers", choices=("float", "int16", "int8"), help=numbers)
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the sources, or of an earlier export")
     add_json(parser, "the files' names and sizes")
 
@@ -27,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the folder; return 0."""
     from amulett_gym.firmware.export import export
 
-    files = export(arguments.law, chosen_device(arguments), arguments.control, arguments.out)
+    files = export(arguments.law, chosen_device(arguments), arguments.control, arguments.out, arguments.numbers)
     if arguments.json:
         print_json({name: len(content.encode()) for name, content in files.items()})
     show = printer(arguments)

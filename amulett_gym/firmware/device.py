@@ -13,6 +13,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware.numbers import array, defines, initialiser
+from amulett_gym.model.spring import estimate_force
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import pack_parameters
 
@@ -24,6 +25,17 @@ LET_GO_RATE = 1.0
 
 _BEYOND = math.radians(10.0)
 """A joint angle may be read this far beyond the profile's limit [rad]."""
+
+_MOST_COUNTS = 2048  # of a slider for which forces are tabled count by count
+
+_FORCES = """#if {few} && !defined CONTROLLER_DOUBLE /* string forces count by count */
+#define FORCES
+#define ESTIMATES
+#else
+#define ESTIMATES .estimate_table = estimate_table,
+#endif
+
+"""
 
 FIELDS = (
     "max_spring_deflection",
@@ -84,20 +96,29 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
         "LAW_HIGH": high,
         **law,
     }
-    parameters = {"estimate_table": "estimate_table", **{name: _plain(record[name]) for name in FIELDS}}
+    parameters = {name: _plain(record[name]) for name in FIELDS}
+    forces = _FORCES.format(few=int(_has_few_counts(record)))
     return (
         "/* Generated: the numbers of device, loop and law in SI units and rad. */\n\n"
         "#ifndef DEVICE_H\n#define DEVICE_H\n\n"
-        f"{defines(values)}\n#define PARAMETERS \\\n    {initialiser(parameters)}\n\n#endif\n"
+        f"{defines(values)}\n{forces}#define PARAMETERS \\\n    ESTIMATES {initialiser(parameters)}\n\n#endif\n"
     )
 
 
 def tables_header(profile: Profile, settings: Settings) -> str:
-    """Return ``tables.h``: the loop's tables."""
+    """Return ``tables.h``: the string force over the sliders' reading, by cubics or count by count."""
     record = pack_parameters(profile, settings.control, settings.tension_law)[0]
+    cubics = array("table_real", "estimate_table", np.asarray(record["estimate_table"]))
+    head = '/* Generated: the string force [N] over a slider\'s reading. */\n\n#include "flash.h"\n\n'
+    over_root = "/* Cubics over 256 cells of the square root of the reading's share, the constant term first. */\n"
+    if not _has_few_counts(record):
+        return f"{head}{over_root}{cubics}"
+    readings = np.arange(sensor_numbers(profile, record)["SLIDER_MOST"] + 1) * float(record["slider_resolution"])
+    table, end = np.asarray(record["estimate_table"]), float(record["max_spring_deflection"])
+    forces = np.array([estimate_force(table, reading, end) for reading in readings])
     return (
-        "/* Generated: tables of cubics over 256 cells, the constant term first. */\n\n"
-        f'#include "flash.h"\n\n{array("table_real", "estimate_table", np.asarray(record["estimate_table"]))}'
+        f"{head}#ifdef FORCES\n/* By count. */\n{array('table_real', 'force_table', forces.astype(np.float32))}"
+        f"#else\n{over_root}{cubics}#endif\n"
     )
 
 
@@ -117,6 +138,12 @@ def sensor_numbers(profile: Profile, record: NDArray[np.void] | np.void) -> dict
         "SLIDER_RESOLUTION": slider or 1.0,
         "SLIDER_MOST": math.floor(travel / slider + 0.5) if slider else travel,
     }
+
+
+def _has_few_counts(record: NDArray[np.void] | np.void) -> bool:
+    """Return whether the sliders have so few counts that a table has each one's force."""
+    resolution = float(record["slider_resolution"])
+    return resolution > 0.0 and float(record["slider_travel"]) / resolution <= _MOST_COUNTS
 
 
 def _scales() -> dict[str, float]:

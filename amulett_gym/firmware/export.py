@@ -11,7 +11,8 @@ from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.settings import Settings
 from amulett_gym.firmware.device import device_header, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller
-from amulett_gym.firmware.laws import choose, firmware_law
+from amulett_gym.firmware.laws import FirmwareLaw, choose, firmware_law
+from amulett_gym.firmware.network import Numbers
 from amulett_gym.firmware.readme import compare, readme
 from amulett_gym.firmware.recording import Recording, record
 from amulett_gym.firmware.toolchain import BOARD_FILES
@@ -19,17 +20,22 @@ from amulett_gym.firmware.vectors import vectors_header
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.layout import pack_parameters
-from amulett_gym.storage.writing import files_together, output_folder
+from amulett_gym.storage.writing import files_together, output_folder, to_json
 
 TEXTS = ("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "flash.h", "host.c", "check.c")
 """Files of `amulett_gym.c` that are copied unchanged, beside the law's and the Makefile."""
 
-README = "README.md"
+OTHERS = ("weights.h",)
+"""Files that not every firmware has: an earlier export's are deleted."""
+
+README, MANIFEST = "README.md", "manifest.json"
 
 _STEPS, _DEVICES = 50, 8  # of the recording that the firmware is compared with
 
 
-def export(law: str, profile: str | Path | Profile, control: str | None, folder: str | Path) -> dict[str, str]:
+def export(
+    law: str, profile: str | Path | Profile, control: str | None, folder: str | Path, numbers: Numbers | None = None
+) -> dict[str, str]:
     """Write the firmware of a law with its loop on a device.
 
     Parameters
@@ -41,6 +47,8 @@ def export(law: str, profile: str | Path | Profile, control: str | None, folder:
         Loop; None: that of the law, in general the paper's.
     folder : str or Path
         New, empty, or of an earlier export, which is replaced.
+    numbers : {"float", "int16", "int8"}, optional
+        Of a network's weights and activations; None: the finest in which it fits.
 
     Returns
     -------
@@ -55,23 +63,26 @@ def export(law: str, profile: str | Path | Profile, control: str | None, folder:
     device = load_profile(profile)
     contender, settings = choose(law, device, control)
     with output_folder(folder, "firmware", [("device.h", "controller.c")]):
-        files = firmware_files(contender, device, settings)
+        found = firmware_law(contender, device, settings, numbers)
+        files = firmware_files(device, settings, found)
         recording = record_mixed(contender, settings)
-        numbers = pack_parameters(device, settings.control)[0]
-        resolutions = float(numbers["encoder_resolution"]), float(numbers["slider_resolution"])
+        packed = pack_parameters(device, settings.control)[0]
+        resolutions = float(packed["encoder_resolution"]), float(packed["slider_resolution"])
         files["vectors.h"] = vectors_header(recording, *resolutions)
         period, ticks = device.loop.control_period, settings.ticks(device)
-        with files_together(folder, ()) as new:
+        with files_together(folder, OTHERS) as new:
             _write(new, files)
-            checked = _checked(new, recording)
+            checked = "\n\n".join([_checked(new, recording), *found.remarks])
             files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
-            _write(new, {README: files[README]})
+            keywords = settings.keywords() | {"tension_range": list(settings.tension_range)}
+            about = {"law": contender.name, "control": settings.control, "id": _identity(files), "keywords": keywords}
+            files[MANIFEST] = to_json(about | {"profile": device.model_dump(mode="json")})
+            _write(new, {name: files[name] for name in (README, MANIFEST)})
     return files
 
 
-def firmware_files(contender: Contender, profile: Profile, settings: Settings) -> dict[str, str]:
-    """Return the sources, name -> content, of a law that `laws.choose` returned; AmulettError if it does not fit."""
-    found = firmware_law(contender, profile, settings)
+def firmware_files(profile: Profile, settings: Settings, found: FirmwareLaw) -> dict[str, str]:
+    """Return the sources, name -> content, of a law; AmulettError if the device does not fit."""
     files = {name: text(name) for name in (*TEXTS, *BOARD_FILES)}
     files |= {"law.c": text(found.source), "tables.h": tables_header(profile, settings), **found.files}
     files["Makefile"] = text("firmware.mk")
@@ -111,6 +122,11 @@ def _checked(folder: Path, recording: Recording) -> str:
         found = compare(Controller(folder, real), recording)
         lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
     return "\n".join(lines)
+
+
+def _identity(files: Mapping[str, str]) -> int:
+    """Return FIRMWARE_ID of ``device.h``."""
+    return int(files["device.h"].split("FIRMWARE_ID ")[1].split("u")[0])
 
 
 def _write(folder: Path, files: Mapping[str, str]) -> None:

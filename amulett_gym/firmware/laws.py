@@ -13,9 +13,24 @@ from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError
-from amulett_gym.laws.contenders import CONSTANT, Contender, constant_tension, in_loop, parse_contender
-from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, tuned_vector
+from amulett_gym.firmware.network import (
+    SLICE,
+    Numbers,
+    choose_numbers,
+    forward_numbers,
+    jobs,
+    quantised,
+    recorded_inputs,
+    slices,
+    weights_header,
+)
+from amulett_gym.laws.bundle import Bundle, read_bundle
+from amulett_gym.laws.contenders import CONSTANT, Contender, bundle_folder, constant_tension, in_loop, parse_contender
+from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, Device, is_tuned, tuned_vector
 from amulett_gym.profile import Profile
+
+LOOPS = ("decentralized", "position-only")
+"""The loops of `simulation.layout.CONTROLS` that the firmware has."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +45,14 @@ class FirmwareLaw:
         Its numbers.
     files : dict
         Further generated files: name -> content.
+    remarks : tuple of str
+        For the folder's README.
     """
 
     source: str
     defines: Mapping[str, float | int] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
 
 def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Contender, Settings]:
@@ -61,14 +79,26 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
         )
     if control is not None:
         contender = in_loop(contender, control)
+    loop = contender.env_keywords.get("control", LOOPS[0])
+    if loop not in LOOPS:
+        raise AmulettError(f"the firmware has no loop '{loop}' yet; it has {' and '.join(LOOPS)}")
     if contender.env_keywords.get("privileged"):
         raise AmulettError(f"'{name}' needs observations that no device can measure; the firmware cannot run it")
     keywords = {key: value for key, value in contender.env_keywords.items() if key != "privileged"}
+    if contender.policy_name is not None and not _is_named_law(contender.policy_name):
+        keywords["tension_range"] = read_bundle(bundle_folder(contender.policy_name)).policy.tension_range
     return contender, Settings.read({"profile": profile, **keywords}, "firmware")
 
 
-def firmware_law(contender: Contender, profile: Profile, settings: Settings) -> FirmwareLaw:
-    """Return a law as C (errors as `choose`)."""
+def _is_named_law(name: str) -> bool:
+    """Return whether a law is none of a network."""
+    return name.startswith(CONSTANT) or name in ("eq6-held", "eq6-held-printed") or is_tuned(name)
+
+
+def firmware_law(
+    contender: Contender, profile: Profile, settings: Settings, numbers: Numbers | None = None
+) -> FirmwareLaw:
+    """Return a law as C; `numbers`: those of a network. AmulettError if it does not fit the microcontroller."""
     name = contender.policy_name
     if name is None:  # the loop itself sets the tension, or there is none
         return FirmwareLaw("law_constant.c", {"LAW_TENSION": 0.0})
@@ -87,23 +117,57 @@ def firmware_law(contender: Contender, profile: Profile, settings: Settings) -> 
                 "LAW_ERROR_OFFSET": math.radians(own.error_offset_deg),
             },
         )
+    if not is_tuned(name):
+        return _network(read_bundle(bundle_folder(name)), profile, settings, numbers)
     law, vector = tuned_vector(name, profile)
     if law.name == BEST_CONSTANT.name:
         return _constant(float(vector[0]), settings)
     if law.name == EQ6_TUNED.name:
-        nominal, minimum, offset, exponent = map(float, vector)
+        most, minimum, offset, exponent = map(float, vector)
         return FirmwareLaw(
             "law_eq6.c",
             {
                 "LAW_EQ6_TUNED": 1,
-                "LAW_NOMINAL": nominal,
+                "LAW_NOMINAL": most,
                 "LAW_MINIMUM": minimum,
                 "LAW_ERROR_SCALE": math.degrees(OBSERVATION_SCALES["position_error"]),
                 "LAW_ERROR_OFFSET": offset,
                 "LAW_EXPONENT": exponent,
             },
         )
-    raise AmulettError(f"no firmware for {name} yet")
+    nominal = Device.of(profile, settings.agent_period)
+    constants = dict(
+        zip(("JOINT_RADIUS", "INERTIA", "DECAY_A", "DECAY_B", "DECAY_C", "DECAY_D"), nominal.constants, strict=True)
+    )
+    values = {parameter.name.upper(): value for parameter, value in zip(law.parameters, vector, strict=True)}
+    values |= {**constants, "PI": math.pi, "PERIOD": nominal.agent_period, "LEAST": law.range[0], "MOST": law.range[1]}
+    return FirmwareLaw("law_parametric.c", {f"LAW_{key}": float(value) for key, value in values.items()})
+
+
+def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
+    """Return a policy's network in the finest numbers that fit, or those asked for."""
+    kind = choose_numbers(bundle, settings.ticks(profile), numbers)
+    layers, remarks = None, list[str]()
+    if kind != "float":
+        inputs = recorded_inputs(bundle, settings)
+        layers = quantised(bundle, inputs, kind)
+        rounded, saturated = forward_numbers(layers, bundle, inputs, kind)
+        exact = bundle.act(inputs).astype(np.float64)
+        low, high = settings.tension_range
+        apart = 0.5 * (high - low) * np.abs(rounded - exact)
+        rms, most = float(np.sqrt(np.mean(apart**2))), float(apart.max())
+        activations = len(inputs) * sum(bundle.policy.network.layers[1:-1])
+        remarks.append(
+            f"The network has {kind} weights. In {len(inputs)} agent steps of `mixed`, split train, its tension "
+            f"differs by {rms:.2g} N rms and at most {most:.2g} N from that in 64 bits; {saturated} of {activations} "
+            "activations were at the end of their range."
+        )
+    costs = jobs(bundle, kind)
+    remarks.append(
+        f"An action takes about {sum(costs)} cycles of an ATmega2560, in {slices(costs)} slices of at most {SLICE}; an "
+        f"agent period has {settings.ticks(profile)} control ticks."
+    )
+    return FirmwareLaw("law_network.c", {}, {"weights.h": weights_header(bundle, layers, kind)}, tuple(remarks))
 
 
 def _constant(tension: float, settings: Settings) -> FirmwareLaw:

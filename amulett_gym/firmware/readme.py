@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.firmware.host import Controller
 from amulett_gym.firmware.recording import Recording
@@ -51,16 +52,21 @@ def compare(controller: Controller, recording: Recording) -> dict[str, float]:
     """
     command = tension = 0.0
     for device in range(recording.outputs["biceps"].shape[1]):
-        begin = np.zeros((), dtype=controller.begin_type)
-        for name, values in recording.begin.items():
-            begin[name] = values[device]
-        controller.start(begin)
+        controller.start(begin_record(controller, recording, device))
         readings = {name: values[:, device] for name, values in recording.readings.items()}
         found, wanted = controller.run(controller.inputs(readings)), recording.outputs
         both = np.stack([wanted["biceps"][:, device], wanted["triceps"][:, device]], axis=1)
         command = max(command, float(np.abs(found["command"] - both).max()))
         tension = max(tension, float(np.abs(found["tension_setpoint"] - wanted["tension_setpoint"][:, device]).max()))
     return {"command": command, "tension": tension}
+
+
+def begin_record(controller: Controller, recording: Recording, device: int) -> NDArray[np.void]:
+    """Return where a device's recording begins, a record of the controller's `begin_type`."""
+    begin = np.zeros((), dtype=controller.begin_type)
+    for name, values in recording.begin.items():
+        begin[name] = values[device]
+    return begin
 
 
 def _plain(name: str) -> str:

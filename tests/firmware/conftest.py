@@ -7,7 +7,7 @@ import pytest
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.firmware.export import firmware_files
 from amulett_gym.firmware.host import Controller
-from amulett_gym.firmware.laws import choose
+from amulett_gym.firmware.laws import choose, firmware_law
 from amulett_gym.firmware.recording import record
 from amulett_gym.profile import load_profile
 
@@ -15,12 +15,13 @@ from amulett_gym.profile import load_profile
 class Firmware:
     """A law's sources in a folder, with the contender and settings that they were written for."""
 
-    def __init__(self, folder: Path, law: str, profile="testbed", control=None, **environment):
+    def __init__(self, folder: Path, law: str, profile="testbed", control=None, numbers=None, **environment):
         self.folder, self.profile = folder, load_profile(profile)
         self.contender, settings = choose(law, self.profile, control)
         given = {key: getattr(settings, key) for key in settings.model_fields_set} | environment
         self.settings = type(settings)(**given)
-        self.files = firmware_files(self.contender, self.profile, self.settings)
+        found = firmware_law(self.contender, self.profile, self.settings, numbers)
+        self.files = firmware_files(self.profile, self.settings, found)
         for name, content in self.files.items():
             (folder / name).write_text(content)
 

@@ -6,7 +6,7 @@ from helpers import device
 
 from amulett_gym.firmware.readme import compare
 
-LAWS = ("constant:10", "eq6", "eq6-printed", "eq6-held", "eq6-held-printed", "eq6-tuned", "position-only")
+LAWS = ("constant:10", "eq6", "eq6-printed", "eq6-held", "eq6-held-printed", "eq6-tuned", "position-only", "parametric")
 
 MEASURED = {"kp": 0.11, "ki": 5.8, "kd": 0.0137, "derivative_filter": 0.0016, "derivative_on": "measurement"}
 OTHER_LOOPS = {

@@ -1,0 +1,129 @@
+"""A policy's network as firmware: the bundle's in double, and whole numbers that are near it."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers import keep_network
+
+from amulett_gym.envs.action import action_to_tension
+from amulett_gym.envs.vector import TensionVectorEnv
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware import network
+from amulett_gym.firmware.export import export
+from amulett_gym.firmware.laws import choose
+from amulett_gym.firmware.readme import begin_record, compare
+from amulett_gym.laws.bundle import read_bundle
+from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
+from amulett_gym.profile import load_profile
+
+KINDS = {
+    "plain": {"activation": "relu"},
+    "features": {"features": list(FEATURES), "follow": 0.4},
+    "memory": {
+        "features": list(FEATURES),
+        "memory": list(MEMORY),
+        "output": "tanh",
+        "activation": "relu",
+        "agent_period": 0.04,
+    },
+    "history": {"history": 3, "tension_range": [5.2, 14.0]},
+}
+
+
+def write(folder, hidden=(12, 8), scale=0.5, **about):
+    """Write a bundle with a random network."""
+    random = np.random.default_rng(0)
+    inputs = about.get("history", 1) * (13 + len(about.get("features", ())) + len(about.get("memory", ())))
+    sizes = [inputs, *hidden, 1]
+    layers = [
+        ((random.normal(size=(m, n)) * scale / np.sqrt(n) * 2).astype("f4"), (0.2 * random.normal(size=m)).astype("f4"))
+        for n, m in pairwise(sizes)
+    ]
+    return keep_network(folder, layers, **about)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_in_double_a_network_is_the_bundles(firmware, kind, tmp_path):
+    folder = write(tmp_path / "policy", **KINDS[kind])
+    made = firmware(str(folder), numbers="int8", suite="mixed", split="shifted")
+    recording = made.record(steps=40)
+    assert np.ptp(recording.outputs["tension_setpoint"]) > 1.0
+    found = compare(made.controller(), recording)
+    assert (
+        found["command"] < 1e-6 and found["tension"] < 1e-6
+    )  # an action is a 32-bit number: its last digit may differ
+    assert compare(made.controller("float"), recording)["tension"] < 3.0  # the same at the end of agent periods alone
+
+
+@pytest.mark.parametrize("numbers", ["int16", "int8"])
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_whole_numbers_are_near(activation, numbers, tmp_path):
+    bundle = read_bundle(write(tmp_path, activation=activation, hidden=(32, 32)))
+    inputs = np.random.default_rng(1).uniform(-1.0, 1.0, (400, 13))
+    layers = network.quantised(bundle, inputs, numbers)
+    found, saturated = network.forward_numbers(layers, bundle, inputs, numbers)
+    exact = bundle.act(inputs)
+    assert np.abs(found - exact).max() < {"int16": 2e-3, "int8": 0.06}[numbers]
+    assert saturated == 0
+    digits = network.DIGITS[numbers]
+    for layer in layers:
+        assert np.abs(layer.weights).max() < 2 ** digits[1]
+        assert (np.abs(layer.weights).sum(axis=1) * 2 ** digits[0] + np.abs(layer.biases)).max() < 2**31
+        assert 0 <= layer.most < 2**31 and layer.most >> layer.shift < 2**15 and layer.factor < 2**15
+
+
+def test_saturation_is_counted(tmp_path):
+    bundle = read_bundle(write(tmp_path, activation="relu"))
+    inputs = np.random.default_rng(1).uniform(-1.0, 1.0, (400, 13))
+    layers = network.quantised(bundle, 0.2 * inputs, "int8")
+    assert network.forward_numbers(layers, bundle, inputs, "int8")[1] > 0
+
+
+@pytest.mark.parametrize("numbers", ["int16", "int8"])
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_the_controller_computes_these_whole_numbers(firmware, activation, numbers, tmp_path):
+    made = firmware(str(write(tmp_path, activation=activation)), numbers=numbers, suite="steps")
+    recording = made.record(steps=2, num_devices=1)
+    controller = made.controller("float")
+    controller.start(begin_record(controller, recording, 0))
+    outputs = controller.run(controller.inputs({name: values[:, 0] for name, values in recording.readings.items()}))
+    bundle = read_bundle(tmp_path)
+    layers = network.quantised(bundle, network.recorded_inputs(bundle, made.settings), numbers)
+    # The tension setpoint at the end of the first agent period follows from the episode's first observation.
+    observation, _ = TensionVectorEnv(num_envs=1, suite="steps").reset(seed=0)
+    action, _ = network.forward_numbers(layers, bundle, observation.astype(np.float64), numbers)
+    assert outputs["tension_setpoint"][7] == pytest.approx(action_to_tension(action[0, 0], (4.0, 15.0)), abs=2e-5)
+
+
+def test_a_network_that_does_not_fit_is_refused_with_numbers(tmp_path):
+    with pytest.raises(AmulettError, match=r"34 x 64 x 64 x 1 .*in int8 .* cycles .* slices .* 8 control ticks"):
+        export("pretrained:testbed", "testbed", None, tmp_path)
+    small = read_bundle(write(tmp_path / "small", hidden=(32, 32), features=list(FEATURES)))
+    assert network.choose_numbers(small, 8, None) == "int8"
+    assert network.choose_numbers(small, 20, None) == "int16"
+    assert network.choose_numbers(small, 200, None) == "float"
+    with pytest.raises(AmulettError, match="in int16"):
+        network.choose_numbers(small, 8, "int16")
+
+
+def test_a_loop_that_the_firmware_has_not_is_refused():
+    with pytest.raises(AmulettError, match="no loop 'cascade' yet; it has decentralized and position-only"):
+        choose("constant:8", load_profile("testbed"), "cascade")
+
+
+def test_nothing_of_a_bundle_but_numbers_reaches_the_sources(tmp_path):
+    hostile = "*/ #include <evil.h>"
+    files = export(str(write(tmp_path / hostile / "policy")), "testbed", None, tmp_path / "firmware")
+    assert {name for name, content in files.items() if "evil" in content} <= {"README.md", "manifest.json"}
+    assert "<evil.h>" not in files["README.md"]
+    for name in ("device.h", "weights.h", "tables.h"):
+        lines = [line for line in files[name].splitlines() if line.startswith("#include")]
+        assert set(lines) <= {'#include "flash.h"'}
+
+
+@pytest.mark.parametrize("name", ["x; system(0)", "*/", "error_5deg\n#include <evil.h>"])
+def test_a_bundle_with_other_names_is_refused(name, tmp_path):
+    with pytest.raises(AmulettError):
+        export(str(write(tmp_path, features=[name, *FEATURES[1:]])), "testbed", None, tmp_path / "firmware")
