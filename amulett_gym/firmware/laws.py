@@ -12,7 +12,7 @@ from amulett_gym import DRIVES_ID
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.firmware.network import (
     SLICE,
     Numbers,
@@ -28,6 +28,7 @@ from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import CONSTANT, Contender, bundle_folder, constant_tension, in_loop, parse_contender
 from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, Device, is_tuned, tuned_vector
 from amulett_gym.profile import Profile
+from amulett_gym.simulation.layout import CONTROLS
 
 LOOPS = ("decentralized", "position-only")
 """The loops of `simulation.layout.CONTROLS` that the firmware has."""
@@ -80,6 +81,8 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
     if control is not None:
         contender = in_loop(contender, control)
     loop = contender.env_keywords.get("control", LOOPS[0])
+    if loop not in CONTROLS:
+        raise unknown("control", str(loop), LOOPS)
     if loop not in LOOPS:
         raise AmulettError(f"the firmware has no loop '{loop}' yet; it has {' and '.join(LOOPS)}")
     if contender.env_keywords.get("privileged"):

@@ -77,6 +77,6 @@ def test_a_converter_with_too_many_bits(tmp_path):
 def test_a_hostile_name_of_a_profile_stays_text(tmp_path):
     name = '*/ #include "/etc/passwd" <script>`x` | [a](http://b)'
     files = export("eq6", device("testbed").model_copy(update={"name": name}), None, tmp_path / "firmware")
-    for content in files.values():
-        assert "passwd" not in content or "*/" not in content.split("passwd")[0][-20:]
+    assert {name for name, content in files.items() if "passwd" in content} <= {"README.md", "manifest.json"}
+    assert json.loads(files["manifest.json"])["profile"]["name"] == name  # data, not text of a source
     assert "<script>" not in files["README.md"] and "`x`" not in files["README.md"]
