@@ -89,7 +89,7 @@ INLINE void load_cell(Table table, integer cell, real *k0, real *k1, real *k2, r
 static const parameters device = {PARAMETERS};
 
 static states state;
-static real wanted_tension;  /* at the end of the agent period */
+static real wanted_tension;  /* at the end of the present ramp */
 static uint32_t since_move;  /* control ticks since the setpoint began to move */
 static uint16_t phase;       /* control ticks since the agent period began */
 static uint8_t first, thinking, status;
@@ -213,21 +213,22 @@ static void observe(States s, real observation[OBSERVED]) {
     observation[TENSION_SETPOINT] = entry(setpoint);
 }
 
-/* Begin an agent period if one is due, and compute a slice of the law. The tension setpoint is what the law wants at the
-   period's end: on a ramp over the control ticks that are left when the law is known. */
+/* Begin an agent period if one is due, and compute a slice of the law. As soon as the law is known, the tension setpoint
+   goes on a ramp over an agent period. A shorter one, to be in time, would move the drives much more. */
 static void think(States s) {
     if (phase == 0) {
         real observation[OBSERVED];
-        s->tension_command[0] = wanted_tension;
-        s->tension_rate[0] = 0;
         observe(s, observation);
         law_begin(observation);
         thinking = 1;
     }
     while (thinking) {
-        if (law_slice(&wanted_tension)) {
+        real wanted;
+        if (law_slice(&wanted)) {
             thinking = 0;
-            s->tension_rate[0] = (wanted_tension - s->tension_command[0]) / (real)(LAW_TICKS - phase);
+            s->tension_command[0] = wanted_tension; /* of the last ramp, without its rounding */
+            wanted_tension = wanted;
+            s->tension_rate[0] = (wanted - s->tension_command[0]) / (real)LAW_TICKS;
         } else if (!AT_ONCE && phase + 1 < LAW_TICKS) {
             break;
         }

@@ -27,7 +27,7 @@ check-double: $(CONTROLLER) check.c $(HEADERS)
 	$(CC) $(HOST_FLAGS) $(DOUBLE) $(CONTROLLER) check.c -o $@ -lm
 
 check-float: $(CONTROLLER) check.c $(HEADERS)
-	$(CC) $(HOST_FLAGS) $(FLOAT) $(CONTROLLER) check.c -o $@ -lm
+	$(CC) $(HOST_FLAGS) $(FLOAT) -DLAW_AT_ONCE $(CONTROLLER) check.c -o $@ -lm
 
 avr: firmware.hex
 

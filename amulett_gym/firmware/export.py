@@ -68,7 +68,7 @@ def export(
         recording = record_mixed(contender, settings)
         packed = pack_parameters(device, settings.control)[0]
         resolutions = float(packed["encoder_resolution"]), float(packed["slider_resolution"])
-        files["vectors.h"] = vectors_header(recording, *resolutions)
+        files["vectors.h"] = vectors_header(recording, *resolutions, found.apart)
         period, ticks = device.loop.control_period, settings.ticks(device)
         with files_together(folder, OTHERS) as new:
             _write(new, files)
@@ -115,11 +115,11 @@ def _checked(folder: Path, recording: Recording) -> str:
         f"With the readings of {devices} simulated episodes of `mixed`, {ticks} control ticks each, the largest "
         "difference from the simulation's own loop was:",
         "",
-        "| Build for this computer | command [rad] | tension setpoint [N] |",
+        "| Build for this computer, law at once | command [rad] | tension setpoint [N] |",
         "|---|---|---|",
     ]
     for real in FLAGS:
-        found = compare(Controller(folder, real), recording)
+        found = compare(Controller(folder, real, at_once=True), recording)
         lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
     return "\n".join(lines)
 

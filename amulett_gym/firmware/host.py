@@ -26,6 +26,9 @@ FLAGS: dict[Real, tuple[str, ...]] = {
     "float": ("-fsingle-precision-constant",),
 }
 
+AT_ONCE = ("-DLAW_AT_ONCE",)
+"""The whole law in the first control tick of an agent period, as the simulation computes it."""
+
 MOVE_BEGINS, LATE = 1, 2
 """Flags of an input."""
 
@@ -42,6 +45,8 @@ class Controller:
         As `firmware.export.export` writes it.
     real : {"double", "float"}
         ``"double"`` equals the simulation; ``"float"`` computes as the microcontroller does.
+    at_once : bool
+        Whether the law is computed in the first control tick of an agent period, as it always is in double.
 
     Attributes
     ----------
@@ -56,10 +61,10 @@ class Controller:
         If there is no compiler, or it refuses.
     """
 
-    def __init__(self, folder: str | Path, real: Real = "double") -> None:
+    def __init__(self, folder: str | Path, real: Real = "double", at_once: bool = False) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="amulett-firmware-")
         library = Path(self._folder.name) / "controller.so"
-        compile_controller(user_path(folder), library, real)
+        compile_controller(user_path(folder), library, real, at_once)
         self._library = ctypes.CDLL(str(library))
         numbers = read_defines(user_path(folder) / "device.h")
         self.encoder_resolution, self.slider_resolution = numbers["ENCODER_RESOLUTION"], numbers["SLIDER_RESOLUTION"]
@@ -130,13 +135,13 @@ def record_types(real: str, encoder_exact: bool, slider_exact: bool) -> tuple[np
     return tuple(np.dtype(fields, align=True) for fields in (begin, readings, output))
 
 
-def compile_controller(folder: Path, library: Path, real: Real = "double") -> None:
+def compile_controller(folder: Path, library: Path, real: Real = "double", at_once: bool = False) -> None:
     """Compile a firmware folder's controller as a shared library (errors as `Controller`)."""
     compiler = find_compiler()
     if compiler is None:
         raise AmulettError(NO_COMPILER.replace("tick in C", "firmware"))
     sources = [str(folder / name) for name in SOURCES]
-    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *FLAGS[real])
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *FLAGS[real], *(AT_ONCE if at_once else ()))
     command = [compiler, *flags, *sources, "-o", str(library), "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode != 0:

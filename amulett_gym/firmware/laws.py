@@ -48,12 +48,15 @@ class FirmwareLaw:
         Further generated files: name -> content.
     remarks : tuple of str
         For the folder's README.
+    apart : float
+        By how much whole numbers may change its tension setpoint [N].
     """
 
     source: str
     defines: Mapping[str, float | int] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    apart: float = 0.0
 
 
 def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Contender, Settings]:
@@ -150,7 +153,7 @@ def firmware_law(
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
     """Return a policy's network in the finest numbers that fit, or those asked for."""
     kind = choose_numbers(bundle, settings.ticks(profile), numbers)
-    layers, remarks = None, list[str]()
+    layers, remarks, most = None, list[str](), 0.0
     if kind != "float":
         inputs = recorded_inputs(bundle, settings)
         layers = quantised(bundle, inputs, kind)
@@ -170,7 +173,9 @@ def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numb
         f"An action takes about {sum(costs)} cycles of an ATmega2560, in {slices(costs)} slices of at most {SLICE}; an "
         f"agent period has {settings.ticks(profile)} control ticks."
     )
-    return FirmwareLaw("law_network.c", {}, {"weights.h": weights_header(bundle, layers, kind)}, tuple(remarks))
+    return FirmwareLaw(
+        "law_network.c", {}, {"weights.h": weights_header(bundle, layers, kind)}, tuple(remarks), 3.0 * most
+    )
 
 
 def _constant(tension: float, settings: Settings) -> FirmwareLaw:

@@ -13,10 +13,13 @@ MOST_DOUBLE, MOST_FLOAT = 1e-9, 1e-2
 """Largest differences of a command [rad] and of the tension setpoint [N] that `make check` accepts."""
 
 
-def vectors_header(recording: Recording, encoder_resolution: float, slider_resolution: float) -> str:
+def vectors_header(
+    recording: Recording, encoder_resolution: float, slider_resolution: float, apart: float = 0.0
+) -> str:
     """Return ``vectors.h`` with the first device of a recording.
 
-    `encoder_resolution` [rad] and `slider_resolution` [m] are what a count means, 0 of an exact sensor.
+    `encoder_resolution` [rad] and `slider_resolution` [m] are what a count means, 0 of an exact sensor; `apart` [N] is
+    by how much a law's whole numbers may change the tension setpoint.
     """
     readings = {name: column[:, 0] for name, column in recording.readings.items()}
     outputs = [recording.outputs[name][:, 0] for name in ("biceps", "triceps", "tension_setpoint")]
@@ -30,7 +33,7 @@ def vectors_header(recording: Recording, encoder_resolution: float, slider_resol
     ]
     wanted = [f"    {{{', '.join(map(number, row))}}}," for row in np.stack(outputs, axis=1).tolist()]
     begin = ", ".join(f".{name} = {_braced(np.asarray(values[0]))}" for name, values in recording.begin.items())
-    most = {"VECTORS": len(lines), "VECTORS_MOST_DOUBLE": MOST_DOUBLE, "VECTORS_MOST_FLOAT": MOST_FLOAT}
+    most = {"VECTORS": len(lines), "VECTORS_MOST_DOUBLE": MOST_DOUBLE, "VECTORS_MOST_FLOAT": MOST_FLOAT + apart}
     return (
         "/* Generated: control ticks of the simulation, for check.c. */\n\n"
         f"{defines(most)}\nstatic const controller_begin vectors_begin = {{{begin}}};\n\n"

@@ -25,8 +25,8 @@ class Firmware:
         for name, content in self.files.items():
             (folder / name).write_text(content)
 
-    def controller(self, real="double") -> Controller:
-        return Controller(self.folder, real)
+    def controller(self, real="double", at_once=False) -> Controller:
+        return Controller(self.folder, real, at_once)
 
     def record(self, steps=60, num_devices=6, **options):
         return record(self.contender, self.settings, steps, num_devices, **options)
