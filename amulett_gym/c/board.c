@@ -137,6 +137,11 @@ static void tick(void) {
     if (output.status & CONTROLLER_BAD_SENSOR) let_go(REASON_SENSOR);
 }
 
+/* Whether nothing is to be let go any more, or only in a simulation. */
+static uint8_t at_rest(void) {
+    return mode == MODE_IDLE || (mode == MODE_LETTING_GO && (!driving || (output.status & CONTROLLER_SLACK)));
+}
+
 static void start_own(void) {
     controller_begin begin;
     memset(&input, 0, sizeof input);
@@ -149,7 +154,7 @@ static void start_own(void) {
     controller_begin_here(&input, rest, &begin);
     controller_start(&begin);
     input.setpoint = begin.angle;
-    mode = MODE_RUN, reason = REASON_NONE, driving = 1, missed = 0;
+    mode = MODE_RUN, reason = REASON_NONE, driving = 1, missed = output.status = 0;
     report(PROTOCOL_RUN);
 }
 
@@ -164,14 +169,14 @@ static void obey(uint8_t kind, const uint8_t *content, uint8_t count) {
     } else if (kind == PROTOCOL_START) {
         memset(&begin, 0, sizeof begin);
         if (count != BEGIN_REALS + 1) refuse(FAULT_GARBLED);
-        else if (mode == MODE_RUN || driving) refuse(FAULT_ORDER); /* drives are on: reset the board first */
+        else if (!at_rest() && mode != MODE_LOCK_STEP) refuse(FAULT_ORDER); /* the drives are on: STOP first */
         else if (!take_begin(&begin)) refuse(FAULT_VALUE);
         else {
             controller_start(&begin);
             memset(&output, 0, sizeof output);
             output.command[0] = begin.command[0], output.command[1] = begin.command[1];
             output.tension_setpoint = begin.tension, output.agonist = begin.agonist;
-            mode = MODE_LOCK_STEP, reason = REASON_NONE;
+            mode = MODE_LOCK_STEP, reason = REASON_NONE, driving = 0;
             reply(PROTOCOL_REPLY | PROTOCOL_START, 0, 0);
         }
     } else if (kind == PROTOCOL_SAMPLE) {
@@ -189,7 +194,7 @@ static void obey(uint8_t kind, const uint8_t *content, uint8_t count) {
     } else if (kind == PROTOCOL_READ) {
         report(kind);
     } else if (kind == PROTOCOL_RUN) {
-        if (mode != MODE_IDLE) refuse(FAULT_ORDER);
+        if (!at_rest()) refuse(FAULT_ORDER);
         else start_own();
     } else if (kind == PROTOCOL_GOAL) {
         real goal;

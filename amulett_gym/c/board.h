@@ -22,7 +22,7 @@ typedef enum { /* why the strings are let go */
     REASON_STOP = 1,    /* the host said so */
     REASON_SENSOR = 2,  /* a reading out of its range, or none */
     REASON_SILENCE = 3, /* no sound frame for HOST_TIMEOUT_US */
-    REASON_WATCHDOG = 4 /* the board hung and was reset by its watchdog */
+    REASON_WATCHDOG = 4 /* a reset while the drives were on: by the watchdog if the board hung, or by its button */
 } board_reason;
 
 /* ---- called by the hardware's part ---- */

@@ -8,11 +8,13 @@
 #include <avr/sleep.h>
 #include <avr/wdt.h>
 #include <string.h>
+#include <util/delay.h>
 
 #include "board.h"
 
 #define RING 128u /* bytes, a power of two */
 #define TWI_PATIENCE 2000
+#define TWI_BYTE_US 25 /* 9 bits at 400 kHz, and some */
 
 static volatile uint8_t received[RING], receive_head, receive_tail, lost;
 static volatile uint8_t sent[RING], send_head, send_tail;
@@ -85,21 +87,28 @@ void board_mark(uint8_t busy) {
 static uint8_t twi(uint8_t control) {
     uint16_t patience = TWI_PATIENCE;
     TWCR = control | _BV(TWINT) | _BV(TWEN);
+    _delay_us(TWI_BYTE_US); /* simavr 1.6 does not clear TWINT: it would say at once that the byte is done */
     while (!(TWCR & _BV(TWINT)))
         if (--patience == 0) return 0;
     return TWSR & 0xF8;
 }
 
-static uint8_t twi_send(uint8_t byte, uint8_t expected) {
+static uint8_t twi_begin(void) { /* or begin again */
+    uint8_t status = twi(_BV(TWSTA));
+    return status == 0x08 || status == 0x10;
+}
+
+static uint8_t twi_send(uint8_t byte) { /* return whether an address or a byte was acknowledged */
     TWDR = byte;
-    return twi(0) == expected;
+    uint8_t status = twi(0);
+    return status == 0x18 || status == 0x28 || status == 0x40; /* in writing, of data, in reading */
 }
 
 /* Read the encoder's diagnostics, magnitude and angle, registers 0xFB to 0xFF. */
 static uint8_t read_encoder(uint16_t *angle) {
     uint8_t bytes[5], sound = 0;
-    if (twi(_BV(TWSTA)) == 0x08 && twi_send(ENCODER_ADDRESS << 1, 0x18) && twi_send(0xFB, 0x28) &&
-        twi(_BV(TWSTA)) == 0x10 && twi_send(ENCODER_ADDRESS << 1 | 1, 0x40)) {
+    if (twi_begin() && twi_send(ENCODER_ADDRESS << 1) && twi_send(0xFB) && twi_begin() &&
+        twi_send(ENCODER_ADDRESS << 1 | 1)) {
         sound = 1;
         for (uint8_t k = 0; k < 5 && sound; k++) {
             sound = twi(k < 4 ? _BV(TWEA) : 0) == (k < 4 ? 0x50 : 0x58);

@@ -5,7 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <simavr/avr_adc.h>
 #include <simavr/avr_ioport.h>
+#include <simavr/avr_twi.h>
 #include <simavr/avr_uart.h>
 #include <simavr/sim_avr.h>
 #include <simavr/sim_cycle_timers.h>
@@ -14,6 +16,10 @@
 #define MARK 0xC5 /* of memory that nothing has written */
 #define FIRST_BYTE 0x200 /* of the internal memory, after the registers */
 #define WAITING 4096
+#define ENCODER_ADDRESS 0x40
+#define OCR1A 0x88
+#define OCR1B 0x8A
+#define TCCR1A 0x80
 
 typedef struct {
     avr_t *avr;
@@ -23,6 +29,8 @@ typedef struct {
     uint64_t cycles_per_byte, begun;
     uint64_t last, most, total, ticks; /* CPU cycles of the marked ticks */
     uint32_t flash;
+    avr_irq_t *bus, *analog[2];
+    uint8_t encoder[256], encoder_register, encoder_listens, encoder_addressed, encoder_present;
 } chip;
 
 static void no_sleep(avr_t *avr, avr_cycle_count_t cycles) { (void)avr, (void)cycles; }
@@ -47,6 +55,28 @@ static void take_edge(struct avr_irq_t *irq, uint32_t value, void *param) {
         c->total += c->last, c->ticks++;
         if (c->last > c->most) c->most = c->last;
     }
+}
+
+/* The joint encoder, an AS5048B: a register's number is written, then registers are read in turn. */
+static void take_bus(struct avr_irq_t *irq, uint32_t value, void *param) {
+    chip *c = param;
+    avr_twi_msg_irq_t message = {.u.v = value};
+    uint8_t what = message.u.twi.msg, address = message.u.twi.addr;
+    (void)irq;
+    if (what & TWI_COND_STOP) c->encoder_addressed = 0;
+    if (what & TWI_COND_START) {
+        c->encoder_addressed = c->encoder_present && address >> 1 == ENCODER_ADDRESS;
+        c->encoder_listens = c->encoder_addressed && !(address & 1);
+        if (c->encoder_addressed) avr_raise_irq(c->bus, avr_twi_irq_msg(TWI_COND_ACK, address, 1));
+    }
+    if (!c->encoder_addressed) return;
+    if (what & TWI_COND_WRITE) {
+        if (c->encoder_listens) c->encoder_register = message.u.twi.data;
+        c->encoder_listens = 0;
+        avr_raise_irq(c->bus, avr_twi_irq_msg(TWI_COND_ACK, address, 1));
+    }
+    if (what & TWI_COND_READ)
+        avr_raise_irq(c->bus, avr_twi_irq_msg(TWI_COND_READ, address, c->encoder[c->encoder_register++]));
 }
 
 /* The next byte arrives at the serial port; return when the one after it does, 0 if there is none. */
@@ -100,6 +130,10 @@ chip *chip_open(const char *hex, uint32_t frequency, uint32_t baud) {
         avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), take_byte, c);
         avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), IOPORT_IRQ_PIN7), take_edge, c);
         c->cycles_per_byte = (uint64_t)frequency * 10 / baud;
+        avr->vcc = avr->avcc = avr->aref = 5000;
+        c->bus = avr_io_getirq(avr, AVR_IOCTL_TWI_GETIRQ(0), TWI_IRQ_INPUT);
+        avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_TWI_GETIRQ(0), TWI_IRQ_OUTPUT), take_bus, c);
+        for (int k = 0; k < 2; k++) c->analog[k] = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0 + k);
     } else {
         chip_close(c);
         c = NULL;
@@ -137,6 +171,26 @@ int32_t chip_run(chip *c, uint64_t cycles, uint8_t out[WAITING]) {
     c->out_count = 0;
     return count;
 }
+
+/* Set what the sensors give: an encoder with a count from 0 to 16383, or none if it is negative; sliders' counts. */
+void chip_set_sensors(chip *c, int32_t encoder, uint32_t biceps, uint32_t triceps) {
+    c->encoder_present = encoder >= 0;
+    c->encoder[0xFB] = 1;
+    c->encoder[0xFE] = (uint8_t)(encoder >> 6), c->encoder[0xFF] = encoder & 0x3F;
+    /* In millivolts of 5000 for 1023 counts, rounded up, so that the converter rounds down to the count. */
+    avr_raise_irq(c->analog[0], (biceps * 5000 + 1022) / 1023);
+    avr_raise_irq(c->analog[1], (triceps * 5000 + 1022) / 1023);
+}
+
+/* Fill the servo pulses' lengths in halves of a microsecond; return whether the pins give them. */
+uint32_t chip_pulses(const chip *c, uint32_t found[2]) {
+    const uint8_t *data = c->avr->data;
+    found[0] = data[OCR1A] | data[OCR1A + 1] << 8, found[1] = data[OCR1B] | data[OCR1B + 1] << 8;
+    return (data[TCCR1A] & 0xA0) == 0xA0;
+}
+
+/* Press the reset button: the memory stays. */
+void chip_reset(chip *c) { avr_reset(c->avr); }
 
 /* Fill: cycle, ticks, cycles of the last, the longest and all ticks, bytes of flash, of static memory, of the stack. */
 void chip_measure(const chip *c, uint64_t found[8]) {

@@ -61,11 +61,12 @@ class Board:
         self._sequence = 0
         self._decoder = Decoder()
         self.port_send(b"\0")  # ends what an earlier host may have left
-        self.hello: Hello = read_hello(self._ask(protocol.HELLO, bytes([protocol.VERSION]), port.hello_tries))
+        self.hello = self._greet(port.hello_tries)
         self._wire = Wire(self.hello)
 
     def start(self, numbers: Sequence[float], agonist: int) -> None:
         """Begin an episode in lock step with the numbers of `controller_begin`, in its order."""
+        self._greet(TRIES)  # both count from here, whatever has failed before
         self._ask(protocol.START, self._wire.write_begin(list(numbers), agonist))
 
     def tick(self, encoder: float, biceps: float, triceps: float, setpoint: float, jump: float, flags: int) -> Report:
@@ -87,6 +88,18 @@ class Board:
         """Let the board let the strings go."""
         return self._wire.read_report(self._ask(protocol.STOP))
 
+    def run(self) -> Report:
+        """Let the board run by its own timer and sensors, with its drives."""
+        return self._wire.read_report(self._ask(protocol.RUN))
+
+    def follow(self, setpoint: float) -> tuple[Report, tuple[float, float, float]]:
+        """Set the joint angle that a running board follows [rad]; return its state and last readings.
+
+        The readings are those of encoder and sliders, biceps first: counts, or [rad] and [m] of exact sensors.
+        """
+        answer = self._ask(protocol.GOAL, self._wire.goal.pack(setpoint))
+        return self._wire.read_report(answer), self._wire.read_readings(answer)
+
     def close(self) -> None:
         """Close the line."""
         self.port.close()
@@ -97,6 +110,9 @@ class Board:
             self.port.send(data)
         except OSError as error:
             raise BoardError(f"the board on {self.port.label} is gone: {_first_line(error)}") from None
+
+    def _greet(self, tries: int) -> Hello:
+        return read_hello(self._ask(protocol.HELLO, bytes([protocol.VERSION]), tries))
 
     def _ask(self, kind: int, content: bytes = b"", tries: int = TRIES) -> bytes:
         """Send a request until it is answered, at most `tries` times; return the answer's content."""
@@ -127,6 +143,7 @@ class Board:
                     if fault in (1, 3):  # lost on the way: to be sent again
                         return None, means
                     if frame.sequence == self._sequence:
+                        self._sequence -= 1  # it does not count as answered
                         raise BoardError(f"the board on {self.port.label} refuses: {means}")
                 elif frame.sequence == self._sequence and frame.kind == protocol.REPLY | kind:
                     return frame.content, ""

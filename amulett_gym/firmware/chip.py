@@ -96,6 +96,20 @@ class Chip:
         cycles, ticks, last, most, total, flash, static, stack = found
         return Measurement(cycles, ticks, last, most, total / max(ticks, 1), flash, static, stack)
 
+    def set_sensors(self, encoder: int | None, biceps: int, triceps: int) -> None:
+        """Connect sensors of its own: counts of the joint encoder (None: there is none) and of both potentiometers."""
+        self._library.chip_set_sensors(self._handle, -1 if encoder is None else encoder % 2**14, biceps, triceps)
+
+    def pulses(self) -> tuple[float, float] | None:
+        """Return the lengths of both drives' servo pulses [microseconds], None while there are none."""
+        found = (ctypes.c_uint32 * 2)()
+        return (found[0] / 2.0, found[1] / 2.0) if self._library.chip_pulses(self._handle, found) else None
+
+    def reset(self) -> None:
+        """Reset the processor; its memory stays."""
+        self._library.chip_reset(self._handle)
+        self.wait(_BOOT_TIME)
+
     def restart_measuring(self) -> None:
         """Forget the ticks measured so far."""
         self._library.chip_restart_measuring(self._handle)
@@ -133,9 +147,11 @@ def _library() -> ctypes.CDLL:
         library.chip_run.restype = ctypes.c_int32
         library.chip_run.argtypes = [pointer, ctypes.c_uint64, ctypes.c_char_p]
         library.chip_measure.argtypes = [pointer, ctypes.POINTER(ctypes.c_uint64)]
-        for name in ("chip_close", "chip_restart_measuring"):
+        library.chip_set_sensors.argtypes = [pointer, ctypes.c_int32, word, word]
+        library.chip_pulses.restype, library.chip_pulses.argtypes = word, [pointer, ctypes.POINTER(word)]
+        for name in ("chip_close", "chip_restart_measuring", "chip_reset"):
             getattr(library, name).argtypes = [pointer]
-        for name in ("chip_close", "chip_measure", "chip_restart_measuring"):
+        for name in ("chip_close", "chip_measure", "chip_restart_measuring", "chip_set_sensors", "chip_reset"):
             getattr(library, name).restype = None
         _loaded.append(library)
     return _loaded[0]

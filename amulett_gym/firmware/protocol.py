@@ -54,7 +54,7 @@ REASONS = (
     "the host asked for it",
     "a sensor's reading was out of its range or missing",
     "the host was silent",
-    "the watchdog reset the board",
+    "the board was reset while its drives were on",
 )
 """Why the strings are let go."""
 
@@ -197,6 +197,7 @@ class Wire:
         self.sample = struct.Struct(f"<{encoder}2{slider}2{real}B")
         self.report = struct.Struct(f"<3{real}bBBBH")
         self.goal = struct.Struct(f"<{real}")
+        self._readings = struct.Struct(f"<{encoder}2{slider}")
 
     def read_report(self, content: bytes) -> Report:
         """Return the report at the begin of an answer; AmulettError if it is too short."""
@@ -204,6 +205,13 @@ class Wire:
             raise BoardError(f"the board's report has {len(content)} bytes; {self.report.size} are needed")
         biceps, triceps, tension, agonist, status, mode, reason, cycles = self.report.unpack_from(content)
         return Report((biceps, triceps), tension, agonist, status, mode, reason, cycles)
+
+    def read_readings(self, content: bytes) -> tuple[float, float, float]:
+        """Return encoder and sliders at the end of an answer to a GOAL; BoardError if it is too short."""
+        if len(content) < self.report.size + self._readings.size:
+            raise BoardError(f"the board's readings have {len(content) - self.report.size} bytes")
+        encoder, biceps, triceps = self._readings.unpack_from(content, self.report.size)
+        return encoder, biceps, triceps
 
     def write_begin(self, numbers: list[float], agonist: int) -> bytes:
         """Return the content of a START."""

@@ -223,7 +223,97 @@ def test_stop_lets_the_strings_go(board: Board):
 def test_a_chip_without_sensors_does_not_run_alone(chip: Chip):
     board = Board(chip)
     with pytest.raises(BoardError, match="its own sensors do not answer"):
-        board._ask(6)
+        board.run()
+
+
+@pytest.fixture
+def running(chip: Chip) -> Board:
+    """Start a board that runs by its own sensors, at the joint angle of 100 counts."""
+    chip.set_sensors(100, 200, 300)
+    board = Board(chip)
+    board.run()
+    return board
+
+
+def angle(pulse: float) -> float:
+    """Return the command [rad] of a servo pulse [microseconds]."""
+    return (pulse - 1500.0) / 600.0 * 4.0 * math.pi
+
+
+def test_the_board_runs_by_its_own_timer_and_sensors(running: Board, chip: Chip):
+    chip.restart_measuring()
+    chip.wait(0.1)
+    report, readings = running.follow(0.2)
+    assert readings == (100, 200, 300)
+    assert (report.mode, report.reason, report.status) == (2, 0, 0)
+    assert 39 <= chip.measure().ticks <= 41  # one in each control period
+    chip.set_sensors(-50, 200, 300)  # the encoder counts on beyond 0
+    chip.wait(0.01)
+    report, readings = running.follow(0.2)
+    assert readings == (-50, 200, 300)
+    change = 2.0 * (0.2 + 50 * 2.0 * math.pi / 2**14)
+    assert report.commands == pytest.approx((1.0 + change, -1.0 + change), abs=1e-5)
+    pulses = chip.pulses()
+    assert pulses is not None
+    assert [angle(pulse) for pulse in pulses] == pytest.approx(report.commands, abs=0.011)  # half a microsecond
+
+
+def test_in_lock_step_the_drives_get_no_pulses(board: Board, chip: Chip):
+    sample(board)
+    chip.wait(0.05)
+    assert chip.pulses() is None
+
+
+def test_a_setpoint_that_is_not_finite_is_refused(running: Board, chip: Chip):
+    chip.wait(0.01)
+    before = running.read().commands
+    with pytest.raises(BoardError, match="a number is not finite"):
+        running.follow(math.nan)
+    chip.wait(0.01)
+    assert running.read().commands == before
+
+
+def slack_in(board: Board, chip: Chip) -> None:
+    """Wait until the strings are slack; the pulses have met at the bounded rate."""
+    apart = []
+    while not apart or not board.read().status & SLACK:
+        pulses = chip.pulses()
+        assert pulses is not None
+        apart.append(angle(pulses[0]) - angle(pulses[1]))
+        assert len(apart) < 200
+        chip.wait(0.01)
+    steps = [before - after for before, after in pairwise(apart)]
+    assert apart[0] > 1.0
+    assert apart[-1] == pytest.approx(0.0, abs=0.06)
+    assert max(steps) <= 2.0 * RATE * PERIOD * 5 + 0.022
+    assert min(steps) >= -0.022
+
+
+@pytest.mark.parametrize("cause", ["encoder", "silence", "stop", "reset"])
+def test_a_running_board_lets_the_strings_go(hex_file: Path, cause: str):
+    chip = Chip(hex_file)
+    chip.set_sensors(0, 200, 300)
+    board = Board(chip)
+    board.run()
+    chip.wait(0.02)
+    if cause == "encoder":
+        chip.set_sensors(None, 200, 300)
+        chip.wait(0.03)
+        assert board.read().reason == SENSOR
+    elif cause == "silence":
+        chip.wait(1.1)
+        assert board.read().reason == SILENCE
+    elif cause == "stop":
+        board.stop()
+    else:
+        chip.reset()
+        board = Board(chip)
+        assert board.read().reason == 4
+    assert board.read().mode == 3
+    slack_in(board, chip)
+    chip.set_sensors(0, 200, 300)
+    assert board.run().mode == 2  # it can begin anew
+    chip.close()
 
 
 def test_a_closed_chip_is_gone(board: Board, chip: Chip):

@@ -8,7 +8,7 @@ static controller_output last;
 void controller_begin_here(const controller_input *first, const real command[2], controller_begin *begin) {
     memset(begin, 0, sizeof *begin);
     begin->angle = (real)first->encoder * (real)ENCODER_RESOLUTION;
-    begin->command[0] = command[0], begin->command[1] = command[1];
+    begin->command[0] = command[0] + 1, begin->command[1] = command[1] - 1; /* winds both strings */
     begin->agonist = 1;
 }
 
