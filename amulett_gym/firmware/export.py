@@ -9,6 +9,7 @@ from pathlib import Path
 
 from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.settings import Settings
+from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller
 from amulett_gym.firmware.laws import FirmwareLaw, choose, firmware_law
@@ -28,7 +29,7 @@ TEXTS = ("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "fla
 OTHERS = ("weights.h",)
 """Files that not every firmware has: an earlier export's are deleted."""
 
-README, MANIFEST = "README.md", "manifest.json"
+README = "README.md"
 
 _STEPS, _DEVICES = 50, 8  # of the recording that the firmware is compared with
 
@@ -74,9 +75,7 @@ def export(
             _write(new, files)
             checked = "\n\n".join([_checked(new, recording), *found.remarks])
             files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
-            keywords = settings.keywords() | {"tension_range": list(settings.tension_range)}
-            about = {"law": contender.name, "control": settings.control, "id": _identity(files), "keywords": keywords}
-            files[MANIFEST] = to_json(about | {"profile": device.model_dump(mode="json")})
+            files[MANIFEST] = manifest(contender, settings, files)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
     return files
 
@@ -92,6 +91,13 @@ def firmware_files(profile: Profile, settings: Settings, found: FirmwareLaw) -> 
         "\n#define PARAMETERS", f"#define FIRMWARE_ID {digest}u\n\n#define PARAMETERS", 1
     )
     return files
+
+
+def manifest(contender: Contender, settings: Settings, files: Mapping[str, str]) -> str:
+    """Return ``manifest.json``: law, loop and device as data, with the identity of the sources."""
+    keywords = settings.keywords() | {"tension_range": list(settings.tension_range)}
+    about = {"law": contender.name, "control": settings.control, "id": _identity(files), "keywords": keywords}
+    return to_json(about | {"profile": settings.profile.model_dump(mode="json")})
 
 
 def record_mixed(contender: Contender, settings: Settings) -> Recording:

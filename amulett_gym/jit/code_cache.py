@@ -40,7 +40,7 @@ SOURCES = (
     *("jit/*.py", "storage/*.py", "control/*.py", "model/*.py"),
     *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random")),
     *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
-    *("tasks/*.py", "laws/*.py"),
+    *("tasks/*.py", "laws/*.py", "firmware/lock_step.py"),
 )
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
 

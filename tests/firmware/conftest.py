@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
-from amulett_gym.firmware.export import firmware_files
+from amulett_gym.firmware.export import firmware_files, manifest
 from amulett_gym.firmware.host import Controller
 from amulett_gym.firmware.laws import choose, firmware_law
 from amulett_gym.firmware.recording import record
@@ -24,6 +24,7 @@ class Firmware:
         self.files = firmware_files(self.profile, self.settings, found)
         for name, content in self.files.items():
             (folder / name).write_text(content)
+        (folder / "manifest.json").write_text(manifest(self.contender, self.settings, self.files))
 
     def controller(self, real="double", at_once=False) -> Controller:
         return Controller(self.folder, real, at_once)

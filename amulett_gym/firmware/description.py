@@ -1,0 +1,63 @@
+"""What a firmware folder is: its law, loop and device, as data."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from amulett_gym.envs.settings import Settings
+from amulett_gym.errors import AmulettError
+from amulett_gym.storage.reading import user_path
+
+MANIFEST = "manifest.json"
+"""File of a firmware folder that describes it."""
+
+KEYS = ("profile", "control", "tension_law", "tension_range", "agent_period")
+"""Keywords of the environments that a firmware fixes."""
+
+_MOST = 1_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class Description:
+    """A firmware folder's content.
+
+    Attributes
+    ----------
+    folder : Path
+    law : str
+        Name of the contender that the folder was exported from.
+    keywords : dict
+        The environment's, in which the law acts: `KEYS`.
+    """
+
+    folder: Path
+    law: str
+    keywords: dict[str, Any]
+
+
+def read_description(folder: str | Path) -> Description:
+    """Read a folder's ``manifest.json``.
+
+    Raises
+    ------
+    AmulettError
+        If there is none, or its content is wrong.
+    """
+    path = user_path(folder) / MANIFEST
+    try:
+        text = path.read_bytes()[: _MOST + 1]
+        content = json.loads(text) if len(text) <= _MOST else None
+    except OSError:
+        raise AmulettError(f"'{folder}' is no firmware: it has no {MANIFEST}; make one with 'amulett export'") from None
+    except ValueError as error:
+        raise AmulettError(f"'{path}' is no JSON: {error}") from None
+    wanted = {"law": str, "control": str, "keywords": dict, "profile": dict}
+    if not isinstance(content, dict) or not all(isinstance(content.get(key), wanted[key]) for key in wanted):
+        raise AmulettError(f"'{path}' has to have the keys {', '.join(wanted)}; make it anew with 'amulett export'")
+    given = {key: content["keywords"][key] for key in KEYS if key in content["keywords"]}
+    given |= {"control": content["control"], "profile": content["profile"]}
+    settings = Settings.read(given, str(path))
+    return Description(user_path(folder), content["law"], {key: getattr(settings, key) for key in KEYS})

@@ -1,0 +1,154 @@
+"""The environment whose control loop is a firmware's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs import transition
+from amulett_gym.envs.episodes import Arrays, Episodes, Observations
+from amulett_gym.envs.settings import Settings
+from amulett_gym.envs.single import TensionEnv
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.description import KEYS, read_description
+from amulett_gym.firmware.host import LATE, MOVE_BEGINS
+from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, open_step
+from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
+from amulett_gym.firmware.protocol import MODES, REASONS, Report
+from amulett_gym.firmware.recording import Reader, begin_of
+from amulett_gym.simulation.layout import RUNNING, Loop, Paths
+
+_DEVICE = np.zeros(1, dtype=np.int64)
+
+
+class FirmwareEpisodes(Episodes):
+    """Episodes of one device whose control ticks are a firmware's.
+
+    Attributes
+    ----------
+    report_of_board : Report or None
+        Of the last control tick.
+    """
+
+    def __init__(self, settings: Settings, loop: FirmwareLoop) -> None:
+        super().__init__(1, settings)
+        self.loop, self.report_of_board = loop, None
+        parameters = self.simulation.parameters[0]
+        # A count's reciprocal is not exact; the reading over the resolution is rounded, as the sensor rounded it.
+        self._resolutions = float(parameters["encoder_resolution"]), float(parameters["slider_resolution"])
+        self._reader: Reader | None = None
+
+    def start(self, *arguments: Any, **keywords: Any) -> Observations:
+        """Start an episode, here and in the firmware."""
+        observations = super().start(*arguments, **keywords)
+        self.loop.start({name: value[0] for name, value in begin_of(self.simulation).items()})
+        self._reader, self.report_of_board = Reader(self.simulation), None
+        return observations
+
+    def _step(
+        self,
+        arrays: Arrays,
+        paths: Paths | None,
+        loop: Loop | None,
+        means: NDArray[np.floating[Any]] | None,
+        actions: NDArray[np.floating[Any]],
+        observations: Observations,
+        report: NDArray[np.float64],
+    ) -> None:
+        """Take one agent step; the firmware chooses the tension, whatever the action."""
+        parameters, constants, _, scenarios, states = arrays
+        open_step(constants, states, report)
+        for _ in range(int(constants["ticks"][0])):
+            if states["failure"][0, 0] != RUNNING:
+                break
+            self.tick()
+        transition.observe_devices(*arrays, _DEVICE, observations)
+        close_step(parameters, constants, scenarios, states, report)
+
+    def tick(self) -> Report:
+        """Let the firmware do one control tick, then the drives, the arm and the sensors."""
+        simulation = self.simulation
+        assert self._reader is not None
+        read = {name: value[0].item() for name, value in self._reader.read().items()}
+        encoder, sliders = self._resolutions
+        flags = MOVE_BEGINS * read["begins"] + LATE * read["late"]
+        readings = _count(read["angle"], encoder), _count(read["biceps"], sliders), _count(read["triceps"], sliders)
+        report = self.report_of_board = self.loop.tick(Sample(*readings, read["setpoint"], read["jump"], flags))
+        scenarios, states = simulation.scenarios, simulation.states
+        if not read["late"]:
+            commands = np.array(report.commands)
+            paper, values = simulation.loop is None, (commands, report.tension_setpoint, float(report.agonist))
+            command_device(simulation.parameters, scenarios, states, paper, *values)
+        own = scenarios["late_probability"][0, 0]
+        scenarios["late_probability"][0, 0] = ALWAYS
+        simulation.advance(1)
+        scenarios["late_probability"][0, 0] = own
+        return report
+
+
+class HardwareEnv(TensionEnv):
+    """The environment of `Amulett/Tension-v0` with a firmware's loop and law instead of the simulation's.
+
+    Each control tick, the firmware gets the simulated sensors' readings and answers with the drives' commands, in lock
+    step: on this computer, on a simulated ATmega2560, or on a real board. Observations, rewards and ``info`` are those
+    of `Amulett/Tension-v0`; ``info["board"]`` has the firmware's `status` (bits of ``controller.h``), `mode`, `reason`
+    and `cycles`. The firmware's own law chooses the tension: actions change nothing.
+
+    Parameters
+    ----------
+    folder : str or Path
+        As `firmware.export.export` writes it.
+    transport : str
+        ``"host"``, ``"host-float"``, ``"chip"`` or ``"serial:PORT"``.
+    **keywords
+        Those of `Amulett/Tension-v0`, but for the ones that the firmware fixes (`description.KEYS`) and `fleet`.
+
+    Raises
+    ------
+    AmulettError
+        If a keyword is wrong, the folder is no firmware, a compiler is missing, or no board with this firmware answers.
+        In an episode: if the board is gone or silent (:class:`protocol.BoardError`).
+    """
+
+    __signature__: Any = None  # that of __init__
+
+    def __init__(self, folder: str | Path, transport: str = "host", **keywords: Any) -> None:
+        found = read_description(folder)
+        for key in keywords:
+            if key in (*KEYS, "fleet"):
+                raise AmulettError(
+                    f"'{key}' is that of the firmware in '{folder}'; export another firmware to change it"
+                )
+        if keywords.get("privileged"):
+            raise AmulettError("privileged observations hold the loop's integrals, which a firmware does not report")
+        super().__init__(**found.keywords, **keywords)
+        self.law, self.loop = found.law, open_loop(found.folder, transport)
+        self.episodes = FirmwareEpisodes(self.settings, self.loop)
+
+    def close(self) -> None:
+        """End the firmware, and close the window if one is open."""
+        self.loop.close()
+        super().close()
+
+    def get_state(self) -> dict[str, Any]:
+        """Raise an AmulettError: a firmware's memory is not known."""
+        raise AmulettError("a firmware's memory is not known, so that an episode cannot be continued from a snapshot")
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Raise an AmulettError: a firmware's memory is not known."""
+        self.get_state()
+
+    def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
+        info = super()._info(report)
+        board = self.episodes.report_of_board if isinstance(self.episodes, FirmwareEpisodes) else None
+        if board is not None:
+            mode, reason = MODES[board.mode], REASONS[board.reason]
+            info["board"] = {"status": board.status, "mode": mode, "reason": reason, "cycles": board.cycles}
+        return info
+
+
+def _count(value: float, resolution: float) -> float:
+    return round(value / resolution) if resolution > 0.0 else value

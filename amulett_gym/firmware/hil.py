@@ -1,0 +1,232 @@
+"""A firmware in the loop against the simulation's own loop: the same scenarios, costs side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.prices import prices
+from amulett_gym.envs.transition import METRICS
+from amulett_gym.evaluation.metrics import control_prices, derive, failure_cost
+from amulett_gym.evaluation.runner import Protocol, play_alone
+from amulett_gym.firmware.chip import Measurement
+from amulett_gym.firmware.description import Description, read_description
+from amulett_gym.firmware.env import HardwareEnv
+from amulett_gym.firmware.toolchain import FLASH, FREQUENCY, RAM
+from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.profile import load_profile
+from amulett_gym.reporting.page import fill_page
+from amulett_gym.reporting.table import Table
+from amulett_gym.storage.writing import write_json, write_text
+
+KERNEL = "simulation"
+"""Name of the simulation's own loop in tables."""
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Played:
+    """What a firmware did in each scenario.
+
+    Attributes
+    ----------
+    label : str
+        Where it ran.
+    costs : ndarray, shape (episodes,)
+    failures : int
+        Devices that failed.
+    let_go : int
+        Episodes in which the firmware let the strings go.
+    retries : int
+        Requests that were sent again.
+    measurement : Measurement or None
+        Of a simulated chip.
+    """
+
+    label: str
+    costs: Values
+    failures: int
+    let_go: int = 0
+    retries: int = 0
+    measurement: Measurement | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A firmware at several places beside the simulation's own loop.
+
+    Attributes
+    ----------
+    description : Description
+    protocol : Protocol
+    kernel : Played
+    played : list of Played
+    """
+
+    description: Description
+    protocol: Protocol
+    kernel: Played
+    played: list[Played]
+
+    def difference(self, played: Played) -> tuple[float, float]:
+        """Return the difference of the mean cost from the simulation's, and the largest of a scenario's cost.
+
+        Both are shares of the simulation's mean cost; absolute if that is 0, in episodes that end before they count.
+        """
+        reference = float(self.kernel.costs.mean()) or 1.0
+        apart = (played.costs - self.kernel.costs) / reference
+        return float(apart.mean()), float(np.abs(apart).max())
+
+    def content(self) -> dict[str, Any]:
+        """Return what ``hil.json`` holds."""
+        found = {}
+        for each in [self.kernel, *self.played]:
+            mean, largest = self.difference(each)
+            found[each.label] = {
+                "cost": float(each.costs.mean()),
+                "cost_difference": mean,
+                "largest_difference": largest,
+                "costs": each.costs.tolist(),
+                **{key: getattr(each, key) for key in ("failures", "let_go", "retries")},
+                **({} if each.measurement is None else {"chip": _measured(each.measurement, self.period)}),
+            }
+        protocol = {key: getattr(self.protocol, key) for key in ("suite", "split", "episodes", "seed", "duration")}
+        own = {"law": self.description.law, "control": self.description.keywords["control"]}
+        return {**own, "profile": self.protocol.profile.name, **protocol, "results": found}
+
+    @property
+    def period(self) -> float:
+        """The control period [s]."""
+        return self.protocol.profile.loop.control_period
+
+
+def compare(
+    folder: str | Path,
+    transports: Sequence[str] = ("host",),
+    suite: str = "mixed",
+    split: str = "held-out",
+    episodes: int = 100,
+    seed: int = 0,
+    duration: float = 10.0,
+    advance: Callable[[int, str], Any] = lambda steps, note: None,
+) -> Comparison:
+    """Play the same scenarios with the simulation's own loop and with a firmware.
+
+    Parameters
+    ----------
+    folder : str or Path
+        As `firmware.export.export` writes it.
+    transports : sequence of str
+        As `firmware.loops.open_loop` takes them.
+    suite, split : str
+    episodes, seed : int
+        Scenario i has the seed ``seed + i``.
+    duration : float
+        Length of an episode [s].
+    advance : callable
+        Called with the number of agent steps done and where.
+
+    Raises
+    ------
+    AmulettError
+        If a name is unknown, the folder is no firmware, the law cannot be read any more, or a board fails.
+    """
+    found = read_description(folder)
+    profile = load_profile(found.keywords["profile"])
+    protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
+    run = play_alone(protocol, parse_contender(found.law))
+    kernel = Played(KERNEL, run.values["cost"], sum(reason != "" for reason in run.failures))
+    played = [
+        play(found, protocol, transport, lambda steps, at=transport: advance(steps, at)) for transport in transports
+    ]
+    return Comparison(found, protocol, kernel, played)
+
+
+def play(
+    found: Description, protocol: Protocol, transport: str, advance: Callable[[int], Any] = lambda steps: None
+) -> Played:
+    """Play a protocol's scenarios with a firmware, one after the other."""
+    period = float(found.keywords["agent_period"])
+    steps = max(round(protocol.duration / period), 1)
+    keywords = {"suite": protocol.suite, "split": protocol.split, "failure_horizon": steps}
+    env = HardwareEnv(found.folder, transport, **keywords)
+    try:
+        raw = {name: np.empty(protocol.episodes) for name in METRICS}
+        charges, families, let_go = np.zeros(protocol.episodes), np.zeros(protocol.episodes, dtype=np.int64), 0
+        for k in range(protocol.episodes):
+            env.reset(seed=protocol.seed + k)
+            families[k] = env.episodes.scenario(0)["family"]
+            for _ in range(steps):
+                _, _, terminated, _, info = env.step(np.zeros(1, dtype=np.float32))
+                advance(1)
+                if terminated:
+                    charges[k] = failure_cost(info["time"], protocol.duration, protocol.agent_period)
+                    break
+            let_go += info["board"]["reason"] != ""
+            for name, column in raw.items():
+                column[k] = info["metrics"][name]
+        tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
+        costs = derive(raw, charges, *tables)["cost"]
+        failures = int((charges > 0.0).sum())
+        return Played(env.loop.label, costs, failures, let_go, env.loop.retries, env.loop.measure())
+    finally:
+        env.close()
+
+
+def table(found: Comparison) -> Table:
+    """Return costs, differences, and what a simulated chip needs."""
+    rows = []
+    for each in [found.kernel, *found.played]:
+        mean, largest = found.difference(each)
+        apart = ("-", "-") if each is found.kernel else (_percent(mean), _percent(largest))
+        rows.append((each.label, f"{each.costs.mean():.5g}", *apart, *_needs(each.measurement, found.period)))
+    head = ("loop in", "cost", "difference", "largest of a scenario", "worst tick", "of the period", "flash", "memory")
+    return Table("", head, rows, note=remarks(found))
+
+
+def remarks(found: Comparison) -> str:
+    """Return what else happened, as a sentence each; empty if nothing did."""
+    text = []
+    for each in found.played:
+        for count, what in ((each.failures, "devices failed"), (each.let_go, "times the strings were let go")):
+            if count:
+                text.append(f"{each.label}: {count} {what}.")
+        if each.retries:
+            text.append(f"{each.label}: {each.retries} requests were sent again.")
+    return " ".join(text)
+
+
+def write_comparison(found: Comparison, out: Path) -> None:
+    """Write ``hil.json`` and the page ``index.html``."""
+    write_json(out / "hil.json", found.content())
+    page = fill_page("firmware/hil.html.j2", found=found, table=table(found), limits=LIMITS)
+    write_text(out / "index.html", page)
+
+
+LIMITS = f"ATmega2560 at {FREQUENCY / 1e6:g} MHz: {FLASH:,} bytes of flash, {RAM:,} bytes of memory."
+
+
+def _measured(found: Measurement, period: float) -> Mapping[str, float]:
+    share = found.most / (FREQUENCY * period)
+    return {
+        **{key: getattr(found, key) for key in ("ticks", "most", "mean", "flash", "static", "stack")},
+        "share_of_period": share,
+    }
+
+
+def _needs(found: Measurement | None, period: float) -> tuple[str, ...]:
+    if found is None:
+        return ("-",) * 4
+    share = found.most / (FREQUENCY * period)
+    memory = f"{found.static} + {found.stack}"
+    return f"{found.most:,} cycles", f"{100.0 * share:.0f} %", f"{found.flash:,}", memory
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"

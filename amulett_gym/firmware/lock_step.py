@@ -1,0 +1,53 @@
+"""One device whose control loop is outside the simulation: its metrics, and an agent step around its control ticks.
+
+The kernel leaves a device's commands as they are in a tick that its loop misses. So a loop outside sets the commands,
+and the kernel's own misses every tick: drives, arm, sensors and setpoint move on as ever, without a second compilation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amulett_gym.control.agonist import BICEPS
+from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, costs, write_report, write_reward
+from amulett_gym.jit.compiled import compiled
+from amulett_gym.simulation.commands import command_drives
+from amulett_gym.simulation.kernel import setpoint_kick, start_counting
+from amulett_gym.simulation.layout import MOTION_BLOCK
+
+ALWAYS = 2.0
+"""A `late_probability` with which the kernel's loop misses every tick."""
+
+
+@compiled
+def command_device(p, c_blocks, s_blocks, paper, commands, tension, agonist):
+    """Let the first device command its drives as a loop outside wants, with the metrics that the kernel's loop has.
+
+    `paper`: whether that is the paper's loop, in which a jump of the setpoint kicks the commands. `commands` [rad] has
+    shape (2,), `tension` is its setpoint [N], `agonist` 1 or -1.
+    """
+    m = np.empty(1, dtype=MOTION_BLOCK)[0]
+    c, s, i = c_blocks[0], s_blocks[0], np.uint64(0)
+    start_counting(p[0], c, s, m, i, i + np.uint64(1))
+    s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
+    s.agonist[i], s.tension_setpoint[i] = agonist, tension
+    kick = setpoint_kick(p[0], s, m, i) if paper else 0.0
+    s.setpoint_jump[i] = 0.0
+    share = p[0].antagonist_share if p[0].tension_loop else 1.0
+    kick_biceps = (1.0 if agonist == BICEPS else share) * kick
+    kick_triceps = (share if agonist == BICEPS else 1.0) * kick
+    command_drives(p[0], s, m, i, commands[0], commands[1], kick_biceps, kick_triceps)
+
+
+@compiled
+def open_step(e, s_blocks, report):
+    """Fill the reward's terms in the first device's report with the costs before an agent step."""
+    terms = report[0, FIRST_TERM:FIRST_READING]
+    terms[0], terms[1], terms[2], terms[3] = costs(e[0], s_blocks[0], np.uint64(0))
+
+
+@compiled
+def close_step(p, e, c_blocks, s_blocks, report):
+    """Report the first device's reward and state after an agent step."""
+    write_reward(e[0], c_blocks[0], s_blocks[0], np.uint64(0), report[0])
+    write_report(p[0], c_blocks[0], s_blocks[0], np.uint64(0), report[0])
