@@ -38,7 +38,7 @@ NAME = "amulett-gym"
 SOURCES = (
     *("errors.py", "fleet.py", "gains.py", "profile.py", "settings.py"),
     *("jit/*.py", "storage/*.py", "control/*.py", "model/*.py"),
-    *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random")),
+    *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random", "replay")),
     *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
     *("tasks/*.py", "laws/*.py", "firmware/lock_step.py"),
 )
