@@ -52,9 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     with nullcontext() if out is None else output_folder(out, "firmware in the loop", [["hil.json"]]):
         steps = max(round(arguments.duration / float(described.keywords["agent_period"])), 1)
         with Progress(steps * arguments.episodes * len(transports), "hil", "steps") as bar:
-            found = compare(
-                arguments.folder, transports, **options, advance=lambda steps, where: bar.update(steps, note=where)
-            )
+            found = compare(arguments.folder, transports, **options, advance=bar.update)
         if out is not None:
             write_comparison(found, Path(out))
     if arguments.json:

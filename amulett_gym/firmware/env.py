@@ -35,7 +35,8 @@ class FirmwareEpisodes(Episodes):
 
     def __init__(self, settings: Settings, loop: FirmwareLoop) -> None:
         super().__init__(1, settings)
-        self.loop, self.report_of_board = loop, None
+        self.loop = loop
+        self.report_of_board: Report | None = None
         parameters = self.simulation.parameters[0]
         # A count's reciprocal is not exact; the reading over the resolution is rounded, as the sensor rounded it.
         self._resolutions = float(parameters["encoder_resolution"]), float(parameters["slider_resolution"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ def compare(
     episodes: int = 100,
     seed: int = 0,
     duration: float = 10.0,
-    advance: Callable[[int, str], Any] = lambda steps, note: None,
+    advance: Callable[..., Any] = lambda steps, note: None,
 ) -> Comparison:
     """Play the same scenarios with the simulation's own loop and with a firmware.
 
@@ -130,7 +131,7 @@ def compare(
     duration : float
         Length of an episode [s].
     advance : callable
-        Called with the number of agent steps done and where.
+        Called with the number of agent steps done, and with `note`, the transport.
 
     Raises
     ------
@@ -142,9 +143,7 @@ def compare(
     protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
     run = play_alone(protocol, parse_contender(found.law))
     kernel = Played(KERNEL, run.values["cost"], sum(reason != "" for reason in run.failures))
-    played = [
-        play(found, protocol, transport, lambda steps, at=transport: advance(steps, at)) for transport in transports
-    ]
+    played = [play(found, protocol, transport, partial(advance, note=transport)) for transport in transports]
     return Comparison(found, protocol, kernel, played)
 
 
