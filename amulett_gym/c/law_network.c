@@ -215,7 +215,7 @@ static number tanh_number(int16_t x) {
 /* The sum of products; on an AVR by its instructions, since the compiler's code takes twice to three times as long. */
 #if defined __AVR__ && NETWORK_BITS == 8
 static int32_t dot(const int8_t *from, const int8_t *weight, uint16_t count) {
-    int32_t sum = 0; /* 24 digits are enough: a product has 14, and a layer less than 512 inputs */
+    int32_t sum = 0; /* in 24 digits, for which the weights are scaled */
     uint8_t a, b;
     __asm__ volatile("1: lpm %[b], Z+ \n\t"
                      "ld %[a], X+ \n\t"

@@ -17,6 +17,9 @@ from amulett_gym.model.spring import estimate_force
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import pack_parameters
 
+MOST_TICKS = 65_535
+"""Control ticks of an agent period, which the firmware counts in 16 bits."""
+
 MOST_BITS = 24
 """Of a converter: its counts are exact as 32-bit floating-point numbers."""
 
@@ -78,11 +81,15 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
     Raises
     ------
     AmulettError
-        If a converter has too many bits.
+        If a converter has too many bits, or an agent period too many control ticks.
     """
     record = pack_parameters(profile, settings.control, settings.tension_law)[0]
     low, high = settings.tension_range
     ticks = settings.ticks(profile)
+    if ticks > MOST_TICKS:
+        raise AmulettError(
+            f"agent_period is {settings.agent_period} s, {ticks} control ticks; the firmware counts {MOST_TICKS}"
+        )
     values = {
         "CONTROL_PERIOD": record["control_period"],
         "CONTROL_TICKS_US": round(1e6 * float(record["control_period"])),

@@ -24,6 +24,9 @@ Numbers = Literal["float", "int16", "int8"]
 DIGITS: dict[Numbers, tuple[int, int]] = {"int16": (12, 15), "int8": (7, 7)}
 """Binary digits of an activation and of a weight, beside their sign."""
 
+SUM_DIGITS: dict[Numbers, int] = {"int16": 31, "int8": 23}
+"""Binary digits of a sum, beside its sign (`dot` in ``law_network.c``)."""
+
 SLICE = 14_600
 """Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the loop."""
 
@@ -87,7 +90,7 @@ def recorded_inputs(bundle: Bundle, settings: Settings, steps: int = 150, num_de
 def quantised(bundle: Bundle, inputs: NDArray[np.float64], numbers: Numbers) -> list[Layer]:
     """Return the layers in whole numbers; ranges of activations are those of the inputs, and some more.
 
-    No sum of 32 bits can overflow.
+    No sum can overflow.
     """
     digits, weight_digits = DIGITS[numbers]
     largest, tanh = 2**digits - 1, bundle.policy.network.activation == "tanh"
@@ -96,7 +99,7 @@ def quantised(bundle: Bundle, inputs: NDArray[np.float64], numbers: Numbers) -> 
         w, b = weight.astype(np.float64), bias.astype(np.float64)
         steepest = max(float(np.abs(w).max()), 1e-30)
         reach = float((np.abs(w).sum(axis=1) * largest + np.abs(b) / unit).max())
-        scale = max(steepest / (2**weight_digits - 1), reach / (2**31 - 2 ** (digits + 8)), 1e-30)
+        scale = max(steepest / (2**weight_digits - 1), reach / (2 ** SUM_DIGITS[numbers] - 2 ** (digits + 12)), 1e-30)
         layer = {"weights": np.rint(w / scale).astype(np.int64), "scale": scale * unit}
         layer["biases"] = np.rint(b / (scale * unit)).astype(np.int64)
         if k == len(bundle.layers) - 1:

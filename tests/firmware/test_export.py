@@ -10,8 +10,11 @@ from helpers import device
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.device import device_header
 from amulett_gym.firmware.export import export
 from amulett_gym.firmware.host import FLAGS, SOURCES
+from amulett_gym.firmware.laws import choose
+from amulett_gym.profile import load_profile
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason=NO_COMPILER)
 
@@ -72,6 +75,16 @@ def test_wrong_words(law, control, message, tmp_path):
 def test_a_converter_with_too_many_bits(tmp_path):
     with pytest.raises(AmulettError, match="encoder_bits is 30; .* at most 24"):
         export("eq6", device("testbed", sensors={"encoder_bits": 30}), None, tmp_path / "firmware")
+
+
+def test_an_agent_period_with_too_many_ticks():
+    profile = load_profile("testbed")
+    _, settings = choose("eq6-held", profile)
+    settings = type(settings)(profile=profile, agent_period=100.0, control=settings.control)
+    device_header(profile, settings, {})
+    fast = device("testbed", loop={"control_period": 0.001})
+    with pytest.raises(AmulettError, match="100000 control ticks; the firmware counts 65535"):
+        device_header(fast, type(settings)(profile=fast, agent_period=100.0), {})
 
 
 def test_a_hostile_name_of_a_profile_stays_text(tmp_path):

@@ -70,8 +70,29 @@ def test_whole_numbers_are_near(activation, numbers, tmp_path):
     digits = network.DIGITS[numbers]
     for layer in layers:
         assert np.abs(layer.weights).max() < 2 ** digits[1]
-        assert (np.abs(layer.weights).sum(axis=1) * 2 ** digits[0] + np.abs(layer.biases)).max() < 2**31
+        assert _largest_sum(layer, numbers) < 2 ** network.SUM_DIGITS[numbers]
         assert 0 <= layer.most < 2**31 and layer.most >> layer.shift < 2**15 and layer.factor < 2**15
+
+
+def _largest_sum(layer, numbers):
+    """Return the largest sum that a layer can have."""
+    largest = 2 ** network.DIGITS[numbers][0] - 1
+    return (np.abs(layer.weights).sum(axis=1) * largest + np.abs(layer.biases)).max()
+
+
+@pytest.mark.parametrize("numbers", ["int16", "int8"])
+@pytest.mark.parametrize(("weight", "bias"), [(0.0, 0.0), (1e6, 1e6), (1e-30, 1e6), (1e6, 0.0), (1e-38, 0.0)])
+def test_no_sum_overflows_whatever_the_weights(weight, bias, numbers, tmp_path):
+    sizes = [13 * 50, 4, 1]
+    layers = [(np.full((m, n), weight, "f4"), np.full(m, bias, "f4")) for n, m in pairwise(sizes)]
+    bundle = read_bundle(keep_network(tmp_path, layers, activation="relu", history=50))
+    inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (50, sizes[0]))
+    found = network.quantised(bundle, inputs, numbers)
+    assert max(_largest_sum(layer, numbers) for layer in found) < 2 ** network.SUM_DIGITS[numbers]
+    output, _ = network.forward_numbers(found, bundle, inputs, numbers)
+    assert np.isfinite(output).all() and np.abs(output).max() <= 1.0
+    header = network.weights_header(bundle, found, numbers)
+    assert "nan" not in header and "INFINITY" not in header
 
 
 def test_saturation_is_counted(tmp_path):
