@@ -30,19 +30,16 @@ SUM_DIGITS: dict[Numbers, int] = {"int16": 31, "int8": 23}
 SLICE = 14_600
 """Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the loop."""
 
-COSTS: dict[str, int] = {
-    "OBSERVATION": 5000,
-    "TANH": 1450,
-    "EXP": 2700,
-    "SUM": 250,
-    "QUANTITIES": 7700,
-    "MEANS": 7000,
-    "FILL": 465,
-    "NEURON": 470,
-}
-"""How many cycles an ATmega2560 takes for a job, measured with simavr; FILL of an input, NEURON beside its weights."""
+COSTS: dict[str, int] = {"OBSERVATION": 5000, "TANH": 1450, "EXP": 2700, "SUM": 250, "QUANTITIES": 7700, "MEANS": 7000}
+"""How many cycles an ATmega2560 takes for a job, measured with simavr."""
 
-WEIGHT_COSTS: dict[Numbers, int] = {"float": 330, "int16": 34, "int8": 16}
+FILL_COSTS: dict[Numbers, int] = {"float": 100, "int16": 520, "int8": 465}
+"""The same for an input of the first layer."""
+
+NEURON_COSTS: dict[Numbers, tuple[int, int]] = {"float": (600, 1600), "int16": (600, 400), "int8": (470, 400)}
+"""The same for a neuron beside its weights, and for its tanh."""
+
+WEIGHT_COSTS: dict[Numbers, int] = {"float": 350, "int16": 36, "int8": 16}
 """The same for each weight of a neuron."""
 
 _CELLS, _END = 512, 8.0  # of the table of tanh
@@ -152,10 +149,15 @@ def jobs(bundle: Bundle, numbers: Numbers) -> list[int]:
     )
     if policy.memory:
         found += [COSTS["MEANS"], COSTS["QUANTITIES"], COSTS["MEANS"], COSTS["MEANS"]]
-    found += [COSTS["FILL"]] * policy.size
+    found += [FILL_COSTS[numbers]] * policy.size
     for size, outputs in pairwise(sizes):
-        found += [COSTS["NEURON"] + WEIGHT_COSTS[numbers] * size] * outputs
+        found += [_neuron_cost(bundle, numbers) + WEIGHT_COSTS[numbers] * size] * outputs
     return found
+
+
+def _neuron_cost(bundle: Bundle, numbers: Numbers) -> int:
+    plain, tanh = NEURON_COSTS[numbers]
+    return plain + (tanh if bundle.policy.network.activation == "tanh" else 0)
 
 
 def slices(costs: list[int]) -> int:
@@ -208,6 +210,8 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers)
         "NETWORK_LONG": SPANS[1],
         "NETWORK_SLICE": SLICE,
         **{f"NETWORK_COST_{name}": cost for name, cost in COSTS.items()},
+        "NETWORK_COST_FILL": FILL_COSTS[numbers],
+        "NETWORK_COST_NEURON": _neuron_cost(bundle, numbers),
         "NETWORK_COST_WEIGHT": WEIGHT_COSTS[numbers],
         "LAW_ERROR_DEG": math.degrees(OBSERVATION_SCALES["position_error"]),
         "LAW_VELOCITY_DEG": math.degrees(OBSERVATION_SCALES["joint_velocity"]),

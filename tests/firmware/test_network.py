@@ -122,7 +122,7 @@ def test_the_controller_computes_these_whole_numbers(firmware, activation, numbe
 def test_a_network_that_does_not_fit_is_refused_with_numbers(tmp_path):
     with pytest.raises(AmulettError, match=r"34 x 64 x 64 x 1 .*in int8 .* cycles .* slices .* 8 control ticks"):
         export("pretrained:testbed", "testbed", None, tmp_path)
-    small = read_bundle(write(tmp_path / "small", hidden=(32, 32), features=list(FEATURES)))
+    small = read_bundle(write(tmp_path / "small", hidden=(32, 32), features=list(FEATURES), activation="relu"))
     assert network.choose_numbers(small, 8, None) == "int8"
     assert network.choose_numbers(small, 20, None) == "int16"
     assert network.choose_numbers(small, 200, None) == "float"
