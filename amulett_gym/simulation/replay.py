@@ -35,12 +35,6 @@ def start_at_commands(
     states["command_triceps"] = states["drive_triceps"] = triceps.reshape(blocks)
 
 
-def set_joint(simulation: Simulation, angle: Inputs, velocity: Inputs) -> None:
-    """Set the joint's angle [rad] and velocity [rad/s] of all devices, shape (num_devices,); all else stays."""
-    blocks = simulation.states.size, LANES
-    simulation.states["angle"], simulation.states["velocity"] = angle.reshape(blocks), velocity.reshape(blocks)
-
-
 def start_in_balance(simulation: Simulation, scenarios: NDArray[np.void]) -> None:
     """Start all devices in their scenarios' posture, as `Simulation.reset` does, but whether they can hold it or not.
 
@@ -59,7 +53,13 @@ def _place(simulation: Simulation, scenarios: NDArray[np.void]) -> None:
     words(simulation.states, LANES)[0][...] = 0
 
 
-def replay_commands(simulation: Simulation, biceps: Inputs, triceps: Inputs, chosen: NDArray[np.int64]) -> Inputs:
+def replay_commands(
+    simulation: Simulation,
+    biceps: Inputs,
+    triceps: Inputs,
+    chosen: NDArray[np.int64],
+    joint: tuple[Inputs, Inputs] | None = None,
+) -> Inputs:
     """Return the sensor readings of devices whose drives get the given commands instead of those of their loop.
 
     Parameters
@@ -70,13 +70,15 @@ def replay_commands(simulation: Simulation, biceps: Inputs, triceps: Inputs, cho
         Sets of commands [rad] during each tick, by the lane of a device in its block.
     chosen : ndarray of int, shape (blocks,)
         Each block's set.
+    joint : two ndarrays, shape (sets, first ticks, LANES), optional
+        Angle [rad] and velocity [rad/s] at the beginning of the first ticks, in which the joint is led.
 
     Returns
     -------
     ndarray, shape (blocks, ticks, LANES, 5)
         `OUTPUTS` at the beginning of each tick, what the loop would act on in it.
     """
-    return _run(simulation, biceps, triceps, chosen, None)
+    return _run(simulation, biceps, triceps, chosen, joint, None)
 
 
 def replay_setpoints(simulation: Simulation, setpoint: Inputs, tension: Inputs, chosen: NDArray[np.int64]) -> Inputs:
@@ -96,24 +98,30 @@ def replay_setpoints(simulation: Simulation, setpoint: Inputs, tension: Inputs, 
     ndarray, shape (blocks, ticks, LANES, 5)
         As of `replay_commands`.
     """
-    return _run(simulation, setpoint, tension, chosen, True)
+    return _run(simulation, setpoint, tension, chosen, None, True)
 
 
 def _run(
-    simulation: Simulation, first: Inputs, second: Inputs, chosen: NDArray[np.int64], closed: bool | None
+    simulation: Simulation,
+    first: Inputs,
+    second: Inputs,
+    chosen: NDArray[np.int64],
+    joint: tuple[Inputs, Inputs] | None,
+    closed: bool | None,
 ) -> Inputs:
     if simulation.num_devices % LANES:
         raise AmulettError(f"num_devices is {simulation.num_devices}; a replay needs whole blocks of {LANES}")
     found = np.empty((simulation.states.size, first.shape[1], LANES, len(OUTPUTS)))
     blocks = simulation.which, simulation.scenarios, simulation.states
     loop = None if closed is None else simulation.loop
-    inputs = np.ascontiguousarray(first, dtype=np.float64), np.ascontiguousarray(second, dtype=np.float64)
+    joint = joint or (np.empty((len(first), 0, LANES)),) * 2
+    inputs = [np.ascontiguousarray(each, dtype=np.float64) for each in (first, second, *joint)]
     _advance(simulation.parameters, *blocks, loop, *inputs, chosen, closed, found)
     return found
 
 
 @compiled
-def _advance(p, which, c_blocks, s_blocks, loop, first, second, chosen, closed, found):
+def _advance(p, which, c_blocks, s_blocks, loop, first, second, angle, velocity, chosen, closed, found):
     """Advance whole blocks by a tick for each row of the inputs; `closed` is None or True, whether the loop runs."""
     m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
     begin, end = np.uint64(0), np.uint64(layout.LANES)
@@ -125,6 +133,8 @@ def _advance(p, which, c_blocks, s_blocks, loop, first, second, chosen, closed, 
         inputs = chosen[block]
         for row in range(first.shape[1]):
             _read(s, found[block, row])
+            if row < angle.shape[1]:
+                _lead(s, angle[inputs, row], velocity[inputs, row])
             _set(s, first[inputs, row], second[inputs, row], closed)
             if closed is not None:
                 act(parameters, s, m, loop, own, block, begin, end)
@@ -140,6 +150,12 @@ def _read(s, row):
     for i in range(layout.LANES):
         row[i, 0], row[i, 1], row[i, 2] = s.measured_angle[i], s.measured_biceps[i], s.measured_triceps[i]
         row[i, 3], row[i, 4] = s.estimate_biceps[i], s.estimate_triceps[i]
+
+
+@compiled
+def _lead(s, angle, velocity):
+    for i in range(layout.LANES):
+        s.angle[i], s.velocity[i] = angle[i], velocity[i]
 
 
 @compiled

@@ -24,13 +24,7 @@ from amulett_gym.identification.from_logs.recording import (
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import LANES, ORIENTATIONS, load_arm
-from amulett_gym.simulation.replay import (
-    replay_commands,
-    replay_setpoints,
-    set_joint,
-    start_at_commands,
-    start_in_balance,
-)
+from amulett_gym.simulation.replay import replay_commands, replay_setpoints, start_at_commands, start_in_balance
 from amulett_gym.tasks.scenario import empty_rows
 
 Values = NDArray[np.float64]
@@ -178,21 +172,18 @@ class Model:
             return replay_setpoints(simulation, first, second, chosen)
         first += np.array([values.get("zero_biceps", 0.0) for values in devices])[:, None, None]
         second += np.array([values.get("zero_triceps", 0.0) for values in devices])[:, None, None]
-        angle = np.stack([each.angle for each in inputs]) + offsets[:, :, 0]
-        velocity = np.stack([each.velocity for each in inputs]) + offsets[:, :, 1]
-        start_at_commands(simulation, rows, angle.ravel(), first[:, 0].ravel(), second[:, 0].ravel())
-        tick = inputs[0].warm_up
-        before = replay_commands(simulation, first[:, :tick], second[:, :tick], chosen)
-        set_joint(simulation, angle.ravel(), velocity.ravel())
-        after = replay_commands(simulation, first[:, tick:], second[:, tick:], chosen)
-        return np.concatenate([before, after], axis=1)
+        angle, velocity = (np.stack(each) for each in zip(*((own.angle, own.velocity) for own in inputs), strict=True))
+        angle[:, -1] += offsets[:, :, 0]
+        velocity[:, -1] += offsets[:, :, 1]
+        start_at_commands(simulation, rows, angle[:, 0].ravel(), first[:, 0].ravel(), second[:, 0].ravel())
+        return replay_commands(simulation, first, second, chosen, (angle, velocity))
 
 
 def _scenarios(inputs: Inputs, profile: Profile) -> NDArray[np.void]:
     """Return the scenarios of a block's lanes: initial posture and payload."""
     rows = empty_rows(LANES, profile)
     rows["orientation"] = ORIENTATIONS.index("profile")
-    rows["initial_angle"] = inputs.angle
+    rows["initial_angle"] = inputs.angle[-1]
     if not inputs.pieces[0].recording.open_loop:
         rows["initial_tension"] = inputs.second[0]
     for lane, piece in enumerate(inputs.pieces):

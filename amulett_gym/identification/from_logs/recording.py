@@ -2,7 +2,8 @@
 
 With logged commands a log is replayed in pieces side by side, each with its own initial state (multiple shooting): at
 low preload the joint is hardly damped, so that a wrong state at the log's begin would be remembered for long. The
-drives' state is that after a warm-up; angle and velocity are measured, and fitted. A gap begins a new piece.
+drives' state is that after a warm-up in which the joint is led along the measured angle; the joint's angle and velocity
+at its end are measured, and fitted. A gap begins a new piece.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ FORCES = ("force_biceps", "force_triceps")
 CHANNELS = ("angle", *SLIDERS, *FORCES)
 """Measured columns that are compared, in the order of `simulation.replay.OUTPUTS`."""
 
-WARM_UP = 1.0
-"""Time that is simulated before a piece is compared, so that the drives forget their start [s]: seven lags."""
+WARM_UP = 1.5
+"""Time that is simulated before a piece is compared, so that the drives forget their start [s]: ten lags."""
 
 _GAP = 5.0  # sampling periods without a row begin a new piece
 _AROUND = 0.06  # rows by which angle and velocity at a piece's begin are estimated [s]
@@ -174,8 +175,7 @@ class Inputs:
     pieces: tuple[Piece, ...]
     first: Values  # shape (ticks, LANES): command of the biceps, or setpoint
     second: Values  # command of the triceps, or tension setpoint
-    warm_up: int  # ticks before the comparison, in open loop
-    angle: Values  # shape (LANES,): of the joint after the warm-up [rad]
+    angle: Values  # shape (warm-up + 1, LANES): of the joint during and at the end of the warm-up [rad]
     velocity: Values  # [rad/s]
 
 
@@ -212,8 +212,14 @@ def inputs_of(pieces: tuple[Piece, ...], profile: Profile, delay: float = 0.0) -
                 last = np.searchsorted(time[known], at + 1e-6 * period, side="right") - 1
                 target[:, lane] = columns[name][known][np.maximum(last, 0)]
     warm_up = round((pieces[0].begin - pieces[0].start) / period) if pieces[0].recording.open_loop else 0
-    state = np.array([[each.angle, each.velocity] for each in lanes]).T
-    return Inputs(pieces, first, second, warm_up, *state)
+    joint = np.empty((warm_up + 1, LANES))
+    for lane, piece in enumerate(lanes):
+        time, measured = piece.recording.columns["time"], piece.recording.columns["angle"]
+        known = np.isfinite(measured)
+        joint[:, lane] = np.interp(piece.start + period * np.arange(warm_up + 1), time[known], measured[known])
+    speed = np.diff(joint, axis=0, append=joint[-1:]) / period
+    joint[-1], speed[-1] = np.array([[each.angle, each.velocity] for each in lanes]).T
+    return Inputs(pieces, first, second, joint, speed)
 
 
 def at_rows(piece: Piece, signal: Values, period: float) -> Values:

@@ -37,8 +37,8 @@ def test_a_gap_begins_a_new_piece():
     time = np.concatenate([np.arange(300), np.arange(400, 700)]) * PERIOD
     pieces = cut([recording(time)], PERIOD, whole=True)
     assert [(piece.begin, piece.end) for piece in pieces] == [
-        pytest.approx((1.0, 3.0), abs=1.5 * PERIOD),
-        pytest.approx((5.0, 7.0), abs=1.5 * PERIOD),
+        pytest.approx((WARM_UP, 3.0), abs=1.5 * PERIOD),
+        pytest.approx((4.0 + WARM_UP, 7.0), abs=1.5 * PERIOD),
     ]
 
 
@@ -77,7 +77,8 @@ def test_commands_are_delayed(base):
     settled = slice(150, 200)
     assert late.first[settled, 0] == pytest.approx(plain.first[settled, 0] - 0.004)
     assert late.second[settled, 0] == pytest.approx(plain.second[settled, 0] + 0.004)
-    assert plain.warm_up == round(WARM_UP / PERIOD)
+    assert len(plain.angle) == round(WARM_UP / PERIOD) + 1
+    assert plain.angle[:, 0] == pytest.approx(np.sin(piece.start + PERIOD * np.arange(len(plain.angle))), abs=1e-4)
 
 
 def test_readings_between_ticks_are_interpolated():
