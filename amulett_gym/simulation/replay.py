@@ -114,9 +114,12 @@ def _run(
     found = np.empty((simulation.states.size, first.shape[1], LANES, len(OUTPUTS)))
     blocks = simulation.which, simulation.scenarios, simulation.states
     loop = None if closed is None else simulation.loop
-    joint = joint or (np.empty((len(first), 0, LANES)),) * 2
-    inputs = [np.ascontiguousarray(each, dtype=np.float64) for each in (first, second, *joint)]
-    _advance(simulation.parameters, *blocks, loop, *inputs, chosen, closed, found)
+    led, speed = joint or (np.empty((len(first), 0, LANES)),) * 2
+    inputs, path = (
+        (np.ascontiguousarray(one, dtype=np.float64), np.ascontiguousarray(other, dtype=np.float64))
+        for one, other in ((first, second), (led, speed))
+    )
+    _advance(simulation.parameters, *blocks, loop, *inputs, *path, chosen, closed, found)
     return found
 
 
