@@ -198,8 +198,9 @@ def _kind(profile: Profile) -> object:
 
 
 def _like(base: Profile, member: Profile) -> Profile:
-    """Return the base with springs and drives of the kind of a plausible device."""
-    return base.model_copy(update={"spring": member.spring, "drives": member.drives})
+    """Return the base with springs and drives of the kind of a plausible device, and its own limit of commands."""
+    drives = member.drives.model_copy(update={"command_limit_deg": base.drives.command_limit_deg})
+    return base.model_copy(update={"spring": member.spring, "drives": drives})
 
 
 def _first_noise(model: Model) -> dict[str, float]:

@@ -77,6 +77,7 @@ def test_the_profile_has_value_interval_and_source(found, base):
     profile = load_profile(content)
     assert profile.name == "mine"
     assert profile.loop == base.loop
+    assert profile.drives.command_limit_deg == base.drives.command_limit_deg  # not that of a plausible device
     assert physics_of(profile)["lag"] == pytest.approx(found.values["lag"], rel=1e-5)
     assert "90 %), from steps.csv" in profile.drives.sources["lag"]
     blind = profile_content(replace(found, covariance=found.prior.covariance), base, "mine")
