@@ -27,6 +27,7 @@ from amulett_gym.firmware.network import (
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import CONSTANT, Contender, bundle_folder, constant_tension, in_loop, parse_contender
 from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, Device, is_tuned, tuned_vector
+from amulett_gym.laws.policies import is_law
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import CONTROLS
 
@@ -91,14 +92,9 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
     if contender.env_keywords.get("privileged"):
         raise AmulettError(f"'{name}' needs observations that no device can measure; the firmware cannot run it")
     keywords = {key: value for key, value in contender.env_keywords.items() if key != "privileged"}
-    if contender.policy_name is not None and not _is_named_law(contender.policy_name):
+    if contender.policy_name is not None and not is_law(contender.policy_name):
         keywords["tension_range"] = read_bundle(bundle_folder(contender.policy_name)).policy.tension_range
     return contender, Settings.read({"profile": profile, **keywords}, "firmware")
-
-
-def _is_named_law(name: str) -> bool:
-    """Return whether a law is none of a network."""
-    return name.startswith(CONSTANT) or name in ("eq6-held", "eq6-held-printed") or is_tuned(name)
 
 
 def firmware_law(

@@ -88,7 +88,7 @@ def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> P
     if name in IN_THE_LOOP:
         (key, value), *_ = IN_THE_LOOP[name].items()
         raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
-    if _is_law(name) and base.episodes.action_size > 1:
+    if is_law(name) and base.episodes.action_size > 1:
         raise AmulettError(
             f"'{name}' chooses a tension and cannot act in {DRIVES_ID}, whose action also has a mean drive angle; "
             "use a policy bundle that was trained there, a function of your own, or another environment"
@@ -106,14 +106,14 @@ def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> P
 
 def _warn_of_other_loop(name: str, episodes: Any) -> None:
     _, law = split_loop(name)
-    if _is_law(law):
+    if is_law(law):
         return
     differences = other_loop(read_bundle(bundle_folder(law)).env, episodes.profiles, episodes.settings.control)
     if differences:
         warnings.warn(f"policy '{name}' was trained {'; '.join(differences)}", OtherLoopWarning, stacklevel=3)
 
 
-def _is_law(name: str) -> bool:
+def is_law(name: str) -> bool:
     """Return whether a name is that of a law that was not trained."""
     return name.startswith(CONSTANT) or is_tuned(name) or name in ("eq6-held", "eq6-held-printed")
 
