@@ -44,6 +44,11 @@ STABLE_STEP = 2.5
 """Time constants, or radians of an oscillation, in an integration step; Runge-Kutta is stable up to 2.78."""
 
 
+def least_lag(control_period: float, substeps: int) -> float:
+    """Return the shortest lag of drives [s] that the integration steps of a control period [s] resolve."""
+    return control_period / substeps / STABLE_STEP
+
+
 class WithOptions(Sourced):
     """A group with options that came later: null ones are left out of its content, so that older hashes stay."""
 
@@ -301,11 +306,12 @@ class Profile(Group):
 
     @model_validator(mode="after")
     def _check_lag(self) -> Profile:
-        step = self.loop.control_period / self.loop.substeps
-        if 0 < self.drives.lag < step / STABLE_STEP:
+        loop = self.loop
+        step, least = loop.control_period / loop.substeps, least_lag(loop.control_period, loop.substeps)
+        if 0 < self.drives.lag < least:
             raise ValueError(
                 f"drives.lag is {self.drives.lag} s; with integration steps of {step:g} s (loop.control_period over "
-                f"loop.substeps) it has to be 0, or at least {step / STABLE_STEP:g} s"
+                f"loop.substeps) it has to be 0, or at least {least:g} s"
             )
         return self
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.model.plant import inertia
-from amulett_gym.profile import STABLE_STEP, Profile, load_profile
+from amulett_gym.profile import Profile, least_lag, load_profile
 from amulett_gym.settings import merge
 
 Values = NDArray[np.float64]
@@ -208,7 +208,7 @@ def _between_bounds(vector: Values, free: tuple[Free, ...]) -> dict[str, float]:
 def _least_lag(parameters: Mapping[str, float]) -> float:
     """Return the shortest lag of the testbed's drives [s] that its integration steps resolve."""
     loop = load_profile("testbed").loop
-    return parameters.get("testbed.control_period", loop.control_period) / loop.substeps / STABLE_STEP
+    return least_lag(parameters.get("testbed.control_period", loop.control_period), loop.substeps)
 
 
 def resized(parameters: Mapping[str, float], joint_pulley_radius: float) -> dict[str, float]:

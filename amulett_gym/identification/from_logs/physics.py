@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.model.plant import inertia
 from amulett_gym.model.spring import assembly_curve
-from amulett_gym.profile import STABLE_STEP, Damping, Drives, Plant, PointMass, Profile, Spring
+from amulett_gym.profile import Damping, Drives, Plant, PointMass, Profile, Spring, least_lag
 
 Values = NDArray[np.float64]
 
@@ -150,15 +150,12 @@ def device(template: Profile, values: Mapping[str, float]) -> Profile:
     changes = {"a": damping.a * new["damping"], "d": damping.d * new["damping"], "b": damping.b / preload}
     changes |= {"c": damping.c * preload} if damping.fit == "shifted" else {}
     groups["damping"] = damping.model_copy(update=changes)
-    changes = {"lag": max(new["lag"], _least_lag(template))} if "lag" in new else {}
+    least = least_lag(template.loop.control_period, template.loop.substeps)
+    changes = {"lag": max(new["lag"], least)} if "lag" in new else {}
     changes |= {"rate_limit_deg": new["rate_limit"]} if "rate_limit" in new else {}
     changes |= {"stall_torque": new["stall_torque"]} if "stall_torque" in new else {}
     groups["drives"] = drives.model_copy(update=changes)
     return template.model_copy(update=groups)
-
-
-def _least_lag(profile: Profile) -> float:
-    return profile.loop.control_period / profile.loop.substeps / STABLE_STEP
 
 
 def _end_force(spring: Spring) -> float:
