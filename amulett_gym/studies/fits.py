@@ -19,6 +19,7 @@ from amulett_gym.identification.from_logs.fit import fit
 from amulett_gym.identification.from_logs.model import Model
 from amulett_gym.identification.from_logs.physics import physics_of
 from amulett_gym.identification.from_logs.recording import Recording
+from amulett_gym.logs.writer import log_of
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
 from amulett_gym.reporting.words import number
@@ -47,10 +48,7 @@ def simulated_log(device: Profile, duration: float, seed: int) -> Recording:
         simulation.command_tension(_TENSIONS[int(tick * period / 5.0) % len(_TENSIONS)])
 
     moved = record(simulation, round(duration / period), before_tick=act)
-    columns = {name: moved[name][:-1] for name in ("time", "setpoint")} | {"angle": moved["measured_angle"][:-1]}
-    columns |= {f"slider_{side}": moved[f"measured_{side}"][:-1] for side in ("biceps", "triceps")}
-    columns |= {name: moved[name][1:] for name in ("command_biceps", "command_triceps", "tension_setpoint")}
-    return Recording(f"{device.name}.csv", columns)
+    return Recording(f"{device.name}.csv", log_of(moved).columns)
 
 
 def find_device(name: str, seed: int, tried: int) -> dict[str, Any]:
