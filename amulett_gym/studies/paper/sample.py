@@ -129,12 +129,7 @@ def sample(
             stages[name] = result
             report(name, result)
 
-    size = {"population": recipe.population, "generations": recipe.generations, "loop": False}
-    first = {"seed": recipe.seeds[0], **size}
-    run(
-        {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds}
-        | {f"start-spring-{ratio:g}": {**first, "fixed": {"length_ratio": ratio}} for ratio in recipe.spring_laws}
-    )
+    run(_starts(recipe))
     starts = {name: stages[name] for name in _starts(recipe)}
     limit = min(start["cost"] for start in starts.values()) + recipe.bound
     walk = {"limit": limit, "walkers": max(recipe.population // 2, 2), "steps": recipe.steps, "last": True}
@@ -174,9 +169,13 @@ def stage_count(recipe: Recipe) -> int:
     return 2 * len(_starts(recipe)) + len(("draws",)) + sum(recipe.devices)
 
 
-def _starts(recipe: Recipe) -> list[str]:
-    """Return the names of the stages that search."""
-    return [f"start-{own}" for own in (*recipe.seeds, *(f"spring-{ratio:g}" for ratio in recipe.spring_laws))]
+def _starts(recipe: Recipe) -> dict[str, dict[str, Any]]:
+    """Return the stages that search, with their calls by name."""
+    size = {"population": recipe.population, "generations": recipe.generations, "loop": False}
+    first = {"seed": recipe.seeds[0], **size}
+    return {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds} | {
+        f"start-spring-{ratio:g}": {**first, "fixed": {"length_ratio": ratio}} for ratio in recipe.spring_laws
+    }
 
 
 def ship(folder: str | Path) -> Path:
