@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Play, print the table, and write the files; return 1 if a device failed or the strings were let go."""
     from amulett_gym.firmware.description import read_description
-    from amulett_gym.firmware.hil import compare, table, write_comparison
+    from amulett_gym.firmware.hil import agent_steps, compare, table, write_comparison
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.storage.writing import output_folder
 
@@ -50,8 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     options = {key: getattr(arguments, key) for key in ("suite", "split", "episodes", "seed", "duration")}
     out = arguments.out
     with nullcontext() if out is None else output_folder(out, "firmware in the loop", [["hil.json"]]):
-        steps = max(round(arguments.duration / float(described.keywords["agent_period"])), 1)
-        with Progress(steps * arguments.episodes * len(transports), "hil", "steps") as bar:
+        steps = agent_steps(described, arguments.duration) * arguments.episodes
+        with Progress(steps * len(transports), "hil", "steps") as bar:
             found = compare(arguments.folder, transports, **options, advance=bar.update)
         if out is not None:
             write_comparison(found, Path(out))

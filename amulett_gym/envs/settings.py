@@ -227,6 +227,11 @@ class Settings(Group):
         except ValidationError as error:
             raise describe(error, cls, what) from error
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """The given keywords as they were read, for another environment that differs in some of them."""
+        return {key: getattr(self, key) for key in self.model_fields_set}
+
     def keywords(self) -> dict[str, Any]:
         """Return the given keywords as JSON types, for making the environment again.
 

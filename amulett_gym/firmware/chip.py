@@ -41,6 +41,10 @@ class Measurement:
     static: int
     stack: int
 
+    def share_of_period(self, period: float) -> float:
+        """Return the longest tick as a share of a control period [s]."""
+        return self.most / (FREQUENCY * period)
+
     @property
     def memory(self) -> int:
         """Bytes of memory in all."""

@@ -102,8 +102,7 @@ def manifest(contender: Contender, settings: Settings, files: Mapping[str, str])
 
 def record_mixed(contender: Contender, settings: Settings) -> Recording:
     """Return a second of the simulation's own loop, in scenarios of `mixed` that no policy was trained on."""
-    given = {key: getattr(settings, key) for key in settings.model_fields_set}
-    mixed = type(settings)(**{**given, "suite": "mixed", "split": "held-out"})
+    mixed = type(settings)(**{**settings.given, "suite": "mixed", "split": "held-out"})
     return record(contender, mixed, _STEPS, _DEVICES)
 
 

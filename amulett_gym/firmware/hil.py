@@ -147,12 +147,16 @@ def compare(
     return Comparison(found, protocol, kernel, played)
 
 
+def agent_steps(found: Description, duration: float) -> int:
+    """Return the agent steps of an episode [s], at least one."""
+    return max(round(duration / float(found.keywords["agent_period"])), 1)
+
+
 def play(
     found: Description, protocol: Protocol, transport: str, advance: Callable[[int], Any] = lambda steps: None
 ) -> Played:
     """Play a protocol's scenarios with a firmware, one after the other."""
-    period = float(found.keywords["agent_period"])
-    steps = max(round(protocol.duration / period), 1)
+    steps = agent_steps(found, protocol.duration)
     keywords = {"suite": protocol.suite, "split": protocol.split, "failure_horizon": steps}
     env = HardwareEnv(found.folder, transport, **keywords)
     try:
@@ -212,18 +216,14 @@ LIMITS = f"ATmega2560 at {FREQUENCY / 1e6:g} MHz: {FLASH:,} bytes of flash, {RAM
 
 
 def _measured(found: Measurement, period: float) -> Mapping[str, float]:
-    share = found.most / (FREQUENCY * period)
-    return {
-        **{key: getattr(found, key) for key in ("ticks", "most", "mean", "flash", "static", "stack")},
-        "share_of_period": share,
-    }
+    shown = {key: getattr(found, key) for key in ("ticks", "most", "mean", "flash", "static", "stack")}
+    return {**shown, "share_of_period": found.share_of_period(period)}
 
 
 def _needs(found: Measurement | None, period: float) -> tuple[str, ...]:
     if found is None:
         return ("-",) * 4
-    share = found.most / (FREQUENCY * period)
-    memory = f"{found.static} + {found.stack}"
+    share, memory = found.share_of_period(period), f"{found.static} + {found.stack}"
     return f"{found.most:,} cycles", f"{100.0 * share:.0f} %", f"{found.flash:,}", memory
 
 

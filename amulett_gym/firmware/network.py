@@ -73,9 +73,8 @@ class Layer:
 
 def recorded_inputs(bundle: Bundle, settings: Settings, steps: int = 150, num_devices: int = 24) -> NDArray[np.float64]:
     """Return inputs of a policy's network, shape (steps * num_devices, inputs), from `mixed`, split train."""
-    given = {key: getattr(settings, key) for key in settings.model_fields_set}
-    given |= {"tension_range": settings.tension_range, "suite": "mixed", "split": "train"}
-    env = TensionVectorEnv(**given, num_envs=num_devices)
+    own = {"tension_range": settings.tension_range, "suite": "mixed", "split": "train"}
+    env = TensionVectorEnv(**{**settings.given, **own}, num_envs=num_devices)
     actor, found = Actor(bundle.layers, bundle.policy, env), list[NDArray[np.float64]]()
     observations, _ = env.reset(seed=0)
     for _ in range(steps):

@@ -136,8 +136,7 @@ def record(
     scenarios : sequence of Scenario, optional
         One for each device, instead of the suite's.
     """
-    given = {key: getattr(settings, key) for key in settings.model_fields_set}
-    env = TensionVectorEnv(**{**given, "tension_range": settings.tension_range}, num_envs=num_devices)
+    env = TensionVectorEnv(**{**settings.given, "tension_range": settings.tension_range}, num_envs=num_devices)
     observations, _ = env.reset(seed=seed, options=None if scenarios is None else {"scenario": list(scenarios)})
     act = None if contender.policy_name is None else named_policy(contender.policy_name, env)
     simulation, ticks = env.episodes.simulation, settings.ticks(settings.profile)
