@@ -172,15 +172,45 @@ def test_an_arm_between_held_drives_never_gains_energy(arm):
     assert grown <= error
 
 
+@pytest.mark.parametrize("end", [{}, {"beyond": "continued"}, {"beyond": "hard-stop", "stop_stiffness": 2e4}])
+def test_an_arm_that_pulls_a_string_beyond_its_springs_table_never_gains_energy(end):
+    still = {"position": NO_GAINS, "tension": NO_GAINS, "position_only": NO_GAINS, "agonist": "biceps"}
+    profile = load_profile(
+        {
+            "name": "passive",
+            "base": "simulation",
+            "spring": end,
+            "damping": {"a": 0.0, "d": 5.445},
+            "loop": {**still, "control_period": 0.004, "substeps": 50},
+        }
+    )
+    scenario = {"initial_tension": 12.0, "pushes": [{"time": 0.0, "duration": 0.012, "torque": 1.5}]}
+    simulation = Simulation(profile)
+    simulation.reset(pack(load_scenario(scenario), profile))
+    motion = record(simulation, 120)
+    stretch = motion["angle"] * profile.plant.joint_pulley_radius
+    stretch = stretch - motion["drive_triceps"] * profile.plant.drive_pulley_radius
+    assert stretch.max() > 1.05 * build_tables(profile.spring).max_deflection
+    energy, error = mechanical_energy(profile, scenario, motion)
+    free = energy[4:]
+    assert (free - np.minimum.accumulate(free)).max() <= error
+
+
 def mechanical_energy(profile: Profile, scenario: dict[str, Any], motion: Any) -> tuple[Any, float]:
     """Return kinetic energy, springs' and weight's in each tick [J], and a bound on the integration's error."""
     tables = build_tables(profile.spring)
     knots = np.linspace(0, tables.max_deflection, CELLS + 1)
     stored = PchipInterpolator(knots, np.append(tables.force[:, 0], tables.max_force)).antiderivative()
 
+    slope, free_length, width, _ = tables.beyond
+
     def spring_energy(stretch: Any) -> Any:
         inside = stored(np.clip(stretch, 0, tables.max_deflection))
-        return inside + tables.max_force * np.maximum(stretch - tables.max_deflection, 0)
+        x = np.maximum(stretch / tables.max_deflection, 1.0)  # beyond the table's end the force rises by g(x) - g(1)
+        reach, reach_at_end = np.hypot(width, x), math.hypot(width, 1.0)
+        rise = slope * (0.5 * (x * x - 1.0) - free_length * (reach - reach_at_end))
+        held = tables.max_force - slope * (1.0 - free_length / reach_at_end)
+        return inside + tables.max_deflection * (rise + held * (x - 1.0))
 
     row = pack(load_scenario(scenario), profile)[0]
     radius, pulley = profile.plant.drive_pulley_radius, profile.plant.joint_pulley_radius
