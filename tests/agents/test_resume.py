@@ -40,6 +40,7 @@ from amulett_gym.settings import merge  # noqa: E402
 from amulett_gym.storage import lock  # noqa: E402
 from amulett_gym.storage.lock import LOCK, locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
+from amulett_gym.storage.reading import read_arrays  # noqa: E402
 
 KILLS = int(os.environ.get("AMULETT_KILLS", "5"))
 SMALL = [
@@ -493,7 +494,9 @@ def test_hidden_files_are_no_part_of_a_checkpoint(uninterrupted, broken_off):
 def test_a_checkpoint_holds_no_code(broken_off):
     for folder in (broken_off / "checkpoints").iterdir():
         names = {path.suffix for path in folder.rglob("*") if path.is_file()}
-        assert names == {".json", ".md", ".safetensors"}
+        assert names == {".json", ".md", ".npz", ".safetensors"}
+        for critic in folder.rglob("*.npz"):
+            assert all(values.dtype.kind in "fiU" for values in read_arrays(critic, "critic").values())  # no objects
 
 
 @pytest.mark.parametrize("length", np.linspace(0, 0.9, 10))
