@@ -195,7 +195,8 @@ class Run(BaseCallback):
         scores = evaluate(model, self.validation, self.config.validation.seed, lambda: self._note("validating"))
         row = {"steps": model.num_timesteps, "seconds": round(time.monotonic() - self._started, 2), **scores}
         self._rows.append(row)
-        if row["cost"] <= self._rows[self._best]["cost"]:
+        # Of equal costs the first: while only the critic learns, the policy is still the one that it starts from.
+        if len(self._rows) == 1 or row["cost"] < self._rows[self._best]["cost"]:
             self._best = len(self._rows) - 1
             self._save(model, "best")
         self._save(model, "last")
