@@ -25,7 +25,8 @@ from pydantic import (
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.gains import Loops, group_name
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
-from amulett_gym.storage.curve import Curve, is_csv, read_curve
+from amulett_gym.storage.curve import Curve, is_csv, read_curve, read_measurement
+from amulett_gym.storage.hysteresis import MEAN
 from amulett_gym.storage.reading import user_path, visible
 from amulett_gym.storage.safe_yaml import read_yaml
 
@@ -110,6 +111,22 @@ class Spring(WithOptions):
     measured_curve: Curve | None = Field(
         default=None, description="replaces the geometric model: a CSV file (see `storage.curve`), or its text"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_loss(cls, content: Any) -> Any:
+        """Name as the curve's source how much its hysteresis takes: the mean that is kept does not show it."""
+        if not isinstance(content, Mapping) or not isinstance(curve := content.get("measured_curve"), str | Path):
+            return content
+        sources = content.get("sources", {})
+        if not isinstance(sources, Mapping) or "measured_curve" in sources:
+            return content
+        try:
+            notes = read_measurement(curve)[1]
+        except AmulettError:
+            return content  # the field's own validator refuses it by its key
+        loops = [note for note in notes if note.startswith(MEAN)]
+        return {**content, "sources": {**sources, "measured_curve": f"given: {loops[-1]}"}} if loops else content
 
     @field_validator("measured_curve", mode="before")
     @classmethod

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -59,10 +59,11 @@ def configs_folder() -> Path:
     return package / "configs" if (package / "configs").is_dir() else package.parent / "configs"
 
 
-def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
+def find_config(path: str | Path, what: str, folder: Path = Path(), kinds: Sequence[str] = ("yaml", "json")) -> Path:
     """Return a file by its path relative to `folder`, or the packaged one of that name if it does not exist.
 
     A packaged file may be named as ``configs/ppo.yaml``, ``ppo.yaml`` or ``ppo``; `what` it holds is for the error.
+    `kinds` are the suffixes of packaged files.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def find_config(path: str | Path, what: str, folder: Path = Path()) -> Path:
     exists = os.path.exists(place)  # noqa: PTH110  (Path.exists raises for names that are too long)
     if exists and not place.is_dir():
         return place
-    files = [file for kind in ("yaml", "json") for file in visible(packaged, f"**/*.{kind}")]
+    files = [file for kind in kinds for file in visible(packaged, f"**/*.{kind}")]
     names = sorted(file.relative_to(packaged).as_posix() for file in files)
     wanted = Path(path).as_posix().removeprefix("configs/")
     for name in names:

@@ -18,7 +18,7 @@ PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text() for path in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 }
 
-GUIDES = ("README.md", "docs/commands.md", "docs/devices.md", "docs/training.md")
+GUIDES = ("README.md", "docs/commands.md", "docs/devices.md", "docs/logs.md", "docs/training.md")
 """Pages whose inline commands are whole, and whose Python blocks run."""
 
 

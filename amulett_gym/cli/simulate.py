@@ -21,6 +21,7 @@ HELP = "record one episode with one or more laws or policies: CSV, figure, metri
 EXAMPLES = """  amulett simulate --law eq6 --suite paper-step --profile simulation --out step.csv --plot step.png
   amulett simulate --law eq6 constant:6 pretrained --plot three.png
   amulett simulate --law constant:10 --suite hold-push --seed 3 --plot pushes.svg
+  amulett simulate --law constant:8 --duration 60 --log steps.csv
   amulett simulate --law mylaw.py:softer --scenario my_scenario.json --duration 5 --json
 """
 
@@ -35,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="simulated time [s] (default: 10)")
     rows = "trajectory, one row per control tick; those of several laws follow each other, with a column 'law'"
     parser.add_argument("--out", metavar="FILE.csv", help=rows)
+    log = "what the device would log: setpoints, sensor readings, commands (see docs/logs.md); of one law"
+    parser.add_argument("--log", metavar="FILE", help=f"{log}; .csv or .npz")
     parser.add_argument("--plot", metavar="FILE.png", help="figure (.png or .svg); several laws share its panels")
     add_json(parser, "metrics, units and scenario")
 
@@ -42,11 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, print the metrics, and write the files."""
     check_seconds(arguments, "duration")
-    files = (("out", (".csv",)), ("plot", (".png", ".svg")))
+    files = (("out", (".csv",)), ("log", (".csv", ".npz")), ("plot", (".png", ".svg")))
     for option, suffixes in files:
         path = getattr(arguments, option)
         if path is not None and Path(path).suffix.lower() not in suffixes:
             raise AmulettError(f"--{option} '{path}' has to end in {' or '.join(suffixes)}")
+    if arguments.log is not None and len(set(arguments.law)) > 1:
+        raise AmulettError(f"--log is for one law; --law names {len(set(arguments.law))}")
     for option, _ in files:
         if getattr(arguments, option) is not None:
             check_writable(getattr(arguments, option))
@@ -55,6 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks
     from amulett_gym.evaluation.runner import Protocol, labels, training_remarks
     from amulett_gym.laws.contenders import loops_of
+    from amulett_gym.logs.simulated import log_of
+    from amulett_gym.logs.writer import write_log
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.simulation.trajectory import write_csv
 
@@ -74,6 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     trajectories = {name: episode.trajectory for name, episode in episodes.items()}
     if arguments.out is not None:
         write_csv(trajectories if len(trajectories) > 1 else played[0].trajectory, arguments.out)
+    if arguments.log is not None:
+        write_log(arguments.log, log_of(played[0].trajectory))
     scenario = f"suite {arguments.suite}" if arguments.scenario is None else f"scenario {arguments.scenario}"
     task = f"profile {profile.name}, {scenario}"
     title = f"{', '.join(episodes)}, {task}"
@@ -134,5 +143,6 @@ def _print(arguments: argparse.Namespace, episodes: Mapping[str, Episode], title
         if episode.failure:
             ended = f"after {episode.trajectory['time'][-1]:g} s: {episode.failure}"
             show(f"The device failed {ended}." if len(episodes) == 1 else f"{name}: the device failed {ended}.")
-    if arguments.out is not None:
-        show(f"Written: {arguments.out}")
+    for path in (arguments.out, arguments.log):
+        if path is not None:
+            show(f"Written: {path}")

@@ -96,7 +96,7 @@ def find_gaps(time: NDArray[np.float64]) -> NDArray[np.int64]:
     steps = np.diff(time)
     if not steps.size:
         return np.empty(0, dtype=np.int64)
-    return np.flatnonzero(steps > GAP * np.percentile(steps, 90)) + 1
+    return np.flatnonzero(steps > GAP * np.percentile(steps, 90, method="lower")) + 1
 
 
 def check_columns(columns: Mapping[str, NDArray[np.float64]], what: str) -> None:

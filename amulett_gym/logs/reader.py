@@ -13,6 +13,7 @@ from amulett_gym.errors import AmulettError, nearest, shorten
 from amulett_gym.logs.check import conspicuous, one_per_stamp
 from amulett_gym.logs.log import COLUMNS, REQUIRED, Log
 from amulett_gym.logs.mapping import Mapping, load_mapping
+from amulett_gym.settings import find_config
 from amulett_gym.storage.reading import read_arrays
 from amulett_gym.storage.table import Found, Table, find_columns, others, parse_table, read_table_text
 from amulett_gym.storage.units import split_unit, to_si
@@ -31,8 +32,9 @@ def read_log(path: str | Path, mapping: str | Path | MappingType[str, Any] | Map
     Parameters
     ----------
     path : str or Path
-        A CSV file (comma, semicolon or tab; decimal point or comma), or an ``.npz`` file of arrays. The header, or the
-        name of an array, has a column's name and unit, such as ``angle [deg]`` or ``angle_deg`` (see `COLUMNS`).
+        A CSV file (comma, semicolon or tab; decimal point or comma), or an ``.npz`` file of arrays, also a packaged
+        one (``configs/logs/steps.csv``). The header, or the name of an array, has a column's name and unit, such as
+        ``angle [deg]`` or ``angle_deg`` (see `COLUMNS`).
     mapping : str, Path, mapping or Mapping, optional
         Names, units, signs and offsets of a log that is written differently (see `mapping.Mapping`).
 
@@ -42,11 +44,11 @@ def read_log(path: str | Path, mapping: str | Path | MappingType[str, Any] | Map
         If the file cannot be read, a required column is missing or there twice, a unit is missing or wrong, a row has
         another length than the header, a cell is no number, or the time falls. It names row and column.
     """
-    mapping, what = load_mapping(mapping), f"log '{path}'"
-    if Path(path).suffix.lower() == ".npz":
-        table = _read_arrays(path, mapping)
+    mapping, what, file = load_mapping(mapping), f"log '{path}'", find_config(path, "log", kinds=("csv", "npz"))
+    if file.suffix.lower() == ".npz":
+        table = _read_arrays(file, mapping)
     else:
-        text, notes = read_table_text(path, "log", MOST_BYTES)
+        text, notes = read_table_text(file, "log", MOST_BYTES)
         table = parse_table(text, what, mapping.wanted(), mapping.form())
         table.notes[:0] = notes
     try:

@@ -9,18 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.logs.log import COLUMNS, Log, check_columns
-from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.storage.units import UNITS, from_si
 from amulett_gym.storage.writing import atomic_path
-
-_OF_SENSORS = {
-    "time": "time",
-    "setpoint": "setpoint",
-    "angle": "measured_angle",
-    "slider_biceps": "measured_biceps",
-    "slider_triceps": "measured_triceps",
-}
-_OF_CONTROLLER = ("command_biceps", "command_triceps", "tension_setpoint")
 
 
 def write_log(path: str | Path, columns: Mapping[str, NDArray[np.float64]] | Log) -> None:
@@ -54,13 +44,3 @@ def write_log(path: str | Path, columns: Mapping[str, NDArray[np.float64]] | Log
             file.write(",".join(f"{name} [{kind.unit}]" for name, kind in known.items()) + "\n")
             for row in zip(*written, strict=True):
                 file.write(",".join("" if value != value else f"{value:.12g}" for value in row) + "\n")
-
-
-def log_of(trajectory: Trajectory) -> Log:
-    """Return what the device of a simulation would log: sensor readings, setpoints and commands, row by control tick.
-
-    The state after the last tick has no row, since no command follows it.
-    """
-    columns = {name: np.array(trajectory[signal][:-1], dtype=float) for name, signal in _OF_SENSORS.items()}
-    columns |= {name: np.array(trajectory[name][1:], dtype=float) for name in _OF_CONTROLLER}
-    return Log({name: columns[name] for name in COLUMNS if name in columns}, f"simulated, profile {trajectory.profile}")

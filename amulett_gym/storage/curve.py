@@ -7,11 +7,14 @@ from pathlib import Path
 
 from pydantic import Field, ValidationError, ValidationInfo, model_serializer, model_validator
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe
-from amulett_gym.storage.reading import read_text
-from amulett_gym.storage.table import parse_columns
+from amulett_gym.storage.hysteresis import mean_of_branches
+from amulett_gym.storage.table import Wanted, parse_table, read_table_text
+from amulett_gym.storage.units import to_si
 
 COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
+_QUANTITIES = dict(zip(COLUMNS, ("length", "force", "length"), strict=True))
 MOST_BYTES = 1_000_000
 """Size of the largest CSV file accepted."""
 MOST_KEPT = 1_500_000
@@ -65,26 +68,52 @@ class Curve(Group):
 
 
 def read_curve(source: str | Path) -> Curve:
+    """Return a measured curve; see `read_measurement`."""
+    return read_measurement(source)[0]
+
+
+def read_measurement(source: str | Path) -> tuple[Curve, list[str]]:
     """Read a measured curve.
 
     Parameters
     ----------
     source : str or Path
-        A CSV file (comma or semicolon), or its text: a header and the columns ``deflection_m``, ``force_N`` and
-        optionally ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection). A
-        curve that starts above zero is joined to the origin. Average repeated and noisy measurements first.
+        A CSV file as of `storage.table`, or its text: the columns ``deflection_m``, ``force_N`` and optionally
+        ``spring_deflection_m`` (without it the potentiometer is taken to measure the string's deflection), also in
+        other units, such as ``deflection [mm]``. A curve that starts above zero is joined to the origin. Of loops, in
+        which the deflection rises and falls, the mean is taken. Average repeated and noisy measurements first.
+
+    Returns
+    -------
+    curve : Curve
+    notes : list of str
+        How the file is written. The last one of loops begins with `hysteresis.MEAN` and names the loss.
 
     Raises
     ------
     AmulettError
-        If the file cannot be read or has more than 1 MB, `parse_columns` refuses the text, or `Curve` the values.
+        If the file cannot be read or has more than 1 MB, `parse_table` or `mean_of_branches` refuses the text, or
+        `Curve` the values.
     """
-    what, text = "measured spring curve", str(source)
+    what, text, notes = "measured spring curve", str(source), list[str]()
     if not is_csv(text):
-        what, text = f"{what} '{source}'", read_text(source, what, MOST_BYTES)
-    columns, rows = parse_columns(text, what, COLUMNS[:2], COLUMNS[2:])
+        what = f"{what} '{source}'"
+        text, notes = read_table_text(source, "measured spring curve", MOST_BYTES)
+    wanted = [Wanted(name, quantity, required=name != COLUMNS[2]) for name, quantity in _QUANTITIES.items()]
+    table = parse_table(text, what, wanted)
+    columns = {
+        name: to_si(table.columns[name], _QUANTITIES[name], found.unit).tolist() for name, found in table.found.items()
+    }
+    rows, notes = table.rows.tolist(), notes + table.notes
     try:
-        return Curve.model_validate(dict(zip(COLUMNS, columns, strict=False)), context={"rows": rows})
+        mean = mean_of_branches(list(columns.values()), rows, COLUMNS[0])
+    except ValueError as error:
+        raise AmulettError(f"{what}: {error}") from error
+    if mean is not None:
+        columns, rows = dict(zip(columns, (values.tolist() for values in mean.columns), strict=True)), mean.rows
+        notes.append(mean.in_words())
+    try:
+        return Curve.model_validate(columns, context={"rows": rows}), notes
     except ValidationError as error:
         raise describe(error, Curve, what) from error
 

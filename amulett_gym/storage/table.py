@@ -28,6 +28,9 @@ DECIMALS = {"point": ".", "comma": ","}
 _MOST_ROWS_BEFORE = 100
 """Rows in which the header is searched."""
 
+_LONGEST_HEADER = 20_000
+"""Characters of the longest row that may be a header."""
+
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+([.,]?)[0-9]*|([.,])[0-9]+)(?:[eE][-+]?[0-9]+)?")
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 _COMMENTS = ("#", "%", "//")
@@ -267,7 +270,7 @@ def _find_head(lines: Sequence[str], wanted: Sequence[Wanted], form: Form) -> _H
     required = [each for each in wanted if each.required]
     closest, most = (1, list[str]()), (-1, 0)
     for k, line in enumerate(lines[:_MOST_ROWS_BEFORE]):
-        if not line.strip():
+        if not line.strip() or len(line) > _LONGEST_HEADER:
             continue
         for separator in separators:
             headers = _split(_uncommented(line), separator)

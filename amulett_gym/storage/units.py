@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ def is_unit(text: str) -> bool:
     return bare in _KNOWN
 
 
+@lru_cache(maxsize=1024)  # each header is compared with each column that is wanted
 def split_unit(header: str) -> tuple[str, str]:
     """Return the name and the unit in a column's header; the unit is empty if there is none.
 

@@ -12,6 +12,7 @@ from amulett_gym.cli import Parser
 from amulett_gym.cli.simulate import add_arguments, run
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.logs import read_log
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting import progress
 
@@ -56,6 +57,33 @@ def test_the_csv_adds_up_to_the_metrics(law, tmp_path, capsys):
     before = columns["setpoint_deg"][:-1] - columns["joint_angle_deg"][:-1]
     after = columns["setpoint_deg"][:-1] - columns["joint_angle_deg"][1:]
     assert 0.5 * period * np.sum((before**2 + after**2)[counted]) == pytest.approx(metrics["position_ise"], rel=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_the_log_holds_what_the_device_would_log(suffix, tmp_path):
+    out, path = tmp_path / "x.csv", tmp_path / f"log{suffix}"
+    assert simulate("--law", "eq6", "--duration", "1", "--out", str(out), "--log", str(path)) == 0
+    columns, log = read(out), read_log(path)
+    assert len(log) == len(columns["time_s"]) - 1
+    before, after = slice(None, -1), slice(1, None)  # commands and tension setpoint are sent after the sensors are read
+    expected = {
+        "time": columns["time_s"][before],
+        "setpoint": np.radians(columns["setpoint_deg"][before]),
+        "angle": np.radians(columns["measured_angle_deg"][before]),
+        "slider_biceps": columns["measured_deflection_biceps_mm"][before] / 1000,
+        "slider_triceps": columns["measured_deflection_triceps_mm"][before] / 1000,
+        "command_biceps": np.radians(columns["command_biceps_deg"][after]),
+        "command_triceps": np.radians(columns["command_triceps_deg"][after]),
+        "tension_setpoint": columns["tension_setpoint_N"][after],
+    }
+    assert list(log.columns) == list(expected)
+    for name, values in expected.items():
+        np.testing.assert_allclose(log[name], values, rtol=1e-9, atol=1e-12, err_msg=name)
+
+
+def test_a_log_is_of_one_law(tmp_path):
+    with pytest.raises(AmulettError, match="--log is for one law; --law names 2"):
+        simulate("--law", "eq6", "constant:6", "--log", str(tmp_path / "log.csv"))
 
 
 def test_a_held_law_changes_its_mind_at_agent_rate_only(tmp_path):

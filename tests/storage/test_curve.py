@@ -1,13 +1,14 @@
 """Measured curves: what is no curve is refused by file, row and column."""
 
 import json
+import re
 
 import pytest
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.storage import curve as curves
-from amulett_gym.storage.curve import MOST_BYTES, Curve, read_curve
+from amulett_gym.storage.curve import MOST_BYTES, Curve, read_curve, read_measurement
 from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 
 BAD_CURVES = {
@@ -128,6 +129,65 @@ def test_bad_curve_is_refused_by_file_and_column(name, tmp_path):
     with pytest.raises(AmulettError, match=message) as error:
         read_curve(path)
     assert str(path) in str(error.value)
+
+
+UP = [(k, 0.1 * k * k) for k in range(11)]
+DOWN = [(k - 0.5, 0.08 * (k - 0.5) ** 2) for k in range(10, 0, -1)]
+
+
+def loops(*branches):
+    return "\n".join(["deflection [mm];force [N]", *(f"{x:g};{force!r}" for part in branches for x, force in part), ""])
+
+
+@pytest.mark.parametrize("branches", [(UP, DOWN), (UP, [(10, 8.0), *DOWN]), (UP, DOWN, UP[1:], DOWN)])
+def test_of_loops_the_mean_is_taken_and_the_loss_reported(branches):
+    curve, notes = read_measurement(loops(*branches).replace(".", ","))
+    assert curve.deflection_m == pytest.approx([0.0005, *(0.001 * k for k in range(1, 11))])
+    measured = dict(zip(curve.deflection_m, curve.force_N, strict=True))
+    for k in range(1, 10):  # chords of both parabolas: a cell's error is at most curvature / 8
+        assert measured[k / 1000] == pytest.approx(0.09 * k * k, abs=0.02)
+    up, down = len(branches) // 2 + len(branches) % 2, len(branches) // 2
+    words = (
+        rf"mean of {up} branch(es)? up and {down} down, 0.5 to 10 mm; hysteresis takes 0.00\d+ J of 0.033\d J, 1[6-9]"
+    )
+    assert re.match(words, notes[-1])
+
+
+def test_a_curve_without_loops_has_no_loss():
+    curve, notes = read_measurement(loops(UP))
+    assert notes == ["separator: semicolon"]
+    assert curve == read_curve("\n".join(["deflection_m,force_N", *(f"{x / 1000!r},{f!r}" for x, f in UP), ""]))
+
+
+def test_a_profile_names_the_loss_of_its_curve(tmp_path):
+    (tmp_path / "curve.csv").write_text(loops(UP, DOWN))
+    (tmp_path / "own.yaml").write_text("{name: own, base: testbed, spring: {measured_curve: curve.csv}}")
+    profile = load_profile(tmp_path / "own.yaml")
+    assert profile.spring.sources["measured_curve"].startswith("given: mean of 1 branch up and 1 down")
+    assert load_profile(json.loads(profile.model_dump_json())) == profile
+    content = {"name": "own", "base": "testbed", "spring": {"measured_curve": tmp_path / "curve.csv"}}
+    assert load_profile(content).spring.sources == profile.spring.sources
+    content["spring"]["sources"] = {"measured_curve": "datasheet: page 3"}
+    assert load_profile(content).spring.sources["measured_curve"] == "datasheet: page 3"
+
+
+@pytest.mark.parametrize(
+    ("branches", "message"),
+    [
+        ((UP, DOWN[:5]), "row 13, column 'deflection_m': it has to rise from row to row; 0.0095.* follows 0.01.* 45 %"),
+        (
+            (UP[:5], [(3, 1.0)], UP[5:]),
+            "row 7, column 'deflection_m': it has to rise from row to row; 0.003 follows 0.004",
+        ),
+        ((UP[:5], [(4, 1.0)], UP[5:], DOWN), "row 7, column 'deflection_m': it has to rise .* 0.004 follows 0.004"),
+        ((UP[::-1],), "row 3, column 'deflection_m': it has to rise from row to row; it only falls"),
+        ((UP, [(x, 2 * force) for x, force in DOWN]), "unloading returns .* more than the .* J that loading takes"),
+        ((UP[:5], [(5, 9.0)], UP[6:], DOWN), "row 8, column 'force_N': it has to rise from row to row"),
+    ],
+)
+def test_what_is_no_loop_is_refused(branches, message):
+    with pytest.raises(AmulettError, match=message):
+        read_curve(loops(*branches))
 
 
 def test_curve_that_is_not_there_is_refused(tmp_path):

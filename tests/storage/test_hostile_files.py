@@ -30,6 +30,8 @@ from amulett_agents.config import TrainConfig, load_train_config
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws import bundle as bundles
 from amulett_gym.laws.bundle import FILES, MANIFEST, Bundle, Manifest, read_bundle
+from amulett_gym.logs import read_log
+from amulett_gym.logs.mapping import load_mapping
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.storage.curve import read_curve
@@ -97,6 +99,18 @@ KINDS = {
             b"deflection_m,force_N,spring_deflection_m\n0,0,0\n0.002,1.5,0.001\n0.004,4.5,0.002\n0.006,12,0.004\n",
             read_curve,
             lambda curve: [values for _, values in curve],
+        ),
+        Kind(
+            "log.csv",
+            b"t;setpoint (deg);angle [rad];force_biceps_N\r\n0;1,5;0,1;\r\n10;1,5;0,2;5\r\n20;2;0,2;6\r\n",
+            lambda path: read_log(path, {"time": {"name": "t", "unit": "ms"}}),
+            lambda log: [log["time"]],
+        ),
+        Kind(
+            "mapping.yaml",
+            b"time: {name: t, unit: ms}\nangle: {name: 3, sign: -1, offset: 2.5, scale: 0.1}\nfile: {decimal: comma}\n",
+            load_mapping,
+            lambda mapping: [mapping.angle.offset, mapping.angle.scale],
         ),
         Kind("identification.json", json.dumps(shipped()).encode(), read_own_study, lambda study: [study.folder]),
         Kind(
@@ -243,6 +257,8 @@ BOMBS = {
     "long.csv": "deflection_m,force_N\n" + "0,0\n" * 200_000,
     "field.csv": "deflection_m,force_N\n0," + "1" * 500_000 + "\n",
     "quote.csv": 'deflection_m,force_N\n"' + "0,0\n" * 100_000,
+    "preamble.csv": ("x," * 9_900 + "\n") * 100,
+    "units.csv": "time [s],setpoint [deg],angle [deg]" + "," + "[" * 9_000 + "\n0,0,0,0\n1,1,1,x,1\n",
     "subnormal.csv": "deflection_m,force_N\n0,0\n5e-324,1\n1e-323,2\n",
     "huge.csv": "deflection_m,force_N\n0,0\n1e300,1e308\n1e301,1.7e308\n",
     "nan.csv": "deflection_m,force_N\n0,0\nnan,1\n1,2\n",
@@ -252,11 +268,12 @@ import resource, sys
 from pathlib import Path
 from amulett_gym.profile import load_profile
 from amulett_gym.errors import AmulettError
+from amulett_gym.logs import read_log
 from amulett_gym.storage.curve import read_curve
 from amulett_gym.tasks.scenario import load_scenario
 from amulett_agents.config import load_train_config
 
-readers = {".yaml": [load_profile, load_train_config], ".json": [load_scenario], ".csv": [read_curve]}
+readers = {".yaml": [load_profile, load_train_config], ".json": [load_scenario], ".csv": [read_curve, read_log]}
 here = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (here + 200_000_000,) * 2)
 resource.setrlimit(resource.RLIMIT_CPU, (60, 60))
