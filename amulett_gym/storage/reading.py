@@ -67,8 +67,10 @@ def read_bytes(path: str | Path, what: str, limit: int = 4_000_000, follow: bool
             status = os.fstat(file.fileno())
             if not stat.S_ISREG(status.st_mode):
                 raise AmulettError(f"{what} '{path}' is no ordinary file")
-            content = file.read(limit + 1) if status.st_size <= limit else b""
-            size = max(status.st_size, len(content))  # it may be growing
+            content = file.read(status.st_size + 1) if status.st_size <= limit else b""  # memory for no more than that
+            if len(content) > status.st_size:  # it is growing
+                content += file.read(limit + 1 - len(content))
+            size = max(status.st_size, len(content))
     except OSError as error:
         raise AmulettError(f"cannot read {what} '{path}': {error.strerror or error}") from error
     except ValueError as error:
