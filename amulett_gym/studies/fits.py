@@ -19,7 +19,7 @@ from amulett_gym.identification.from_logs.fit import fit
 from amulett_gym.identification.from_logs.model import Model
 from amulett_gym.identification.from_logs.physics import physics_of
 from amulett_gym.identification.from_logs.recording import Recording
-from amulett_gym.logs.writer import log_of
+from amulett_gym.logs.simulated import log_of
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.table import Table
 from amulett_gym.reporting.words import number
