@@ -7,12 +7,29 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from amulett_agents.critic_file import critic_of_bundle
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.settings import NO_LIMIT, ControlLoop, CostTrack, MeanAngle, Suite, TensionList, Weights
+from amulett_gym.envs.settings import (
+    NO_LIMIT,
+    ActionDelay,
+    ControlLoop,
+    CostTrack,
+    MeanAngle,
+    Suite,
+    TensionList,
+    Weights,
+)
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.fleet import load_fleet, name_or_contents
 from amulett_gym.laws.bundle import read_bundle
@@ -52,6 +69,10 @@ class EnvSettings(Group):
         description="mean drive angle at action +1, in Amulett/Drives-v0 only [deg]; null: that of a joint at 90 deg",
     )
     agent_period: float = Field(0.02, gt=0, le=10, description="time from action to action [s]")
+    action_delay: ActionDelay = Field(
+        0,
+        description="control ticks from an action to the begin of its ramp: what a microcontroller takes to compute it",
+    )
     follow_time: float = Field(
         0.05,
         ge=0,
@@ -65,6 +86,14 @@ class EnvSettings(Group):
     history: int = Field(1, ge=1, le=100, description="observations in the policy's input, newest last [agent steps]")
     privileged: bool = Field(False, description="also observe what no device measures: for the causal reference")
     threads: int = Field(2, ge=1, le=256, description="simulation threads [1]; they do not change the results")
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the delay out where there is none: records that are older do not have it."""
+        content: dict[str, Any] = serialize(self)
+        if not content.get("action_delay"):
+            content.pop("action_delay", None)
+        return content
 
     @field_validator("id")
     @classmethod
@@ -107,7 +136,8 @@ class EnvSettings(Group):
         names = ("profile", "suite", "tension_range", "agent_period", "reward_weights", "observation_noise")
         own = {name: getattr(self, name) for name in names}
         # Not in the records of the paper's loop, which are older.
-        own |= {name: getattr(self, name) for name in ("control", "track") if getattr(self, name) != _default(name)}
+        newer = ("control", "track", "action_delay")
+        own |= {name: getattr(self, name) for name in newer if getattr(self, name) != _default(name)}
         if self.fleet is not None:
             own["fleet"] = self.fleet
             del own["profile"]
@@ -389,7 +419,7 @@ def _recipe_from(start: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
     except AmulettError as error:
         raise AmulettError(f"the policy '{start}' to start from: {error}") from error
     policy, trained = bundle.policy, bundle.env
-    kept = {"suite", "control", "track", "reward_weights", "observation_noise"}
+    kept = {"suite", "control", "track", "reward_weights", "action_delay", "observation_noise"}
     kept |= set() if elsewhere else {"profile", "fleet"}
     low, high = policy.tension_range
     tension = NetworkSettings.model_fields["initial_tension"].default

@@ -74,6 +74,7 @@ class Episodes:
         self.simulation = Simulation(self.profiles, num_devices, settings.control, settings.tension_law)
         self._constants = np.zeros(len(self.profiles), dtype=transition.SETTINGS)
         self._constants["ticks"] = [settings.ticks(profile) for profile in self.profiles]
+        self._constants["delay"] = settings.action_delay
         self._constants["low"], self._constants["high"] = settings.tension_range
         self._constants["mean_angle"] = np.radians(settings.mean_angle_deg or 0.0)
         self._constants["cost_cap"] = COST_CAP
@@ -307,9 +308,7 @@ class Episodes:
         if np.isnan(actions).any():
             device = int(np.isnan(actions).argmax()) // self.action_size
             raise AmulettError(f"the action of device {device} is NaN; allowed is [-1, 1]")
-        means = None
-        if self.action_size > 1:
-            means, actions = actions.reshape(-1, self.action_size).T.copy()
+        means, actions = self._split(actions)
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if len(self._shares) == 1:
@@ -322,6 +321,27 @@ class Episodes:
             terms = np.ascontiguousarray(report[:, transition.FIRST_TERM : transition.FIRST_READING].T)
             report[:, 0] = own_reward(own, costs, dict(zip(TERMS, terms, strict=True)))
         return observations, report
+
+    def begin_ramps(self, actions: NDArray[np.float64]) -> None:
+        """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
+
+        For callers that advance the simulation themselves: it is due `settings.action_delay` control ticks after an
+        agent step's begin, and :meth:`end_ramps` at its end.
+        """
+        _, constants, which, _, states = self._arrays
+        transition.begin_ramps(constants, which, states, self.simulation.loop, *self._split(actions))
+
+    def end_ramps(self, actions: NDArray[np.float64]) -> None:
+        """Set tensions and mean drive angles to where their ramps to those of `actions` are at an agent step's end."""
+        _, constants, which, _, states = self._arrays
+        transition.end_ramps(constants, which, states, self.simulation.loop, *self._split(actions))
+
+    def _split(self, actions: NDArray[Any]) -> tuple[NDArray[Any] | None, NDArray[Any]]:
+        """Return the actions for the mean drive angles, None where actions have none, and those for the tensions."""
+        if self.action_size == 1:
+            return None, actions
+        means, tensions = actions.reshape(-1, self.action_size).T.copy()
+        return means, tensions
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""

@@ -85,6 +85,7 @@ TensionList = Annotated[list[float], Field(min_length=2, max_length=2), AfterVal
 MeanAngle = Annotated[float, Field(gt=0, le=36_000)]  # [deg]
 AgentPeriod = Annotated[float, Field(gt=0, le=100)]
 Weights = Annotated[dict[str, float], AfterValidator(check_weights)]
+ActionDelay = Annotated[int, Field(ge=0, le=10**6)]
 Noise = Annotated[float, Field(ge=0)]
 Threads = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, AfterValidator(_check_steps)]
@@ -132,6 +133,11 @@ class Settings(Group):
     agent_period: AgentPeriod = Field(
         default=0.02, description="time between two actions [s], a multiple of the control period"
     )
+    action_delay: ActionDelay = Field(
+        default=0,
+        description="control ticks from an agent step's begin to that of its action's ramp: what a microcontroller "
+        "takes to compute the action",
+    )
     observation_noise: Noise = Field(
         default=0.0, description="standard deviation added to each entry of an observation, in its scaled unit [1]"
     )
@@ -174,13 +180,23 @@ class Settings(Group):
         return self
 
     @model_validator(mode="after")
+    def _check_action(self) -> Self:
+        law, loop = self.tension_law, self.control
+        if self.action_delay and (law != "agent" or loop == "position-only"):
+            raise AmulettError(
+                f"action_delay is {self.action_delay}; with tension_law='{law}' in the loop '{loop}', actions have no "
+                "effect that could be late: it has to be 0"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _check_devices(self) -> Self:
         if self.fleet is not None and "profile" in self.model_fields_set:
             raise AmulettError("profile and fleet are both given; give one of them")
         for device in self.devices:
             try:
                 _check_step(device)
-                self.ticks(device)
+                self._check_delay(self.ticks(device))
                 if self.fleet is not None and self.control in (*LOOPS, DRIVES):
                     pack_loop(device, self.control)
             except AmulettError as error:
@@ -195,6 +211,13 @@ class Settings(Group):
     def ticks(self, profile: Profile) -> int:
         """Return the number of a device's control ticks in an agent step."""
         return _ticks(self.agent_period, profile.loop.control_period)
+
+    def _check_delay(self, ticks: int) -> None:
+        if self.action_delay >= ticks:
+            raise AmulettError(
+                f"action_delay is {self.action_delay} control ticks; an agent period of {self.agent_period:g} s has "
+                f"{ticks}: it has to be from 0 to {ticks - 1}"
+            )
 
     @property
     def mean_angle_deg(self) -> float | None:

@@ -350,6 +350,9 @@ class ScalingEnv(TensionEnv):
     | `tension_range`     | (4, 15)           | tension setpoints at action -1 and +1 [N], up to 1e6; `action_range`,|
     |                     |                   | in factors for Scaling and in N for Tension, is deprecated           |
     | `agent_period`      | 0.02              | time between two actions [s]; a multiple of the control period       |
+    | `action_delay`      | 0                 | control ticks from an agent step's begin to that of its action's     |
+    |                     |                   | ramp, fewer than the step has: what a microcontroller takes to       |
+    |                     |                   | compute the action; until then the last ramp goes on                 |
     | `observation_noise` | 0.0               | standard deviation added to each observation, in its scaled unit     |
     | `failure_horizon`   | 500               | steps for the cost of a failure: set it with `max_episode_steps`     |
     | `render_mode`       | None              | `"rgb_array"` or `"human"`                                           |

@@ -16,6 +16,7 @@ from amulett_gym.simulation.random import noise
 SETTINGS = record(
     [
         ("ticks", "i8"),  # control ticks in an agent step
+        ("delay", "i8"),  # control ticks from an agent step's begin to that of its action's ramp
         ("horizon", "f8"),  # agent steps in an episode
         ("low", "f8"),  # tension setpoint at action -1 [N]
         ("high", "f8"),  # tension setpoint at action +1 [N]
@@ -134,18 +135,18 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, means, actions, observati
 def step_block(p, e, c, s, m, paths, loop, own, block, first, end, means, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
     for device in range(first, end):
-        i = np.uint64(device - first)
-        # On a ramp: a jump of the setpoint would add effort in each agent step.
-        s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
-        begin_mean(e, loop, block, i, means, device)
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
-        terms[0], terms[1], terms[2], terms[3] = costs(e, s, i)
-    advance_block(p, c, s, m, paths, loop, own, block, end - first, e.ticks)
+        terms[0], terms[1], terms[2], terms[3] = costs(e, s, np.uint64(device - first))
+    for begun in range(2):  # the last step's ramps end, then those of this one begin
+        if begun:
+            for device in range(first, end):
+                begin_ramp(e, s, loop, block, np.uint64(device - first), means, actions, device)
+        ticks = e.ticks - e.delay if begun else e.delay
+        advance_block(p, c, s, m, paths, loop, own, block, end - first, ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
-        s.tension_command[i] = wanted_tension(e, actions[device])  # without the ramp's rounding
-        end_mean(e, loop, block, i, means, device)
+        end_ramp(e, s, loop, block, i, means, actions, device)
         observe(p, e, c, s, i, observations[device])
         write_reward(e, c, s, i, report[device])
         write_report(p, c, s, i, report[device])
@@ -158,18 +159,43 @@ def wanted_tension(e, action):
 
 
 @compiled
-def begin_mean(e, loop, block, i, means, device):
-    """Let the mean drive angle begin its ramp to that of an action."""
+def begin_ramp(e, s, loop, block, i, means, actions, device):
+    """Let tension and mean drive angle begin their ramps to those of an action.
+
+    A jump would add effort in each agent step.
+    """
+    s.tension_rate[i] = (wanted_tension(e, actions[device]) - s.tension_command[i]) / e.ticks
     if means is not None:
         q = loop[1][block]
         q.mean_rate[i] = (wanted_mean(e, means[device]) - q.mean_command[i]) / e.ticks
 
 
 @compiled
-def end_mean(e, loop, block, i, means, device):
-    """Set the mean drive angle to that of an action, without the ramp's rounding."""
+def end_ramp(e, s, loop, block, i, means, actions, device):
+    """At an agent step's end, set tension and mean drive angle to where their ramps are, without rounding.
+
+    That is at the end, or as many ticks before it as the ramps began late.
+    """
+    s.tension_command[i] = wanted_tension(e, actions[device]) - e.delay * s.tension_rate[i]
     if means is not None:
-        loop[1][block].mean_command[i] = wanted_mean(e, means[device])
+        q = loop[1][block]
+        q.mean_command[i] = wanted_mean(e, means[device]) - e.delay * q.mean_rate[i]
+
+
+@compiled
+def begin_ramps(e, which, s_blocks, loop, means, actions):
+    """Let all devices begin their ramps, one action each."""
+    for device in range(actions.size):
+        block, i = device // LANES, np.uint64(device % LANES)
+        begin_ramp(e[which[block]], s_blocks[block], loop, block, i, means, actions, device)
+
+
+@compiled
+def end_ramps(e, which, s_blocks, loop, means, actions):
+    """Set all devices' tensions and mean drive angles at an agent step's end, one action each."""
+    for device in range(actions.size):
+        block, i = device // LANES, np.uint64(device % LANES)
+        end_ramp(e[which[block]], s_blocks[block], loop, block, i, means, actions, device)
 
 
 @compiled
@@ -212,7 +238,8 @@ def observe(p, e, c, s, i, row):
     row[9] = s.agonist[i]
     row[10] = s.command_biceps[i] / _COMMAND
     row[11] = s.command_triceps[i] / _COMMAND
-    row[12] = compiled_action_of(s.tension_setpoint[i], e.low, e.high)
+    # At the end of its ramp, where the last action wants it.
+    row[12] = compiled_action_of(s.tension_setpoint[i] + e.delay * s.tension_rate[i], e.low, e.high)
     if e.observation_noise > 0.0:
         key = c.noise_key[i] ^ _NOISE_STREAM
         for k in range(_ENTRIES):

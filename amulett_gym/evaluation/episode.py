@@ -10,7 +10,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from amulett_gym.envs.action import action_to_tension
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.transition import FIRST_METRIC, METRICS
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
@@ -82,24 +81,19 @@ def record_episode(
     ticks_per_step = round(keywords["agent_period"] / simulation.control_period)
 
     ticks_per_second = max(round(1.0 / simulation.control_period), 1)
-    wanted = simulation.read("tension_command")
-    memory = None if simulation.loop is None or episodes.action_size == 1 else simulation.loop[1]
-    mean = np.zeros(1) if memory is None else memory["mean_command"][0, :1].copy()
+    actions = np.zeros(0)
 
     def act(tick: int) -> None:
-        """Start the kernel's ramp at each agent step, as the environment does; the kernel handles late ticks."""
-        nonlocal wanted, mean
+        """Begin and end the ramps of each agent step, as the environment does; the kernel handles late ticks."""
+        nonlocal actions
         if tick > 0 and tick % ticks_per_second == 0:
             report(1)
         if tick % ticks_per_step == 0:
-            simulation.command_tension(wanted)
-            last, action = wanted, np.clip(policy(episodes.observe()), -1.0, 1.0)
-            wanted = action_to_tension(action[:, -1], env.tension_range)
-            simulation.states["tension_rate"][0, 0] = (wanted - last)[0] / ticks_per_step
-            if memory is not None:
-                simulation.command_mean(mean)
-                last, mean = mean, action[:, 0].astype(np.float64) * np.radians(env.mean_angle_range)
-                memory["mean_rate"][0, 0] = (mean - last)[0] / ticks_per_step
+            if tick > 0:
+                episodes.end_ramps(actions)
+            actions = policy(episodes.observe()).astype(np.float64).ravel()
+        if tick % ticks_per_step == keywords.get("action_delay", 0):
+            episodes.begin_ramps(actions)
 
     trajectory = record(simulation, keywords["max_episode_steps"] * ticks_per_step, before_tick=act)
     failure = FAILURES[int(simulation.read("failure")[0])]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym.envs.action import action_to_tension
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.laws.contenders import Contender
@@ -17,7 +16,6 @@ from amulett_gym.laws.policies import named_policy
 from amulett_gym.model.spring import look_up
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.kernel import LATENESS, SENSOR_STREAMS
-from amulett_gym.simulation.layout import LANES
 from amulett_gym.simulation.random import random_bits
 from amulett_gym.tasks.scenario import Scenario
 
@@ -139,27 +137,22 @@ def record(
     env = TensionVectorEnv(**{**settings.given, "tension_range": settings.tension_range}, num_envs=num_devices)
     observations, _ = env.reset(seed=seed, options=None if scenarios is None else {"scenario": list(scenarios)})
     act = None if contender.policy_name is None else named_policy(contender.policy_name, env)
-    simulation, ticks = env.episodes.simulation, settings.ticks(settings.profile)
+    simulation, ticks, actions = env.episodes.simulation, settings.ticks(settings.profile), None
     begin, reader = begin_of(simulation), Reader(simulation)
     readings, outputs = list[Columns](), list[Columns]()
     for _ in range(steps):
         if act is not None:
-            actions = np.clip(np.asarray(act(observations), dtype=np.float64)[:, 0], -1.0, 1.0)
-            wanted = action_to_tension(actions, settings.tension_range)
-            _set(simulation, "tension_rate", (wanted - simulation.read("tension_command")) / ticks)
-        for _ in range(ticks):
+            actions = np.asarray(act(observations), dtype=np.float64)[:, 0]
+        for tick in range(ticks):
+            if actions is not None and tick == settings.action_delay:
+                env.episodes.begin_ramps(actions)
             readings.append(reader.read())
             simulation.advance(1)
             outputs.append(read_outputs(simulation))
-        if act is not None:
-            _set(simulation, "tension_command", wanted)
+        if actions is not None:
+            env.episodes.end_ramps(actions)
             observations = env.episodes.observe()
     return Recording(begin, _stacked(readings), _stacked(outputs))
-
-
-def _set(simulation: Simulation, name: str, values: NDArray[np.float64]) -> None:
-    block, lane = np.divmod(np.arange(values.size), LANES)
-    simulation.states[name][block, lane] = values
 
 
 def _stacked(rows: list[Columns]) -> Columns:

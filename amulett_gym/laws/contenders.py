@@ -176,6 +176,8 @@ def parse_contender(name: str) -> Contender:
         keywords: dict[str, Any] = {"agent_period": policy.agent_period}
         if policy.is_privileged:
             keywords["privileged"] = True
+        if delay := bundle.env.keywords.get("action_delay"):
+            keywords["action_delay"] = delay
         if bundle.env.id == DRIVES_ID:
             keywords |= {"control": DRIVES, "mean_angle_range": policy.mean_angle_range}
             return Contender(name, keywords, str(folder), env_id=DRIVES_ID)

@@ -32,6 +32,15 @@ def test_the_default_recipe_writes_out_every_key_with_its_default():
     assert differences(default, read_yaml(CONFIGS / "ppo.yaml", "recipe")) == []
 
 
+def test_a_recipe_without_a_delay_is_written_as_before_there_were_any(tmp_path):
+    assert "action_delay" not in TrainConfig().model_dump()["env"] | TrainConfig().env.keywords()
+    path = tmp_path / "late.yaml"
+    path.write_text("env: {action_delay: 3}")
+    late = load_train_config(path)
+    assert late.model_dump()["env"]["action_delay"] == late.env.keywords()["action_delay"] == 3
+    assert TrainConfig(**late.model_dump()) == late
+
+
 def test_each_recipe_is_of_its_kind():
     history, causal, sac, drives = (load_train_config(CONFIGS / f"{name}.yaml") for name in RECIPES)
     assert (history.algorithm, causal.algorithm, sac.algorithm) == ("ppo", "ppo", "sac")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -78,6 +80,16 @@ def test_co_contraction_raises_the_stiffness_and_none_leaves_the_strings_slack()
     slope = build_tables(TESTBED.spring).stiffness_at(deflection(10.0))
     assert stiffness[2] == pytest.approx(2.0 * slope * TESTBED.plant.joint_pulley_radius**2, rel=1e-3)
     assert hold(0.0, 0.0)[1]["force_biceps"] < 1e-3
+
+
+def test_with_a_delay_both_ramps_begin_late():
+    env = gym.make("Amulett/Drives-v0", action_delay=2, mean_angle_range=200.0).unwrapped
+    env.reset(seed=0)
+    memory = env.episodes.simulation.loop[1]
+    start = math.degrees(memory["mean_command"][0, 0])
+    for share in (0.75, 1.0, 1.0):
+        env.step([0.5, 0.0])
+        assert math.degrees(memory["mean_command"][0, 0]) == pytest.approx(start + share * (100.0 - start))
 
 
 def test_an_action_is_reached_on_a_ramp_that_takes_the_agent_period():

@@ -304,6 +304,21 @@ def test_position_only_ignores_actions():
         assert np.array_equal(first.step(np.ones(1))[0], second.step(-np.ones(1))[0])
 
 
+def test_with_a_delay_ramps_begin_late():
+    single = gym.make("Amulett/Tension-v0", action_delay=3).unwrapped
+    vector = gym.make_vec("Amulett/Tension-v0", num_envs=9, action_delay=3, threads=2)
+    start = single.reset(seed=0)[1]["tension_setpoint"]
+    vector.reset(seed=0)
+    first, third = start + 5 / 8 * (15.0 - start), 15.0 - 5 / 8 * 11.0
+    for action, tension in ((1.0, first), (1.0, 15.0), (-1.0, third), (0.0, third - 3 / 8 * 11.0 + 5 / 8 * 5.5)):
+        observation, reward, _, _, info = single.step([action])
+        assert info["tension_setpoint"] == pytest.approx(tension, abs=1e-12)
+        assert observation[12] == pytest.approx(action, abs=1e-6)  # where the ramp ends
+        observations, rewards, *_, infos = vector.step(np.full((9, 1), action))
+        assert (observations[0] == observation).all() and rewards[0] == reward
+        assert infos["tension_setpoint"][0] == info["tension_setpoint"]
+
+
 def test_observation_noise_is_seeded():
     noisy = gym.make(SCALING, observation_noise=0.1)
     first, again = noisy.reset(seed=0)[0], noisy.reset(seed=0)[0]

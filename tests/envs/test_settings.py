@@ -55,6 +55,10 @@ KINDS = (lambda number: number, np.float32, np.float64, np.int64, np.array, lamb
         ({"agent_period": math.nan}, "'agent_period' is nan"),
         ({"agent_period": math.inf}, "'agent_period' is inf"),
         ({"agent_period": "fast"}, "'agent_period' is 'fast'"),
+        ({"action_delay": -1}, "'action_delay' is -1"),
+        ({"action_delay": 0.5}, "'action_delay' is 0.5"),
+        ({"action_delay": 8}, "action_delay is 8 control ticks; an agent period of 0.02 s has 8: .* from 0 to 7"),
+        ({"action_delay": 1, "tension_law": "eq6"}, "action_delay is 1; with tension_law='eq6' .*it has to be 0"),
         ({"observation_noise": -0.1}, "'observation_noise' is -0.1"),
         ({"observation_noise": None}, "'observation_noise' is None"),
         ({"failure_horizon": 0}, "'failure_horizon' is 0"),
@@ -97,6 +101,7 @@ def test_numbers_are_numbers_and_sequences_are_sequences():
         "reward_weights": {"position": np.float32(0.5), "effort": np.int64(1)},
         "failure_horizon": np.int64(60),
         "agent_period": np.float64(0.04),
+        "action_delay": np.int64(3),
         "observation_noise": 0,
         "privileged": np.bool_(True),
     }

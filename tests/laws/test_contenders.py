@@ -102,6 +102,17 @@ def test_a_bundle_acts_in_the_loop_that_it_was_trained_in(in_cascade):
     assert record_episode(name, results.protocol).metrics["cost"] == results.values[name]["cost"][0]
 
 
+def test_a_bundle_acts_with_the_delay_that_it_was_trained_with(tmp_path):
+    name = str(make_bundle(tmp_path / "mine", keywords={"action_delay": 3}))
+    assert parse_contender(name).env_keywords["action_delay"] == 3
+    results = evaluate([name], "paper-step", episodes=1, duration=0.2)
+    episode = record_episode(name, results.protocol)
+    assert episode.metrics["cost"] == results.values[name]["cost"][0]
+    tension = episode.trajectory["tension_setpoint"]
+    assert np.ptp(tension[:4]) < 1e-12 < abs(tension[4] - tension[3])  # the first row is before the first tick
+    np.testing.assert_allclose(np.diff(tension[3:12]), tension[4] - tension[3], atol=1e-12)
+
+
 def test_a_bundle_of_a_loop_can_act_in_another(in_cascade):
     other = f"co-rotation/{in_cascade}"
     results = evaluate([other], "paper-step", episodes=1, duration=0.1)
