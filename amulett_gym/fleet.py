@@ -19,6 +19,9 @@ MAX_BYTES = 20_000_000
 """Size of the largest file accepted: some thousand profiles."""
 
 
+_KEYS = ("fleet", "loops_of")
+"""Keys of a file with the devices of another fleet and the gains of a profile."""
+
 _MOST_NAMED = 5
 """Most wrong profiles that an error describes."""
 
@@ -36,7 +39,9 @@ def load_fleet(fleet: str | Path | Sequence[str | Path | Mapping[str, Any] | Pro
     ----------
     fleet : str, Path or sequence
         A shipped fleet's name, a YAML or JSON file with a list of profiles, or such a list: names, files, mappings or
-        Profiles (see `profile.load_profile`). Files that a file names are relative to its folder.
+        Profiles (see `profile.load_profile`). A file can also hold the keys ``fleet``, one of these, and ``loops_of``,
+        a profile whose group `loops` its devices get: other gains of the loops other than the paper's. Files that a
+        file names are relative to its folder.
 
     Raises
     ------
@@ -135,23 +140,46 @@ def _shipped(fleet: str) -> tuple[Profile, ...]:
 
 
 def _listed(path: Path) -> tuple[Profile, ...]:
+    return parse_fleet(_file_content(path), path)
+
+
+def _file_content(path: Path) -> Any:
     parse = parse_json if path.suffix.lower() == ".json" else parse_yaml
-    return parse_fleet(parse(read_text(path, "fleet", MAX_BYTES), f"fleet '{path}'"), path)
+    return parse(read_text(path, "fleet", MAX_BYTES), f"fleet '{path}'")
 
 
 def parse_fleet(content: Any, path: Path) -> tuple[Profile, ...]:
     """Return the profiles of a fleet that a file at `path` holds; errors as of `load_fleet`."""
     what = f"fleet '{path}'"
-    if not isinstance(content, list):
-        raise AmulettError(f"{what} has to hold a list of profiles, not {type(content).__name__}")
+    if not isinstance(content, list | dict):
+        raise AmulettError(
+            f"{what} has to hold a list of profiles, or the keys fleet and loops_of, not {type(content).__name__}"
+        )
     try:
-        return _checked(content, path)
+        return _checked(content, path) if isinstance(content, list) else _with_loops(content, path)
     except AmulettError as error:
         raise AmulettError(f"{what}: {error}") from error
 
 
-def _loaded(item: Any, place: int, path: Path | None = None) -> Profile:
-    """Return the profile at a place of the list; files are relative to the folder of `path`, the fleet's file."""
+def _with_loops(content: Mapping[str, Any], path: Path) -> tuple[Profile, ...]:
+    """Return the fleet that a file names, with the group `loops` of a profile."""
+    for key in content:
+        if key not in _KEYS:
+            raise unknown("key", str(key), _KEYS)
+    if missing := [key for key in _KEYS if content.get(key) is None]:
+        raise AmulettError(f"{' and '.join(missing)} missing; it needs the keys {' and '.join(_KEYS)}")
+    loops = _loaded(content["loops_of"], "loops_of", path).loops
+    fleet = content["fleet"]
+    if isinstance(fleet, str) and fleet not in fleet_names() and Path(fleet).suffix:
+        path = find_config(fleet, "fleet", path.parent)
+        if not isinstance(fleet := _file_content(path), list):
+            raise AmulettError(f"its fleet '{path}' has to hold a list of profiles, not {type(fleet).__name__}")
+    given = _checked(fleet, path) if isinstance(fleet, list) else load_fleet(fleet)
+    return tuple(profile.model_copy(update={"loops": loops}) for profile in given)
+
+
+def _loaded(item: Any, place: str, path: Path | None = None) -> Profile:
+    """Return the profile that is given at `place`; files are relative to the folder of `path`, the fleet's file."""
     try:
         if isinstance(item, Mapping) and path is not None:
             return parse_profile(dict(item), path)
@@ -159,7 +187,7 @@ def _loaded(item: Any, place: int, path: Path | None = None) -> Profile:
             item = find_config(item, "profile", Path() if path is None else path.parent)
         return load_profile(item)
     except AmulettError as error:
-        raise AmulettError(f"profile {place}: {error}") from error
+        raise AmulettError(f"{place}: {error}") from error
 
 
 def _checked(items: Sequence[Any], path: Path | None = None) -> tuple[Profile, ...]:
@@ -169,7 +197,7 @@ def _checked(items: Sequence[Any], path: Path | None = None) -> tuple[Profile, .
     profiles, wrong = [], []
     for place, item in enumerate(items):
         try:
-            profiles.append(_loaded(item, place, path))
+            profiles.append(_loaded(item, f"profile {place}", path))
         except AmulettError as error:
             wrong.append(str(error))
     if wrong:

@@ -7,9 +7,10 @@ import pytest
 from helpers import device
 
 from amulett_gym import fleet as fleets
+from amulett_gym.envs.eq6_costs import device_digest
 from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import fleet_names, in_words, load_fleet, name_or_contents, names_or_contents, outside, ranges
-from amulett_gym.profile import load_profile
+from amulett_gym.profile import load_profile, physics
 
 HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.5, "arm": 0.13}]}}
 
@@ -70,10 +71,51 @@ def test_a_shipped_fleet_is_kept_by_its_name(monkeypatch):
     assert [in_words(["testbed"] * count) for count in (1, 2)] == ["a fleet of 1 device", "a fleet of 2 devices"]
 
 
-def test_a_file_has_to_hold_a_list(tmp_path):
+def test_a_file_gives_another_fleet_the_gains_of_a_profile(tmp_path):
+    gains = {
+        "name": "fast",
+        "base": "testbed",
+        "loops": {"computed_torque": {"kp": 10.0}},
+        "loop": {"wiring": "tension_only"},
+    }
+    (tmp_path / "fast.yaml").write_text(json.dumps(gains))
+    (tmp_path / "few.yaml").write_text(json.dumps([HEAVY, "testbed"]))
+    for fleet in ("few.yaml", [HEAVY, "testbed"]):
+        (tmp_path / "faster.yaml").write_text(json.dumps({"fleet": fleet, "loops_of": "fast.yaml"}))
+        heavy, testbed = load_fleet(tmp_path / "faster.yaml")
+        assert heavy.loops.computed_torque.kp == testbed.loops.computed_torque.kp == 10.0
+        assert physics(heavy) == physics(load_fleet([HEAVY])[0])
+        assert heavy.loop == testbed.loop == load_profile("testbed").loop
+    (tmp_path / "faster.yaml").write_text(json.dumps({"fleet": "plausible-choose", "loops_of": gains}))
+    fleet = load_fleet(tmp_path / "faster.yaml")
+    plain = load_fleet("plausible-choose")
+    assert [profile.name for profile in fleet] == [profile.name for profile in plain]
+    assert [device_digest(profile) for profile in fleet] == [device_digest(profile) for profile in plain]  # same unit
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("testbed", "has to hold a list of profiles, or the keys fleet and loops_of, not str"),
+        (HEAVY, "unknown key 'name'"),
+        ({"fleet": "plausible"}, "loops_of missing"),
+        ({"fleet": "plausible", "loops_off": "testbed"}, "unknown key 'loops_off'.*did you mean 'loops_of'"),
+        ({"fleet": "plausible", "loops_of": "testbad"}, "loops_of: unknown profile 'testbad'"),
+        ({"fleet": ["testbed", "testbed"], "loops_of": "testbed"}, "2 profiles of the fleet have the name"),
+        ({"fleet": "plausibel", "loops_of": "testbed"}, "unknown fleet 'plausibel'"),
+    ],
+)
+def test_a_file_with_something_else_is_refused(content, message, tmp_path):
     path = Path(tmp_path / "one.yaml")
-    path.write_text(json.dumps(HEAVY))
-    with pytest.raises(AmulettError, match="has to hold a list of profiles, not dict"):
+    path.write_text(json.dumps(content))
+    with pytest.raises(AmulettError, match=f"fleet '{path}'.*{message}"):
+        load_fleet(path)
+
+
+def test_a_file_names_a_file_with_a_list(tmp_path):
+    path = Path(tmp_path / "one.yaml")
+    path.write_text(json.dumps({"fleet": "one.yaml", "loops_of": "testbed"}))
+    with pytest.raises(AmulettError, match="its fleet .*one.yaml.* has to hold a list"):
         load_fleet(path)
 
 
