@@ -25,7 +25,15 @@ from amulett_gym.firmware.network import (
     weights_header,
 )
 from amulett_gym.laws.bundle import Bundle, read_bundle
-from amulett_gym.laws.contenders import CONSTANT, Contender, bundle_folder, constant_tension, in_loop, parse_contender
+from amulett_gym.laws.contenders import (
+    CONSTANT,
+    EQ6_HELD,
+    Contender,
+    bundle_folder,
+    constant_tension,
+    in_loop,
+    parse_contender,
+)
 from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, Device, is_tuned, tuned_vector
 from amulett_gym.laws.policies import is_law
 from amulett_gym.profile import Profile
@@ -106,13 +114,13 @@ def firmware_law(
         return FirmwareLaw("law_constant.c", {"LAW_TENSION": 0.0})
     if name.startswith(CONSTANT):
         return _constant(constant_tension(name), settings)
-    if name in ("eq6-held", "eq6-held-printed"):
+    if name in EQ6_HELD:
         own = profile.variable_stiffness
         return FirmwareLaw(
             "law_eq6.c",
             {
                 "LAW_EQ6_TUNED": 0,
-                "LAW_PRINTED": int(name == "eq6-held-printed"),
+                "LAW_PRINTED": int(EQ6_HELD[name]),
                 "LAW_NOMINAL": own.nominal_tension,
                 "LAW_MINIMUM": own.minimum_tension,
                 "LAW_ERROR_SCALE": OBSERVATION_SCALES["position_error"],

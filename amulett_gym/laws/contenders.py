@@ -41,6 +41,9 @@ IN_THE_LOOP: dict[str, dict[str, Any]] = {
 }
 """Contenders that act within the loop: the environment's keywords."""
 
+EQ6_HELD = {"eq6-held": False, "eq6-held-printed": True}
+"""Eq. 6 from outside the loop, at agent rate: whether as printed, instead of as the text describes it."""
+
 _DESCRIPTIONS = {
     "eq6": "eq. 6 as the text describes it, inside the loop at control rate",
     "eq6-printed": "eq. 6 exactly as printed, inside the loop at control rate",
@@ -169,7 +172,7 @@ def parse_contender(name: str) -> Contender:
     elif is_tuned_file(name):
         read_tuned(name)
         return Contender(name, own_loop(tuned_loop(name)), name)
-    elif name not in ("eq6-held", "eq6-held-printed") and name not in tuned_names():
+    elif name not in EQ6_HELD and name not in tuned_names():
         folder = bundle_folder(name)
         bundle = read_bundle(folder)
         policy = bundle.policy

@@ -19,7 +19,7 @@ from amulett_gym.errors import AmulettError, OtherLoopWarning
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
-from amulett_gym.laws.contenders import CONSTANT, IN_THE_LOOP, bundle_folder, constant_tension, split_loop
+from amulett_gym.laws.contenders import CONSTANT, EQ6_HELD, IN_THE_LOOP, bundle_folder, constant_tension, split_loop
 from amulett_gym.laws.parametric import BEST_CONSTANT, Device, is_tuned, is_tuned_file, tuned_loop, tuned_vector
 from amulett_gym.laws.training import other_loop
 from amulett_gym.profile import Profile
@@ -97,8 +97,8 @@ def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> P
         act = _constant(constant_tension(name), tension_range)
     elif is_tuned(name):
         act = _tuned(name, _profile_for(name, base), tension_range, base.episodes.agent_period)
-    elif name in ("eq6-held", "eq6-held-printed"):
-        act = _eq6(_profile_for(name, base), tension_range, printed=name == "eq6-held-printed")
+    elif name in EQ6_HELD:
+        act = _eq6(_profile_for(name, base), tension_range, EQ6_HELD[name])
     else:
         act = _from_bundle(read_bundle(bundle_folder(name)), base)
     return _for_one_or_many(act, base.episodes.observation_size)
@@ -115,7 +115,7 @@ def _warn_of_other_loop(name: str, episodes: Any) -> None:
 
 def is_law(name: str) -> bool:
     """Return whether a name is that of a law that was not trained."""
-    return name.startswith(CONSTANT) or is_tuned(name) or name in ("eq6-held", "eq6-held-printed")
+    return name.startswith(CONSTANT) or is_tuned(name) or name in EQ6_HELD
 
 
 def _profile_for(name: str, env: Any) -> Profile:

@@ -39,7 +39,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.evaluation.search.trials import Actions, Trials, held, scheduled
 from amulett_gym.laws.actor import TENSION_SETPOINT
-from amulett_gym.laws.contenders import CONSTANT, parse_contender
+from amulett_gym.laws.contenders import CONSTANT, EQ6_HELD, parse_contender
 from amulett_gym.profile import load_profile
 from amulett_gym.storage.kept import digest, kept
 
@@ -49,7 +49,7 @@ VERSION = 2
 CONSTANTS = tuple(float(tension) for tension in range(16))
 """Constant tensions to start from [N], as far as the loop's range holds them."""
 
-LAWS = ("eq6-held", "eq6-held-printed")
+LAWS = tuple(EQ6_HELD)
 """Laws whose schedules are starts, in addition to those that the caller names."""
 
 SUCCESS = 0.15
