@@ -189,8 +189,13 @@ uint32_t chip_pulses(const chip *c, uint32_t found[2]) {
     return (data[TCCR1A] & 0xA0) == 0xA0;
 }
 
-/* Press the reset button: the memory stays. */
-void chip_reset(chip *c) { avr_reset(c->avr); }
+/* Press the reset button: the memory stays, bytes on the line are lost. */
+void chip_reset(chip *c) {
+    avr_reset(c->avr);
+    c->in_tail = c->in_head;
+    c->out_count = 0;
+    c->begun = 0;
+}
 
 /* Fill: cycle, ticks, cycles of the last, the longest and all ticks, bytes of flash, of static memory, of the stack. */
 void chip_measure(const chip *c, uint64_t found[8]) {

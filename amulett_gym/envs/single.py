@@ -65,12 +65,15 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(self, **keywords: Any) -> None:
         self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
         self.tension_range = settings.tension_range
-        self.episodes = Episodes(1, settings)
+        self.episodes = self._make_episodes(settings)
         self.observation_space, self.action_space = spaces_of(self.episodes)
         self._action_shape = (self.episodes.action_size,)
         self.render_mode = settings.render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
         self._renderer: Any = None
+
+    def _make_episodes(self, settings: Settings) -> Episodes:
+        return Episodes(1, settings)
 
     @property
     def profile(self) -> Profile:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.reading import read_json, user_path
 
 MANIFEST = "manifest.json"
 """File of a firmware folder that describes it."""
@@ -47,13 +46,9 @@ def read_description(folder: str | Path) -> Description:
         If there is none, or its content is wrong.
     """
     path = user_path(folder) / MANIFEST
-    try:
-        text = path.read_bytes()[: _MOST + 1]
-        content = json.loads(text) if len(text) <= _MOST else None
-    except OSError:
-        raise AmulettError(f"'{folder}' is no firmware: it has no {MANIFEST}; make one with 'amulett export'") from None
-    except ValueError as error:
-        raise AmulettError(f"'{path}' is no JSON: {error}") from None
+    if not path.exists():
+        raise AmulettError(f"'{folder}' is no firmware: it has no {MANIFEST}; make one with 'amulett export'")
+    content = read_json(path, "firmware's description", _MOST)
     wanted = {"law": str, "control": str, "keywords": dict, "profile": dict}
     if not isinstance(content, dict) or not all(isinstance(content.get(key), wanted[key]) for key in wanted):
         raise AmulettError(f"'{path}' has to have the keys {', '.join(wanted)}; make it anew with 'amulett export'")

@@ -27,15 +27,22 @@ _DEVICE = np.zeros(1, dtype=np.int64)
 class FirmwareEpisodes(Episodes):
     """Episodes of one device whose control ticks are a firmware's.
 
+    Parameters
+    ----------
+    settings : Settings
+    folder, transport
+        As of `loops.open_loop`, which raises the same errors.
+
     Attributes
     ----------
+    loop : FirmwareLoop
     report_of_board : Report or None
         Of the last control tick.
     """
 
-    def __init__(self, settings: Settings, loop: FirmwareLoop) -> None:
+    def __init__(self, settings: Settings, folder: Path, transport: str) -> None:
         super().__init__(1, settings)
-        self.loop = loop
+        self.loop: FirmwareLoop = open_loop(folder, transport)
         self.report_of_board: Report | None = None
         parameters = self.simulation.parameters[0]
         # A count's reciprocal is not exact; the reading over the resolution is rounded, as the sensor rounded it.
@@ -115,6 +122,7 @@ class HardwareEnv(TensionEnv):
     """
 
     __signature__: Any = None  # that of __init__
+    episodes: FirmwareEpisodes
 
     def __init__(self, folder: str | Path, transport: str = "host", **keywords: Any) -> None:
         found = read_description(folder)
@@ -125,9 +133,16 @@ class HardwareEnv(TensionEnv):
                 )
         if keywords.get("privileged"):
             raise AmulettError("privileged observations hold the loop's integrals, which a firmware does not report")
+        self.law, self._place = found.law, (found.folder, transport)
         super().__init__(**found.keywords, **keywords)
-        self.law, self.loop = found.law, open_loop(found.folder, transport)
-        self.episodes = FirmwareEpisodes(self.settings, self.loop)
+
+    @property
+    def loop(self) -> FirmwareLoop:
+        """The running firmware."""
+        return self.episodes.loop
+
+    def _make_episodes(self, settings: Settings) -> FirmwareEpisodes:
+        return FirmwareEpisodes(settings, *self._place)
 
     def close(self) -> None:
         """End the firmware, and close the window if one is open."""
@@ -144,7 +159,7 @@ class HardwareEnv(TensionEnv):
 
     def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
         info = super()._info(report)
-        board = self.episodes.report_of_board if isinstance(self.episodes, FirmwareEpisodes) else None
+        board = self.episodes.report_of_board
         if board is not None:
             mode, reason = MODES[board.mode], REASONS[board.reason]
             info["board"] = {"status": board.status, "mode": mode, "reason": reason, "cycles": board.cycles}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
+from contextlib import closing
 from importlib import resources
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.settings import Settings
 from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, tables_header
-from amulett_gym.firmware.host import FLAGS, Controller
+from amulett_gym.firmware.host import FLAGS, Controller, firmware_id
 from amulett_gym.firmware.laws import FirmwareLaw, choose, firmware_law
 from amulett_gym.firmware.network import Numbers
 from amulett_gym.firmware.readme import compare, readme
@@ -96,7 +97,12 @@ def firmware_files(profile: Profile, settings: Settings, found: FirmwareLaw) -> 
 def manifest(contender: Contender, settings: Settings, files: Mapping[str, str]) -> str:
     """Return ``manifest.json``: law, loop and device as data, with the identity of the sources."""
     keywords = settings.keywords() | {"tension_range": list(settings.tension_range)}
-    about = {"law": contender.name, "control": settings.control, "id": _identity(files), "keywords": keywords}
+    about = {
+        "law": contender.name,
+        "control": settings.control,
+        "id": firmware_id(files["device.h"]),
+        "keywords": keywords,
+    }
     return to_json(about | {"profile": settings.profile.model_dump(mode="json")})
 
 
@@ -124,14 +130,10 @@ def _checked(folder: Path, recording: Recording) -> str:
         "|---|---|---|",
     ]
     for real in FLAGS:
-        found = compare(Controller(folder, real, at_once=True), recording)
+        with closing(Controller(folder, real, at_once=True)) as controller:
+            found = compare(controller, recording)
         lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
     return "\n".join(lines)
-
-
-def _identity(files: Mapping[str, str]) -> int:
-    """Return FIRMWARE_ID of ``device.h``."""
-    return int(files["device.h"].split("FIRMWARE_ID ")[1].split("u")[0])
 
 
 def _write(folder: Path, files: Mapping[str, str]) -> None:

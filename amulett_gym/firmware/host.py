@@ -66,7 +66,7 @@ class Controller:
         library = Path(self._folder.name) / "controller.so"
         compile_controller(user_path(folder), library, real, at_once)
         self._library = ctypes.CDLL(str(library))
-        numbers = read_defines(user_path(folder) / "device.h")
+        numbers = read_defines((user_path(folder) / "device.h").read_text(encoding="utf-8"))
         self.encoder_resolution, self.slider_resolution = numbers["ENCODER_RESOLUTION"], numbers["SLIDER_RESOLUTION"]
         self._exact = bool(numbers["ENCODER_EXACT"]), bool(numbers["SLIDER_EXACT"])
         self.begin_type, self.input_type, self.output_type = record_types(
@@ -148,10 +148,10 @@ def compile_controller(folder: Path, library: Path, real: Real = "double", at_on
         raise AmulettError(f"{compiler} cannot build the firmware in '{folder}':\n{result.stderr[-2000:]}")
 
 
-def read_defines(path: Path) -> dict[str, float]:
-    """Return the numbers that a generated header defines."""
+def read_defines(header: str) -> dict[str, float]:
+    """Return the numbers that a generated header's text defines."""
     found = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in header.splitlines():
         words = line.split()
         if len(words) == 3 and words[0] == "#define":
             try:
@@ -159,3 +159,8 @@ def read_defines(path: Path) -> dict[str, float]:
             except ValueError:
                 continue
     return found
+
+
+def firmware_id(header: str) -> int:
+    """Return the identity of a firmware's sources from the text of its ``device.h``."""
+    return int(read_defines(header)["FIRMWARE_ID"])

@@ -12,11 +12,18 @@ from amulett_gym.control.agonist import BICEPS
 from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, costs, write_report, write_reward
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.simulation.commands import command_drives
-from amulett_gym.simulation.kernel import setpoint_kick, start_counting
-from amulett_gym.simulation.layout import MOTION_BLOCK
+from amulett_gym.simulation.kernel import next_late, setpoint_kick, start_counting
+from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 
 ALWAYS = 2.0
 """A `late_probability` with which the kernel's loop misses every tick."""
+
+
+@compiled
+def misses_tick(c_blocks, s_blocks, device):
+    """Return whether the kernel's loop misses a device's next control tick."""
+    block, lane = device // LANES, np.uint64(device % LANES)
+    return next_late(c_blocks[block], s_blocks[block], lane, lane + np.uint64(1)) == lane
 
 
 @compiled

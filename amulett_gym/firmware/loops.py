@@ -13,7 +13,7 @@ import numpy as np
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.firmware.board import Board
 from amulett_gym.firmware.chip import Chip, Measurement
-from amulett_gym.firmware.host import Controller, Real, read_defines, record_types
+from amulett_gym.firmware.host import Controller, Real, firmware_id, record_types
 from amulett_gym.firmware.ports import SerialPort
 from amulett_gym.firmware.protocol import BoardError, Report
 from amulett_gym.firmware.toolchain import build_hex
@@ -120,7 +120,7 @@ class BoardLoop:
 
     def __init__(self, board: Board, folder: Path) -> None:
         self.label, self._board = board.port.label, board
-        wanted, found = int(read_defines(folder / "device.h")["FIRMWARE_ID"]), board.hello.firmware_id
+        wanted, found = firmware_id((folder / "device.h").read_text(encoding="utf-8")), board.hello.firmware_id
         if found != wanted:
             self.close()
             raise BoardError(
@@ -129,7 +129,9 @@ class BoardLoop:
             )
 
     def start(self, begin: dict[str, Any]) -> None:
-        """Begin an episode."""
+        """Begin an episode; a simulated chip from its reset, so that its cycles depend on the episode alone."""
+        if isinstance(self._board.port, Chip):
+            self._board.port.reset()
         numbers = np.concatenate([np.ravel(begin[name]) for name in BEGIN_FIELDS[:-1]])
         self._board.start(numbers.tolist(), int(begin["agonist"]))
 

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.vector import TensionVectorEnv
+from amulett_gym.firmware.lock_step import misses_tick
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.laws.policies import named_policy
 from amulett_gym.model.spring import look_up
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.kernel import LATENESS, SENSOR_STREAMS
-from amulett_gym.simulation.random import random_bits
 from amulett_gym.tasks.scenario import Scenario
 
 Columns = dict[str, NDArray[Any]]
@@ -50,14 +49,14 @@ class Reader:
         self._simulation = simulation
         devices = np.arange(simulation.num_devices)
         rows = simulation.read_scenarios(devices)
-        self._keys, self._late = rows["noise_key"], rows["late_probability"].astype(np.float64)
+        self._may_be_late = np.flatnonzero(rows["late_probability"] > 0.0)
         self._seen, self._left = simulation.read("step_start"), np.zeros(devices.size)
 
     def read(self) -> Columns:
         """Return the readings for the next tick, each of shape (devices,)."""
         read = self._simulation.read
         start, jump = read("step_start"), read("setpoint_jump")
-        late = self._is_late(read("tick"))
+        late = self._late()
         found = {
             "angle": read("measured_angle"),
             "biceps": read("measured_biceps"),
@@ -70,12 +69,11 @@ class Reader:
         self._seen, self._left = start, np.where(late, jump, 0.0)  # a loop that misses its tick leaves the jump
         return found
 
-    def _is_late(self, ticks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which devices miss their next control tick (`kernel.next_late`)."""
-        late = np.zeros(ticks.size, dtype=bool)
-        for k in np.flatnonzero(self._late > 0.0):
-            counter = np.uint64(int(ticks[k]) * int(SENSOR_STREAMS) + int(LATENESS))
-            late[k] = float(random_bits(self._keys[k], counter)) * 2.0**-64 < self._late[k]
+    def _late(self) -> NDArray[np.bool_]:
+        """Return which devices miss their next control tick."""
+        late = np.zeros(self._simulation.num_devices, dtype=bool)
+        for device in self._may_be_late:
+            late[device] = misses_tick(self._simulation.scenarios, self._simulation.states, device)
         return late
 
 

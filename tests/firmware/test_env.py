@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import inspect
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from firmware.boards import hex_or_skip
+from gymnasium.utils.env_checker import check_env
 
 from amulett_gym.envs.action import tension_to_action
+from amulett_gym.envs.episodes import Episodes
 from amulett_gym.envs.single import TensionEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware import HardwareEnv
+from amulett_gym.firmware import env as env_module
 from amulett_gym.firmware.description import read_description
 from amulett_gym.firmware.loops import Sample
 from amulett_gym.firmware.protocol import BoardError, Report
@@ -70,6 +74,57 @@ def test_a_reward_of_ones_own_gets_the_same_costs(firmware):
     env.close()
 
 
+@pytest.mark.filterwarnings("ignore:.*not having a spec")
+@pytest.mark.parametrize("transport", ["host", "chip"])
+def test_it_conforms_to_gymnasium(firmware, transport: str, tmp_path: Path):
+    if transport == "chip":
+        hex_or_skip(tmp_path)
+    with closing(HardwareEnv(firmware("eq6").folder, transport, render_mode="rgb_array")) as env:
+        check_env(env, skip_render_check=False)
+
+
+@pytest.mark.parametrize("transport", ["host", "chip"])
+def test_a_seed_chooses_the_episodes(firmware, transport: str, tmp_path: Path):
+    if transport == "chip":
+        hex_or_skip(tmp_path)
+
+    def episodes(seed: int) -> list[Any]:
+        seen = [env.reset(seed=seed)[0].tolist()]
+        for _ in range(2):
+            observation, _, _, _, info = env.step(np.zeros(1))
+            seen.append((observation.tolist(), info["board"]))
+        return [*seen, env.reset()[0].tolist()]
+
+    with closing(HardwareEnv(firmware("eq6").folder, transport, suite="mixed")) as env:
+        first, other, again = episodes(0), episodes(1), episodes(0)
+    assert first == again
+    assert first[0] != other[0]
+    assert first[-1] not in (first[0], other[-1])
+
+
+@pytest.mark.parametrize("transport", ["host", "host-float", "chip"])
+def test_it_can_be_closed_twice_and_the_error_of_a_block_is_kept(firmware, transport: str, tmp_path: Path):
+    if transport == "chip":
+        hex_or_skip(tmp_path)
+    with pytest.raises(ZeroDivisionError), HardwareEnv(firmware("eq6").folder, transport) as env:
+        env.reset(seed=0)
+        raise ZeroDivisionError
+    env.close()
+
+
+def test_the_simulation_is_made_once_and_no_board_is_left_by_a_wrong_keyword(firmware, monkeypatch):
+    made, opened = [], []
+    make, open_loop = Episodes.__init__, env_module.open_loop
+    monkeypatch.setattr(Episodes, "__init__", lambda self, *args: made.append(1) or make(self, *args))
+    monkeypatch.setattr(env_module, "open_loop", lambda *place: opened.append(1) or open_loop(*place))
+    HardwareEnv(firmware("eq6").folder).close()
+    assert (len(made), len(opened)) == (1, 1)
+    for wrong in ({"suite": "none"}, {"render_mode": "x"}, {"nothing": 1}):
+        with pytest.raises(AmulettError):
+            HardwareEnv(firmware("eq6").folder, **wrong)
+    assert len(opened) == 1
+
+
 def test_the_info_has_the_boards_state(firmware):
     env = HardwareEnv(firmware("eq6").folder)
     env.reset(seed=0)
@@ -114,7 +169,7 @@ def test_the_signature_is_the_environments_own():
 @pytest.mark.parametrize("content", ["[]", "{", '{"law": 3}', "null"])
 def test_a_description_that_is_none_is_refused(tmp_path: Path, content: str):
     (tmp_path / "manifest.json").write_text(content)
-    with pytest.raises(AmulettError, match=r"manifest\.json' (is no JSON|has to have the keys law, control)"):
+    with pytest.raises(AmulettError, match=r"manifest\.json' (is not valid JSON|has to have the keys law, control)"):
         read_description(tmp_path)
 
 

@@ -90,5 +90,5 @@ def test_an_episode_begins_from_a_reading_alone(controller):
 
 
 def test_the_numbers_of_a_header_are_read(firmware):
-    numbers = read_defines(firmware("eq6").folder / "device.h")
+    numbers = read_defines((firmware("eq6").folder / "device.h").read_text())
     assert numbers["CONTROL_PERIOD"] == PERIOD and numbers["LAW_TICKS"] == 8 and numbers["SLIDER_MOST"] == 1024
