@@ -78,18 +78,13 @@ INLINE void load_cell(Table table, integer cell, real *k0, real *k1, real *k2, r
 
 #include "loop.h"
 
-#ifdef LAW_AT_ONCE /* all slices of the law in the first tick, as the simulation computes it */
-#define AT_ONCE 1
-#else
-#define AT_ONCE 0
-#endif
-
 /* ---- the device ---- */
 
 static const parameters device = {PARAMETERS};
 
 static states state;
 static real wanted_tension;  /* at the end of the present ramp */
+static real next_tension;    /* the same of the next one, once the law is known */
 static uint32_t since_move;  /* control ticks since the setpoint began to move */
 static uint16_t phase;       /* control ticks since the agent period began */
 static uint8_t first, thinking, status;
@@ -197,7 +192,8 @@ static real entry(real value) {
 
 static void observe(States s, real observation[OBSERVED]) {
     const real low = LAW_LOW, high = LAW_HIGH;
-    real setpoint = over(2 * (s->tension_setpoint[0] - low), high - low) - 1;
+    real tension = s->tension_setpoint[0] + LAW_DELAY * s->tension_rate[0]; /* at the end of the present ramp */
+    real setpoint = over(2 * (tension - low), high - low) - 1;
     observation[POSITION_ERROR] = entry(over((s->setpoint[0] - s->measured_angle[0]), (real)OBSERVED_ERROR));
     observation[JOINT_ANGLE] = entry(over(s->measured_angle[0], (real)OBSERVED_ANGLE));
     observation[JOINT_VELOCITY] = entry(over(s->measured_velocity[0], (real)OBSERVED_VELOCITY));
@@ -213,25 +209,22 @@ static void observe(States s, real observation[OBSERVED]) {
     observation[TENSION_SETPOINT] = entry(setpoint);
 }
 
-/* Begin an agent period if one is due, and compute a slice of the law. As soon as the law is known, the tension setpoint
-   goes on a ramp over an agent period. A shorter one, to be in time, would move the drives much more. */
+/* Begin an agent period if one is due, and compute a slice of the law. LAW_DELAY ticks later the tension setpoint goes on
+   a ramp over an agent period, as in the simulation; until then the last ramp goes on. */
 static void think(States s) {
     if (phase == 0) {
         real observation[OBSERVED];
+        s->tension_command[0] = wanted_tension - LAW_DELAY * s->tension_rate[0]; /* without rounding */
         observe(s, observation);
         law_begin(observation);
         thinking = 1;
     }
-    while (thinking) {
-        real wanted;
-        if (law_slice(&wanted)) {
-            thinking = 0;
-            s->tension_command[0] = wanted_tension; /* of the last ramp, without its rounding */
-            wanted_tension = wanted;
-            s->tension_rate[0] = (wanted - s->tension_command[0]) / (real)LAW_TICKS;
-        } else if (!AT_ONCE && phase + 1 < LAW_TICKS) {
-            break;
-        }
+    do {
+        if (thinking) thinking = !law_slice(&next_tension);
+    } while (thinking && phase == LAW_DELAY); /* a delay has a tick for each slice; without one all are due */
+    if (phase == LAW_DELAY) {
+        wanted_tension = next_tension;
+        s->tension_rate[0] = (wanted_tension - s->tension_command[0]) / (real)LAW_TICKS;
     }
     if (++phase == LAW_TICKS) phase = 0;
 }

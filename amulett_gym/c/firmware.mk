@@ -3,7 +3,7 @@
 
 CC ?= cc
 HOST_FLAGS = -std=c99 -O2 -ffp-contract=off -fPIC
-DOUBLE = -DCONTROLLER_DOUBLE -DLAW_AT_ONCE
+DOUBLE = -DCONTROLLER_DOUBLE
 FLOAT = -fsingle-precision-constant
 CONTROLLER = controller.c law.c
 HEADERS = $(wildcard *.h)
@@ -27,7 +27,7 @@ check-double: $(CONTROLLER) check.c $(HEADERS)
 	$(CC) $(HOST_FLAGS) $(DOUBLE) $(CONTROLLER) check.c -o $@ -lm
 
 check-float: $(CONTROLLER) check.c $(HEADERS)
-	$(CC) $(HOST_FLAGS) $(FLOAT) -DLAW_AT_ONCE $(CONTROLLER) check.c -o $@ -lm
+	$(CC) $(HOST_FLAGS) $(FLOAT) $(CONTROLLER) check.c -o $@ -lm
 
 avr: firmware.hex
 

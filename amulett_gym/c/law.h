@@ -1,6 +1,6 @@
 /* The law: from an observation at the begin of an agent period to the tension setpoint at its end.
 
-   It is computed in slices over the control ticks of the period. */
+   It is computed in slices, one in each of the period's first LAW_DELAY + 1 control ticks. */
 
 #ifndef LAW_H
 #define LAW_H

@@ -30,10 +30,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Write the folder; return 0."""
     from amulett_gym.firmware.export import export
 
-    files = export(arguments.law, chosen_device(arguments), arguments.control, arguments.out, arguments.numbers)
+    show, device = printer(arguments), chosen_device(arguments)
+    files = export(arguments.law, device, arguments.control, arguments.out, arguments.numbers, show)
     if arguments.json:
         print_json({name: len(content.encode()) for name, content in files.items()})
-    show = printer(arguments)
     show(f"The firmware is in {arguments.out}: {', '.join(sorted(files))}.")
     show("make check compares it with the simulation; README.md says what was checked.")
     return 0

@@ -13,7 +13,7 @@ from amulett_gym.storage.reading import read_json, user_path
 MANIFEST = "manifest.json"
 """File of a firmware folder that describes it."""
 
-KEYS = ("profile", "control", "tension_law", "tension_range", "agent_period")
+KEYS = ("profile", "control", "tension_law", "tension_range", "agent_period", "action_delay")
 """Keywords of the environments that a firmware fixes."""
 
 _MOST = 1_000_000  # bytes

@@ -99,6 +99,7 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
         "LET_GO_RATE": LET_GO_RATE,
         **{f"OBSERVED_{name.split('_')[-1].upper()}": scale for name, scale in _scales().items()},
         "LAW_TICKS": ticks,
+        "LAW_DELAY": settings.action_delay,
         "LAW_LOW": low,
         "LAW_HIGH": high,
         **law,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from importlib import resources
 from pathlib import Path
@@ -13,7 +13,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller, firmware_id
-from amulett_gym.firmware.laws import FirmwareLaw, choose, firmware_law
+from amulett_gym.firmware.laws import FirmwareLaw, choose, delay_remark, firmware_law, with_delay
 from amulett_gym.firmware.network import Numbers
 from amulett_gym.firmware.readme import compare, readme
 from amulett_gym.firmware.recording import Recording, record
@@ -36,7 +36,12 @@ _STEPS, _DEVICES = 50, 8  # of the recording that the firmware is compared with
 
 
 def export(
-    law: str, profile: str | Path | Profile, control: str | None, folder: str | Path, numbers: Numbers | None = None
+    law: str,
+    profile: str | Path | Profile,
+    control: str | None,
+    folder: str | Path,
+    numbers: Numbers | None = None,
+    note: Callable[[str], object] = lambda sentence: None,
 ) -> dict[str, str]:
     """Write the firmware of a law with its loop on a device.
 
@@ -51,6 +56,8 @@ def export(
         New, empty, or of an earlier export, which is replaced.
     numbers : {"float", "int16", "int8"}, optional
         Of a network's weights and activations; None: the finest in which it fits.
+    note : callable
+        Called with a sentence about the law's delay in the firmware and in the simulation in which it was made.
 
     Returns
     -------
@@ -66,6 +73,8 @@ def export(
     contender, settings = choose(law, device, control)
     with output_folder(folder, "firmware", [("device.h", "controller.c")]):
         found = firmware_law(contender, device, settings, numbers)
+        own, settings = settings, with_delay(settings, found.slices)
+        late = delay_remark(own, settings)
         files = firmware_files(device, settings, found)
         recording = record_mixed(contender, settings)
         packed = pack_parameters(device, settings.control)[0]
@@ -74,10 +83,11 @@ def export(
         period, ticks = device.loop.control_period, settings.ticks(device)
         with files_together(folder, OTHERS) as new:
             _write(new, files)
-            checked = "\n\n".join([_checked(new, recording), *found.remarks])
+            checked = "\n\n".join([_checked(new, recording), *found.remarks, late])
             files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
             files[MANIFEST] = manifest(contender, settings, files)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
+    note(late)
     return files
 
 
@@ -126,11 +136,11 @@ def _checked(folder: Path, recording: Recording) -> str:
         f"With the readings of {devices} simulated episodes of `mixed`, {ticks} control ticks each, the largest "
         "difference from the simulation's own loop was:",
         "",
-        "| Build for this computer, law at once | command [rad] | tension setpoint [N] |",
+        "| Build for this computer | command [rad] | tension setpoint [N] |",
         "|---|---|---|",
     ]
     for real in FLAGS:
-        with closing(Controller(folder, real, at_once=True)) as controller:
+        with closing(Controller(folder, real)) as controller:
             found = compare(controller, recording)
         lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
     return "\n".join(lines)

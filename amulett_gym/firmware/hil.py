@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -141,7 +141,10 @@ def compare(
     found = read_description(folder)
     profile = load_profile(found.keywords["profile"])
     protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
-    run = play_alone(protocol, parse_contender(found.law))
+    contender = parse_contender(found.law)
+    if delay := found.keywords["action_delay"]:
+        contender = replace(contender, env_keywords={**contender.env_keywords, "action_delay": delay})
+    run = play_alone(protocol, contender)
     kernel = Played(KERNEL, run.values["cost"], sum(reason != "" for reason in run.failures))
     played = [play(found, protocol, transport, partial(advance, note=transport)) for transport in transports]
     return Comparison(found, protocol, kernel, played)

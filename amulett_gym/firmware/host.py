@@ -20,14 +20,11 @@ Real = Literal["double", "float"]
 SOURCES = ("controller.c", "law.c", "host.c")
 
 FLAGS: dict[Real, tuple[str, ...]] = {
-    # As the simulation computes: the whole law in the first tick of an agent period.
-    "double": ("-DCONTROLLER_DOUBLE", "-DLAW_AT_ONCE"),
+    # As the simulation computes.
+    "double": ("-DCONTROLLER_DOUBLE",),
     # As the microcontroller computes, where a double is a float.
     "float": ("-fsingle-precision-constant",),
 }
-
-AT_ONCE = ("-DLAW_AT_ONCE",)
-"""The whole law in the first control tick of an agent period, as the simulation computes it."""
 
 MOVE_BEGINS, LATE = 1, 2
 """Flags of an input."""
@@ -45,8 +42,6 @@ class Controller:
         As `firmware.export.export` writes it.
     real : {"double", "float"}
         ``"double"`` equals the simulation; ``"float"`` computes as the microcontroller does.
-    at_once : bool
-        Whether the law is computed in the first control tick of an agent period, as it always is in double.
 
     Attributes
     ----------
@@ -61,10 +56,10 @@ class Controller:
         If there is no compiler, or it refuses.
     """
 
-    def __init__(self, folder: str | Path, real: Real = "double", at_once: bool = False) -> None:
+    def __init__(self, folder: str | Path, real: Real = "double") -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="amulett-firmware-")
         library = Path(self._folder.name) / "controller.so"
-        compile_controller(user_path(folder), library, real, at_once)
+        compile_controller(user_path(folder), library, real)
         self._library = ctypes.CDLL(str(library))
         numbers = read_defines((user_path(folder) / "device.h").read_text(encoding="utf-8"))
         self.encoder_resolution, self.slider_resolution = numbers["ENCODER_RESOLUTION"], numbers["SLIDER_RESOLUTION"]
@@ -135,13 +130,13 @@ def record_types(real: str, encoder_exact: bool, slider_exact: bool) -> tuple[np
     return tuple(np.dtype(fields, align=True) for fields in (begin, readings, output))
 
 
-def compile_controller(folder: Path, library: Path, real: Real = "double", at_once: bool = False) -> None:
+def compile_controller(folder: Path, library: Path, real: Real = "double") -> None:
     """Compile a firmware folder's controller as a shared library (errors as `Controller`)."""
     compiler = find_compiler()
     if compiler is None:
         raise AmulettError(NO_COMPILER.replace("tick in C", "firmware"))
     sources = [str(folder / name) for name in SOURCES]
-    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *FLAGS[real], *(AT_ONCE if at_once else ()))
+    flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *FLAGS[real])
     command = [compiler, *flags, *sources, "-o", str(library), "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode != 0:

@@ -39,6 +39,9 @@ from amulett_gym.laws.policies import is_law
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import CONTROLS
 
+PARAMETRIC_SLICES = 3
+"""Of ``law_parametric.c``."""
+
 LOOPS = ("decentralized", "position-only")
 """The loops of `simulation.layout.CONTROLS` that the firmware has."""
 
@@ -59,6 +62,8 @@ class FirmwareLaw:
         For the folder's README.
     apart : float
         By how much whole numbers may change its tension setpoint [N].
+    slices : int
+        Control ticks that it takes.
     """
 
     source: str
@@ -66,6 +71,7 @@ class FirmwareLaw:
     files: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     apart: float = 0.0
+    slices: int = 1
 
 
 def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Contender, Settings]:
@@ -103,6 +109,27 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
     if contender.policy_name is not None and not is_law(contender.policy_name):
         keywords["tension_range"] = read_bundle(bundle_folder(contender.policy_name)).policy.tension_range
     return contender, Settings.read({"profile": profile, **keywords}, "firmware")
+
+
+def with_delay(settings: Settings, slices: int) -> Settings:
+    """Return an environment's settings with the firmware's `action_delay`: the law's own, or what its slices need."""
+    delay = max(settings.action_delay, slices - 1)
+    return type(settings)(**{**settings.given, "action_delay": delay}) if delay else settings
+
+
+def delay_remark(own: Settings, found: Settings) -> str:
+    """Return what the firmware's delay is beside that of the law's `own` settings, as a sentence."""
+    late = f"The ramp of an action begins {_control_ticks(found.action_delay)} after its observation"
+    if own.action_delay == found.action_delay:
+        return f"{late}, as in the simulation in which the law was trained or tuned."
+    return (
+        f"{late}; the law was trained or tuned with {_control_ticks(own.action_delay)} (`action_delay`), so that it "
+        "may cost more than there."
+    )
+
+
+def _control_ticks(count: int) -> str:
+    return f"{count} control tick{'s' * (count != 1)}"
 
 
 def firmware_law(
@@ -151,15 +178,17 @@ def firmware_law(
     )
     values = {parameter.name.upper(): value for parameter, value in zip(law.parameters, vector, strict=True)}
     values |= {**constants, "PI": math.pi, "PERIOD": nominal.agent_period, "LEAST": law.range[0], "MOST": law.range[1]}
-    return FirmwareLaw("law_parametric.c", {f"LAW_{key}": float(value) for key, value in values.items()})
+    numbers_of_law = {f"LAW_{key}": float(value) for key, value in values.items()}
+    return FirmwareLaw("law_parametric.c", numbers_of_law, slices=PARAMETRIC_SLICES)
 
 
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
     """Return a policy's network in the finest numbers that fit, or those asked for."""
     kind = choose_numbers(bundle, settings.ticks(profile), numbers)
+    costs = jobs(bundle, kind)
     layers, remarks, most = None, list[str](), 0.0
     if kind != "float":
-        inputs = recorded_inputs(bundle, settings)
+        inputs = recorded_inputs(bundle, with_delay(settings, slices(costs)))
         layers = quantised(bundle, inputs, kind)
         rounded, saturated = forward_numbers(layers, bundle, inputs, kind)
         exact = bundle.act(inputs).astype(np.float64)
@@ -172,14 +201,12 @@ def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numb
             f"differs by {rms:.2g} N rms and at most {most:.2g} N from that in 64 bits; {saturated} of {activations} "
             "activations were at the end of their range."
         )
-    costs = jobs(bundle, kind)
     remarks.append(
         f"An action takes about {sum(costs)} cycles of an ATmega2560, in {slices(costs)} slices of at most {SLICE}; an "
         f"agent period has {settings.ticks(profile)} control ticks."
     )
-    return FirmwareLaw(
-        "law_network.c", {}, {"weights.h": weights_header(bundle, layers, kind)}, tuple(remarks), 3.0 * most
-    )
+    files = {"weights.h": weights_header(bundle, layers, kind)}
+    return FirmwareLaw("law_network.c", {}, files, tuple(remarks), 3.0 * most, slices(costs))
 
 
 def _constant(tension: float, settings: Settings) -> FirmwareLaw:

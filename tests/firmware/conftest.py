@@ -7,7 +7,7 @@ import pytest
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.firmware.export import firmware_files, manifest
 from amulett_gym.firmware.host import Controller
-from amulett_gym.firmware.laws import choose, firmware_law
+from amulett_gym.firmware.laws import choose, firmware_law, with_delay
 from amulett_gym.firmware.recording import record
 from amulett_gym.profile import load_profile
 
@@ -19,15 +19,16 @@ class Firmware:
         self.folder, self.profile = folder, load_profile(profile)
         self.contender, settings = choose(law, self.profile, control)
         given = {key: getattr(settings, key) for key in settings.model_fields_set} | environment
-        self.settings = type(settings)(**given)
-        found = firmware_law(self.contender, self.profile, self.settings, numbers)
+        settings = type(settings)(**given)
+        found = firmware_law(self.contender, self.profile, settings, numbers)
+        self.settings = with_delay(settings, found.slices)
         self.files = firmware_files(self.profile, self.settings, found)
         for name, content in self.files.items():
             (folder / name).write_text(content)
         (folder / "manifest.json").write_text(manifest(self.contender, self.settings, self.files))
 
-    def controller(self, real="double", at_once=False) -> Controller:
-        return Controller(self.folder, real, at_once)
+    def controller(self, real="double") -> Controller:
+        return Controller(self.folder, real)
 
     def record(self, steps=60, num_devices=6, **options):
         return record(self.contender, self.settings, steps, num_devices, **options)

@@ -4,18 +4,21 @@ import json
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
-from helpers import device
+from helpers import device, keep_network
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.description import read_description
 from amulett_gym.firmware.device import device_header
 from amulett_gym.firmware.export import export
 from amulett_gym.firmware.host import FLAGS, SOURCES
-from amulett_gym.firmware.laws import choose
+from amulett_gym.firmware.laws import PARAMETRIC_SLICES, choose
 from amulett_gym.profile import load_profile
 
+ZEROS = [(np.zeros((1, 13), "f4"), np.zeros(1, "f4"))]  # a network's layers
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason=NO_COMPILER)
 
 
@@ -55,6 +58,25 @@ def test_an_export_replaces_an_earlier_one_and_nothing_else(tmp_path):
     (tmp_path / "mine" / "thesis.tex").write_text("")
     with pytest.raises(AmulettError, match="not empty"):
         export("eq6", "testbed", None, tmp_path / "mine")
+
+
+def test_the_delay_is_the_bundles_own_or_what_the_slices_need(tmp_path, capsys):
+    late = str(keep_network(tmp_path / "late", ZEROS, keywords={"action_delay": 4}))
+    for law, delay, remark in (
+        (late, 4, "begins 4 control ticks after its observation, as in the simulation"),
+        ("parametric", PARAMETRIC_SLICES - 1, "the law was trained or tuned with 0 control ticks"),
+        ("constant:8", 0, "begins 0 control ticks after its observation, as in the simulation"),
+    ):
+        assert main(["export", law, "--out", str(tmp_path / "firmware")]) == 0
+        assert remark in " ".join(capsys.readouterr().out.split())
+        assert remark in (tmp_path / "firmware" / "README.md").read_text()
+        assert f"#define LAW_DELAY {delay}" in " ".join((tmp_path / "firmware" / "device.h").read_text().split())
+        assert read_description(tmp_path / "firmware").keywords["action_delay"] == delay
+    wrong = keep_network(
+        tmp_path / "wrong", [(np.zeros((1, 13), "f4"), np.zeros(1, "f4"))], keywords={"action_delay": 8}
+    )
+    with pytest.raises(AmulettError, match="action_delay is 8 control ticks; .* from 0 to 7"):
+        export(str(wrong), "testbed", None, tmp_path / "firmware")
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_in_double_a_network_is_the_bundles(firmware, kind, tmp_path):
     assert (
         found["command"] < 1e-6 and found["tension"] < 1e-6
     )  # an action is a 32-bit number: its last digit may differ
-    assert compare(made.controller("float", at_once=True), recording)["tension"] < 0.5
+    assert compare(made.controller("float"), recording)["tension"] < 0.5
 
 
 @pytest.mark.parametrize("numbers", ["int16", "int8"])

@@ -50,24 +50,32 @@ def test_of_other_devices_and_choices_of_the_loop(firmware, name, tmp_path):
 
 def test_a_law_in_slices_begins_its_ramps_later(firmware):
     made = firmware("parametric", suite="steps")
-    recording = made.record(steps=60, num_devices=1)
+    controller, recording = made.controller("float"), made.record(steps=20, num_devices=1)
+    controller.start(begin_record(controller, recording, 0))
     inputs = {name: values[:, 0] for name, values in recording.readings.items()}
-    found = {}
-    for at_once in (True, False):
-        controller = made.controller("float", at_once)
-        controller.start(begin_record(controller, recording, 0))
-        found[at_once] = controller.run(controller.inputs(inputs))["tension_setpoint"]
-    late = found[False]
-    np.testing.assert_array_equal(late[:2], late[0])  # three slices: the first ramp begins in the third tick
-    assert np.ptp(late) > 2.0
-    np.testing.assert_allclose(np.diff(late[1:10]), late[2] - late[1], atol=2e-6)  # one ramp over an agent period
-    assert late[9] == pytest.approx(found[True][7], abs=1e-5)
+    found = controller.run(controller.inputs(inputs))["tension_setpoint"]
+    delay = made.settings.action_delay
+    assert delay > 0
+    np.testing.assert_array_equal(found[:delay], found[0])
+    step = found[delay] - found[delay - 1]
+    assert abs(step) > 0.01
+    np.testing.assert_allclose(np.diff(found[delay - 1 : delay + 8]), step, atol=2e-6)  # one ramp over an agent period
+
+
+@pytest.mark.parametrize("delay", [2, 5, 7])
+@pytest.mark.parametrize("law", ["parametric", "eq6-held"])
+def test_in_double_the_commands_are_those_of_a_simulation_with_the_delay(firmware, law, delay):
+    made = firmware(law, suite="mixed", split="shifted", action_delay=delay)
+    assert made.settings.action_delay == delay
+    recording = made.record(steps=40)
+    assert recording.readings["late"].any()
+    assert compare(made.controller(), recording) == {"command": 0.0, "tension": 0.0}
 
 
 @pytest.mark.parametrize("law", ["eq6", "eq6-tuned", "constant:10", "parametric"])
 def test_in_float_the_commands_are_near(firmware, law):
     made = firmware(law, suite="mixed", split="shifted")
-    found = compare(made.controller("float", at_once=True), made.record())
+    found = compare(made.controller("float"), made.record())
     assert 0.0 < found["command"] < 1e-4 and found["tension"] < 1e-4
 
 
