@@ -18,11 +18,12 @@ from amulett_gym.evaluation.metrics import EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
 from amulett_gym.laws.contenders import constant_tension, split_loop
 from amulett_gym.reporting import style
-from amulett_gym.reporting.style import Figure, FuncFormatter
+from amulett_gym.reporting.style import Figure
 from amulett_gym.reporting.words import pretty
 from amulett_gym.simulation.layout import DRIVES
 from amulett_gym.simulation.trajectory import Trajectory
 from amulett_gym.studies.benchmark.description import PAPER_STEP, PAPERS, loop_of, named
+from amulett_gym.studies.benchmark.learning import learning_figure
 from amulett_gym.studies.benchmark.results import POSITION_ONLY, TUNED_EQ6, TUNED_LAW, Content
 from amulett_gym.studies.benchmark.runs import learning_curve
 from amulett_gym.studies.benchmark.stages import Evidence
@@ -71,7 +72,9 @@ def draw(evidence: Evidence, found: Content) -> dict[str, Figure]:
         made |= {"law": plots.schedule_figure(schedules, law), "law_by_velocity": velocity_figure(schedules, law)}
     curves = _curves(evidence)
     if curves:
-        made["learning"] = learning_figure(curves, found)
+        looks = {name: look[0] for name, look in styles(found).items()}
+        labels = {name: label(found, name) for name in looks}
+        made["learning"] = learning_figure(curves, labels, looks, found["validation"])
     if found["worst"]:
         made["worst"] = worst_figure(evidence, found)
     return made
@@ -258,39 +261,6 @@ def _curves(evidence: Evidence) -> dict[str, list[NDArray[np.float64]]]:
         if evidence.entries[run.entry].kind != "ablation":
             curves.setdefault(run.entry, []).append(learning_curve(run))
     return curves
-
-
-@style.styled
-def learning_figure(curves: Mapping[str, list[NDArray[np.float64]]], found: Content) -> Figure:
-    """Draw capped costs on validation by agent steps and by wall clock; `curves` are from `runs.learning_curve`."""
-    looks = styles(found)
-    figure, grid = style.panel_grid(2, 2, 0.0, 4.2, sharey=True)
-    for name, runs in curves.items():
-        for k, panel in enumerate(grid):
-            for seed, run in enumerate(runs):
-                text = label(found, name) if seed == 0 else None
-                panel.plot(run[:, k], run[:, 2], color=looks[name][0], linewidth=0.9, alpha=0.7, label=text)
-    for law, cost in found["validation"].items():
-        for panel in grid:
-            panel.axhline(cost, color=looks[law][0], linewidth=1.0, linestyle=":")
-    costs = np.concatenate([run[:, 2] for runs in curves.values() for run in runs])
-    lines = list(found["validation"].values())
-    top = max([float(np.percentile(costs, 90)), *lines])
-    bottom = 0.97 * min([float(costs.min()), *lines])
-    grid[0].set_ylim(bottom, 1.03 * top)
-    place = -np.inf
-    for law, cost in sorted(found["validation"].items(), key=lambda item: item[1]):
-        place = max(cost, place + 0.035 * (1.03 * top - bottom))  # names of equal costs stand above each other
-        beside = {"xycoords": ("axes fraction", "data"), "va": "center", "fontsize": 8}
-        grid[1].annotate(label(found, law), (1.01, place), color=looks[law][0], **beside)
-    for panel in grid:
-        panel.set_xlim(left=0.0)
-    grid[0].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1e6:g}"))
-    grid[0].set_xlabel("agent steps [million]")
-    grid[1].set_xlabel("wall clock [s]")
-    grid[0].set_ylabel("capped cost on the validation\nscenarios (minus the return)")
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=6)
-    return figure
 
 
 def _drawn_schedules(evidence: Evidence) -> dict[str, Schedule]:

@@ -8,6 +8,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from amulett_gym.evaluation.metrics import COST_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.laws.parametric import PARAMETRIC
@@ -34,6 +36,8 @@ CAPTIONS = {
     "scenarios. Devices are sorted by the learned policy.",
     "families": "Cost by family of scenarios, divided by that of eq. 6, over all held-out devices, with 95 % intervals "
     "over training seeds, devices and scenarios; the number of scenarios in parentheses.",
+    "learning": "Cost on the choosing devices during training, over agent steps and over wall-clock time: a line for "
+    "each training seed. The policy of the lowest cost is judged.",
 }
 
 
@@ -272,6 +276,7 @@ def label(found: Content, name: str) -> str:
 def draw(found: Content) -> dict[str, Figure]:
     """Return the figures by name."""
     from amulett_gym.evaluation import plots
+    from amulett_gym.studies.benchmark.learning import learning_figure
 
     ranking = sorted(found["results"], key=lambda name: found["results"][name]["ratio"][YARDSTICK]["mean"])
     best = found["best_learned"]
@@ -289,6 +294,8 @@ def draw(found: Content) -> dict[str, Figure]:
     if len(found["families"]) > 1:
         rows = {f"{name} ({family['scenarios']})": family["ratio_to_eq6"] for name, family in found["families"].items()}
         figures["families"] = plots.ratios_figure(rows, labels, colours, "cost, relative to eq. 6 [1]")
+    curves = {name: [np.array(run) for run in runs.values()] for name, runs in found["validations"].items()}
+    figures["learning"] = learning_figure(curves, labels, colours, {})
     return figures
 
 

@@ -25,7 +25,7 @@ from amulett_gym.evaluation.statistics import (
 )
 from amulett_gym.studies.benchmark.devices.description import ADAPTED, CONSTANT, OWN_CONSTANT, SPECIALIST
 from amulett_gym.studies.benchmark.devices.stages import Entry, Evidence
-from amulett_gym.studies.benchmark.runs import outcome
+from amulett_gym.studies.benchmark.runs import learning_curve, outcome
 
 Content = dict[str, Any]
 
@@ -65,6 +65,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "families": _by_family(evidence),
         "adaptation": _adaptation(evidence),
         "training": _training(evidence),
+        "validations": _validations(evidence),
     }
 
 
@@ -206,6 +207,15 @@ def _training(evidence: Evidence) -> Content:
         entry["runs"][str(run.seed)] = {**result, "episodes": result["steps"] // run.config.env.max_episode_steps}
     for name, tuned in evidence.tuned.items():
         found[name] = {"tuned_episodes": tuned["training_episodes"]}
+    return found
+
+
+def _validations(evidence: Evidence) -> Content:
+    """Return the validations of each training run on the training devices, by entry and seed: see `learning_curve`."""
+    found: Content = {}
+    for run in evidence.runs:
+        if run.entry in evidence.description.learned:
+            found.setdefault(run.entry, {})[str(run.seed)] = learning_curve(run).tolist()
     return found
 
 

@@ -78,9 +78,9 @@ def test_it_writes_numbers_tables_figures_a_page_and_a_document(done, found):
     head, *rows = (done / "tables" / "costs.csv").read_text().splitlines()
     assert head == "entry,seed,device,scenario,family,cost"
     assert len(rows) == 4 * (5 * 3 + 2 * 3 + 1 + 2) and rows[4 * 3].startswith("position-only,,heavy,0,")
-    assert {path.stem for path in (done / "figures").iterdir()} == {"devices", "families"}
+    assert {path.stem for path in (done / "figures").iterdir()} == {"devices", "families", "learning"}
     page, document = (done / "benchmark.html").read_text(), (done.parent / "doc.md").read_text()
-    assert page.count("<svg") == 2 and "<script" not in page
+    assert page.count("<svg") == 3 and "<script" not in page
     assert found["verdict"].split(",")[0] in page and "### By device" in document
     assert (done.parent / "images" / "devices_benchmark_devices.png").exists()
     assert found["fleets"] == {"train": ["a", "b"], "choose": ["c"], "judge": ["heavy", "light", "medium"]}
