@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_least, check_seconds
+from amulett_gym.cli.options import add_json, add_options, check_least, check_seconds, command_words
 from amulett_gym.cli.output import print_json, printer
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.reading import user_path
+from amulett_gym.storage.writing import output_folder
+
+if TYPE_CHECKING:
+    from amulett_gym.firmware.hil import Comparison
 
 HELP = "run a firmware against the simulated device: on this computer, a simulated chip, or a real board"
 EXAMPLES = """  amulett hil firmware --suite mixed
@@ -15,10 +22,12 @@ EXAMPLES = """  amulett hil firmware --suite mixed
   amulett hil firmware --transport serial:/dev/ttyACM0 --episodes 5
 """
 
+_OPTIONS = ("suite", "split", "episodes", "seed", "duration")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("folder", metavar="DIR", help="firmware, as 'amulett export' writes it")
+    parser.add_argument("folder", metavar="DIR", help="firmware, as 'amulett export' writes it; its sources are run")
     parser.add_argument(
         "--transport",
         nargs="+",
@@ -38,28 +47,56 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play, print the table, and write the files; return 1 if a device failed or the strings were let go."""
-    from amulett_gym.firmware.description import read_description
-    from amulett_gym.firmware.hil import agent_steps, compare, table, write_comparison
-    from amulett_gym.reporting.progress import Progress
-    from amulett_gym.storage.writing import output_folder
+    from amulett_gym.firmware.hil import table
 
     check_least(arguments, episodes=1, seed=0)
     check_seconds(arguments, "duration")
-    described = read_description(arguments.folder)
-    transports = list(dict.fromkeys(arguments.transport))
-    options = {key: getattr(arguments, key) for key in ("suite", "split", "episodes", "seed", "duration")}
-    out = arguments.out
-    with nullcontext() if out is None else output_folder(out, "firmware in the loop", [["hil.json"]]):
-        steps = agent_steps(described, arguments.duration) * arguments.episodes
-        with Progress(steps * len(transports), "hil", "steps") as bar:
-            found = compare(arguments.folder, transports, **options, advance=bar.update)
-        if out is not None:
-            write_comparison(found, Path(out))
+    config = {
+        "firmware": str(user_path(arguments.folder).resolve()),
+        "transport": list(dict.fromkeys(arguments.transport)),
+        **{key: getattr(arguments, key) for key in _OPTIONS},
+    }
+    words = ["amulett", "hil", arguments.folder, *command_words(arguments, "transport", *_OPTIONS, "out")]
+    found = compare(config, arguments.out, words)
     if arguments.json:
         print_json(found.content())
     show = printer(arguments)
     show(f"{found.description.law} on {found.protocol.profile.name}, {found.protocol.episodes} of {arguments.suite}")
     show(table(found).text(), wrap=False)
-    if out is not None:
-        show(f"Written: {out}/hil.json, {out}/index.html")
+    if arguments.out is not None:
+        show(f"Written: {arguments.out}/hil.json, {arguments.out}/index.html")
     return int(any(each.failures > found.kernel.failures or each.let_go for each in found.played))
+
+
+def compare(
+    config: Mapping[str, Any], out: str | None, words: Sequence[str], places: Mapping[str, str] | None = None
+) -> Comparison:
+    """Compare by a `config`; write the files to `out`, if any, with a copy of the firmware and the command's words.
+
+    `places`: the firmware's path in `config` -> where it is now, if that is elsewhere.
+    """
+    from amulett_gym.firmware import hil
+    from amulett_gym.firmware.description import firmware_content, read_description
+    from amulett_gym.laws.copies import Copies
+    from amulett_gym.reporting.progress import Progress
+    from amulett_gym.storage.provenance import write_provenance
+    from amulett_gym.storage.writing import files_together
+
+    folder, transports = (places or {}).get(config["firmware"], config["firmware"]), config["transport"]
+    options = {key: config[key] for key in _OPTIONS}
+    steps = hil.agent_steps(read_description(folder), options["duration"]) * options["episodes"]
+    copies = Copies()
+    with ExitStack() as stack:
+        if out is not None:
+            stack.enter_context(output_folder(out, "firmware in the loop", [["hil.json"]]))
+            stack.enter_context(locked_folder(out))
+            copies.add(config["firmware"], firmware_content(folder))
+        with Progress(steps * len(transports), "hil", "steps") as bar:
+            found = hil.compare(folder, transports, **options, advance=bar.update)
+        if out is not None:
+            seeds = range(options["seed"], options["seed"] + options["episodes"])
+            with files_together(out, hil.FILES) as new:
+                hil.write_comparison(found, new)
+                write_provenance(new, "hil", {**config, "kept": copies.record}, seeds, words)
+                copies.write(out)
+    return found

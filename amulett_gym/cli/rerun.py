@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--trust-pickle")
     trust = "also run the Python files whose functions were compared (mylaw.py:function)"
     parser.add_argument("--trust-python", action="store_true", help=trust)
+    parser.add_argument("--trust-c", action="store_true", help="also compile and run the C sources of a firmware")
     add_json(parser, "what differs")
 
 
@@ -74,6 +75,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise AmulettError(
             f"the command behind '{arguments.folder}' ran a Python file, '{files[0]}'; if you trust it, give "
             "--trust-python here, too"
+        )
+    if kind == "hil" and not arguments.trust_c:
+        raise AmulettError(
+            f"'{arguments.folder}' holds a firmware's C sources, which are compiled and run; if you trust them, give "
+            "--trust-c"
         )
     again, read = _KINDS[kind]
     expected = read(old)  # an unfinished folder is refused before anything runs
@@ -166,6 +172,17 @@ def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
         compare(note.config, str(new), note.command or ["amulett", "evaluate"], places)
     except (KeyError, TypeError) as error:
         raise AmulettError(f"'{old / 'command.json'}' does not describe a comparison: {error!r}") from error
+
+
+def _hil_again(note: Provenance, old: Path, new: Path) -> None:
+    from amulett_gym.cli.hil import compare
+    from amulett_gym.laws.copies import kept_policies
+
+    places = kept_policies(old, note.config.get("kept", {}))
+    try:
+        compare(note.config, str(new), note.command or ["amulett", "hil"], places)
+    except (KeyError, TypeError) as error:
+        raise AmulettError(f"'{old / 'command.json'}' does not describe a firmware in the loop: {error!r}") from error
 
 
 def _compared(folder: Path) -> Numbers:
@@ -266,6 +283,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "train": (_train_again, _trained),
     "evaluate": (_evaluate_again, _compared),
     "quickstart": (_command_again, _quickstart),
+    "hil": (_hil_again, _reader("hil.json")),
     "identify": (_command_again, _identified),
     "benchmark": (_command_again, _reader("benchmark.json")),
     "tune": (_command_again, _reader("trials.json")),

@@ -8,7 +8,8 @@ from typing import Any
 
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.reading import read_json, user_path
+from amulett_gym.laws.copies import FOLDER, Files, kept_policies
+from amulett_gym.storage.reading import read_bytes, read_json, user_path, visible
 
 MANIFEST = "manifest.json"
 """File of a firmware folder that describes it."""
@@ -17,6 +18,7 @@ KEYS = ("profile", "control", "tension_law", "tension_range", "agent_period", "a
 """Keywords of the environments that a firmware fixes."""
 
 _MOST = 1_000_000  # bytes
+_SOURCES = (".c", ".h", ".ino", ".json", ".md")
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,15 @@ class Description:
     folder : Path
     law : str
         Name of the contender that the folder was exported from.
+    contender : str
+        The same contender's name if it is a policy of which the folder has a copy: that of the copy.
     keywords : dict
         The environment's, in which the law acts: `KEYS`.
     """
 
     folder: Path
     law: str
+    contender: str
     keywords: dict[str, Any]
 
 
@@ -55,4 +60,20 @@ def read_description(folder: str | Path) -> Description:
     given = {key: content["keywords"][key] for key in KEYS if key in content["keywords"]}
     given |= {"control": content["control"], "profile": content["profile"]}
     settings = Settings.read(given, str(path))
-    return Description(user_path(folder), content["law"], {key: getattr(settings, key) for key in KEYS})
+    law = str(content["law"])
+    contender = kept_policies(folder, content.get("kept", {})).get(law, law)
+    return Description(user_path(folder), law, contender, {key: getattr(settings, key) for key in KEYS})
+
+
+def firmware_content(folder: str | Path) -> Files:
+    """Return the files of a firmware folder by their relative paths, without what a compiler has made of them.
+
+    Raises
+    ------
+    AmulettError
+        If it is no firmware, or a file cannot be read.
+    """
+    place = read_description(folder).folder
+    paths = [path for path in visible(place) if path.name == "Makefile" or path.suffix in _SOURCES]
+    paths += [path for path in visible(place, f"{FOLDER}/**/*") if path.is_file()]
+    return {path.relative_to(place).as_posix(): read_bytes(path, "file of a firmware") for path in paths}

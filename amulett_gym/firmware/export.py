@@ -20,6 +20,7 @@ from amulett_gym.firmware.recording import Recording, record
 from amulett_gym.firmware.toolchain import BOARD_FILES
 from amulett_gym.firmware.vectors import vectors_header
 from amulett_gym.laws.contenders import Contender
+from amulett_gym.laws.copies import NO_COPIES, Copies, copy_policies
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.layout import pack_parameters
 from amulett_gym.storage.writing import files_together, output_folder, to_json
@@ -71,6 +72,7 @@ def export(
     """
     device = load_profile(profile)
     contender, settings = choose(law, device, control)
+    copies = copy_policies([contender.name])  # in memory: their place may be in `folder`
     with output_folder(folder, "firmware", [("device.h", "controller.c")]):
         found = firmware_law(contender, device, settings, numbers)
         own, settings = settings, with_delay(settings, found.slices)
@@ -85,8 +87,9 @@ def export(
             _write(new, files)
             checked = "\n\n".join([_checked(new, recording), *found.remarks, late])
             files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
-            files[MANIFEST] = manifest(contender, settings, files)
+            files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
+        copies.write(folder)
     note(late)
     return files
 
@@ -104,14 +107,15 @@ def firmware_files(profile: Profile, settings: Settings, found: FirmwareLaw) -> 
     return files
 
 
-def manifest(contender: Contender, settings: Settings, files: Mapping[str, str]) -> str:
-    """Return ``manifest.json``: law, loop and device as data, with the identity of the sources."""
+def manifest(contender: Contender, settings: Settings, files: Mapping[str, str], copies: Copies = NO_COPIES) -> str:
+    """Return ``manifest.json``: law, loop and device as data, the identity of the sources, and the kept policies."""
     keywords = settings.keywords() | {"tension_range": list(settings.tension_range)}
     about = {
         "law": contender.name,
         "control": settings.control,
         "id": firmware_id(files["device.h"]),
         "keywords": keywords,
+        "kept": copies.record,
     }
     return to_json(about | {"profile": settings.profile.model_dump(mode="json")})
 

@@ -25,6 +25,9 @@ from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table
 from amulett_gym.storage.writing import write_json, write_text
 
+FILES = ("hil.json", "index.html")
+"""What :func:`write_comparison` writes."""
+
 KERNEL = "simulation"
 """Name of the simulation's own loop in tables."""
 
@@ -38,7 +41,7 @@ class Played:
     Attributes
     ----------
     label : str
-        Where it ran.
+        Where it ran: `KERNEL`, or the transport.
     costs : ndarray, shape (episodes,)
     failures : int
         Devices that failed.
@@ -141,7 +144,7 @@ def compare(
     found = read_description(folder)
     profile = load_profile(found.keywords["profile"])
     protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
-    contender = parse_contender(found.law)
+    contender = parse_contender(found.contender)
     if delay := found.keywords["action_delay"]:
         contender = replace(contender, env_keywords={**contender.env_keywords, "action_delay": delay})
     run = play_alone(protocol, contender)
@@ -180,7 +183,7 @@ def play(
         tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
         costs = derive(raw, charges, *tables)["cost"]
         failures = int((charges > 0.0).sum())
-        return Played(env.loop.label, costs, failures, let_go, env.loop.retries, env.loop.measure())
+        return Played(transport, costs, failures, let_go, env.loop.retries, env.loop.measure())
     finally:
         env.close()
 
@@ -210,9 +213,9 @@ def remarks(found: Comparison) -> str:
 
 def write_comparison(found: Comparison, out: Path) -> None:
     """Write ``hil.json`` and the page ``index.html``."""
-    write_json(out / "hil.json", found.content())
-    page = fill_page("firmware/hil.html.j2", found=found, table=table(found), limits=LIMITS)
-    write_text(out / "index.html", page)
+    content, page = FILES
+    write_json(out / content, found.content())
+    write_text(out / page, fill_page("firmware/hil.html.j2", found=found, table=table(found), limits=LIMITS))
 
 
 LIMITS = f"ATmega2560 at {FREQUENCY / 1e6:g} MHz: {FLASH:,} bytes of flash, {RAM:,} bytes of memory."

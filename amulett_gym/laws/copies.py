@@ -43,6 +43,17 @@ class Copies:
     record: dict[str, dict[str, Any]] = field(default_factory=dict)
     files: list[Files] = field(default_factory=list)
 
+    def add(self, name: str, files: Files) -> int:
+        """Add the files of a policy, or of a firmware; return the copy's number."""
+        self.files.append(files)
+        self.refer(name, len(self.files) - 1)
+        return len(self.files) - 1
+
+    def refer(self, name: str, number: int) -> None:
+        """Let a name mean a copy."""
+        digests = {path: _digest(content) for path, content in self.files[number].items()}
+        self.record[name] = {"copy": number, "sha256": digests}
+
     def write(self, folder: str | Path) -> None:
         """Write the copies into a result's folder, instead of those of an earlier result.
 
@@ -92,13 +103,11 @@ def copy_policies(names: Iterable[str], places: Mapping[str, str] | None = None)
         if main is None:
             continue
         main = main.parent.resolve() / main.name
-        if main not in numbers:
-            numbers[main] = len(copies.files)
+        if main in numbers:
+            copies.refer(name, numbers[main])
+        else:
             paths = [main, *_companions(main)]
-            copies.files.append({path.relative_to(main.parent).as_posix(): _read(path) for path in paths})
-        number = numbers[main]
-        digests = {path: _digest(content) for path, content in copies.files[number].items()}
-        copies.record[name] = {"copy": number, "sha256": digests}
+            numbers[main] = copies.add(name, {path.relative_to(main.parent).as_posix(): _read(path) for path in paths})
     return copies
 
 

@@ -6,12 +6,13 @@ import subprocess
 
 import numpy as np
 import pytest
+from firmware.test_network import write
 from helpers import device, keep_network
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
-from amulett_gym.firmware.description import read_description
+from amulett_gym.firmware.description import firmware_content, read_description
 from amulett_gym.firmware.device import device_header
 from amulett_gym.firmware.export import export
 from amulett_gym.firmware.host import FLAGS, SOURCES
@@ -107,6 +108,22 @@ def test_an_agent_period_with_too_many_ticks():
     fast = device("testbed", loop={"control_period": 0.001})
     with pytest.raises(AmulettError, match="100000 control ticks; the firmware counts 65535"):
         device_header(fast, type(settings)(profile=fast, agent_period=100.0), {})
+
+
+def test_a_folder_keeps_the_policy_that_it_was_made_of(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "policy", hidden=(4,))
+    export("policy", "testbed", None, "firmware")
+    shutil.rmtree("policy")
+    monkeypatch.chdir("/")
+    found = read_description(tmp_path / "firmware")
+    assert found.law == "policy"
+    assert choose(found.contender, found.keywords["profile"])[0].policy_name == found.contender
+    content = firmware_content(tmp_path / "firmware")
+    assert {"controller.c", "Makefile", "weights.h", "kept_policies/0/weights.safetensors"} <= set(content)
+    export("eq6", "testbed", None, tmp_path / "firmware")
+    assert read_description(tmp_path / "firmware").contender == "eq6"
+    assert not (tmp_path / "firmware" / "kept_policies").exists()
 
 
 def test_a_hostile_name_of_a_profile_stays_text(tmp_path):

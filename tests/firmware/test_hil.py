@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
+from amulett_gym.firmware import hil
 from amulett_gym.firmware.hil import compare
+from amulett_gym.laws.copies import FOLDER
+from amulett_gym.storage.provenance import read_provenance
 
 
 def test_the_host_costs_what_the_simulation_costs(firmware):
@@ -34,6 +38,69 @@ def test_the_command_prints_and_writes(firmware, tmp_path: Path, capsys: pytest.
     assert (found["law"], found["suite"], found["episodes"]) == ("eq6", "steps", 2)
     page = (out / "index.html").read_text()
     assert "eq6 as firmware: 2 scenarios of steps" in page
+
+
+HIL = ["hil", "--suite", "steps", "--episodes", "2", "--duration", "1"]
+
+
+@pytest.fixture
+def played(firmware, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a result's folder, whose firmware is gone."""
+    shutil.copytree(firmware("eq6").folder, tmp_path / "fw")
+    monkeypatch.chdir(tmp_path)
+    assert main([*HIL, "fw", "--transport", "host", "host-float", "--out", "hil"]) == 0
+    shutil.rmtree(tmp_path / "fw")
+    return tmp_path / "hil"
+
+
+def test_json_alone_is_printed(firmware, capsys: pytest.CaptureFixture[str]):
+    assert main([*HIL, str(firmware("eq6").folder), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["results"]) == {"simulation", "host"}
+
+
+def test_a_result_can_be_repeated_from_its_own_copy(played: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["rerun", "hil", "--out", "again"]
+    assert main(words) == 2
+    assert "C sources, which are compiled and run; if you trust them, give --trust-c" in capsys.readouterr().err
+    assert main([*words, "--trust-c"]) == 0
+    assert "numbers are the same" in capsys.readouterr().out
+    again = json.loads((played.parent / "again" / "hil.json").read_text())
+    assert again == json.loads((played / "hil.json").read_text())
+    note = read_provenance(played)
+    assert (note.kind, note.seeds, note.command[:3]) == ("hil", [0, 1], ["amulett", "hil", "fw"])
+    assert note.config["transport"] == ["host", "host-float"]
+
+
+def test_another_number_and_a_changed_copy_are_noticed(played: Path, capsys: pytest.CaptureFixture[str]):
+    content = json.loads((played / "hil.json").read_text())
+    content["results"]["host"]["costs"][1] += 1e-9
+    (played / "hil.json").write_text(json.dumps(content))
+    assert main(["rerun", "hil", "--out", "again", "--trust-c"]) == 1
+    assert "results.host.costs.1 was " in capsys.readouterr().out
+    (played / FOLDER / "0" / "device.h").write_text("#define COMMAND_LIMIT system()")
+    assert main(["rerun", "hil", "--out", "third", "--trust-c"]) == 2
+    assert "was changed: its SHA-256 is not as in command.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", ["playing", "writing"])
+def test_ctrl_c_leaves_nothing_half_written(firmware, played: Path, place: str, monkeypatch: pytest.MonkeyPatch):
+    def stop(*arguments: object, **keywords: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(hil, "play" if place == "playing" else "fill_page", stop)
+    before = {path: path.read_bytes() for path in played.rglob("*") if path.is_file()}
+    words = [*HIL, str(firmware("constant:8").folder)]
+    assert main([*words, "--out", "new"]) == 130
+    assert [path for path in played.parent.rglob("new*") if not path.is_dir() or any(path.iterdir())] == []
+    assert main([*words, "--out", "hil"]) == 130
+    assert {path: path.read_bytes() for path in played.rglob("*") if path.is_file()} == before
+
+
+def test_another_folder_is_not_written_to(firmware, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "thesis.tex").write_text("")
+    assert main([*HIL, str(firmware("eq6").folder), "--out", str(tmp_path)]) == 2
+    assert "is not empty and holds no firmware in the loop" in capsys.readouterr().err
 
 
 def test_episodes_that_end_before_they_count_differ_by_nothing(firmware):
