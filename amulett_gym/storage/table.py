@@ -218,7 +218,7 @@ def find_columns(
         if not places:
             if isinstance(name, int):
                 raise AmulettError(f"{where} has no column {name}; it has {len(headers)} columns")
-            there = shorten(", ".join(header.strip() for header in headers), 200)
+            there = _printable(shorten(", ".join(header.strip() for header in headers), 200))
             raise AmulettError(f"{where} has no column '{name}'{nearest(name, _bare(headers))} (there are: {there})")
         if len(places) > 1:
             same = ", ".join(repr(header) for header in dict.fromkeys(headers[place].strip() for place in places))
@@ -264,6 +264,8 @@ class _Head:
 
 def _find_head(lines: Sequence[str], wanted: Sequence[Wanted], form: Form) -> _Head:
     """Return the header; ValueError describes the row that comes closest to one."""
+    if not any(line.strip() for line in lines):
+        raise ValueError("it is empty")
     separators = [SEPARATORS[form.separator]] if form.separator else list(SEPARATORS.values())
     if not form.header:
         return _without_header(lines, wanted, separators)
@@ -302,8 +304,8 @@ def _units_below(lines: Sequence[str], end: int, separator: str, width: int) -> 
     if row is None:
         return end, []
     cells = [cell.strip() for cell in _split(_uncommented(lines[row]), separator)]
-    others = ("", "-", "1", "[-]", "[1]", "[]", "()")
-    if len(cells) == width and any(map(is_unit, cells)) and all(is_unit(cell) or cell in others for cell in cells):
+    numbers = any(_NUMBER.fullmatch(cell) for cell in cells if cell != "1")
+    if len(cells) == width and any(map(is_unit, cells)) and not numbers:
         return row + 1, cells
     return end, []
 
@@ -398,6 +400,11 @@ def _places(headers: Sequence[str], wanted: Wanted) -> list[int]:
         return exact
     name, _ = split_unit(name)
     return [k for k, header in enumerate(headers) if split_unit(header)[0] == name]
+
+
+def _printable(text: str) -> str:
+    """Return text with escapes for the characters that a terminal would obey or not show."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
 
 
 def _bare(headers: Sequence[str]) -> list[str]:

@@ -84,7 +84,10 @@ def test_what_is_written_is_read_back(tmp_path_factory, columns, suffix):
 
 
 BAD = {
-    "nothing": ("", "row 1 has no column 'time'"),
+    "nothing": ("", "log .*: it is empty"),
+    "empty rows": ("\n \n", "it is empty"),
+    "a terminal's commands": ("\x1b[2J,a\0\n0,1\n", r"row 1 has no column 'time' \(there are: \\x1b\[2J, a\\x00\)"),
+    "an unknown unit below": ("time,setpoint,angle\ns,Grad,counts\n0,1,2\n", "column 'setpoint' has the unit 'Grad'"),
     "a header only": (HEADER + "\n", "it has no rows of numbers"),
     "no angle": ("time [s],setpoint [deg],angel [deg]\n0,1,2\n", r"row 1 has no column 'angle'; did you mean 'angel "),
     "no unit": ("time [s],setpoint [deg],angle\n" + ROWS, "row 1: the column 'angle' has no unit; .* as in 'angle "),
@@ -168,6 +171,13 @@ def test_a_mapping_gives_names_units_signs_and_offsets(tmp_path):
     assert log["force_biceps"].tolist() == [3.0, 4.0]
     assert noted(log, "angle: column 'counts' in rev, minus 100, times 6.103515625e-05, sign changed")
     assert noted(log, "left out: the column 'angle [deg]'")
+
+
+def test_a_row_of_units_may_have_others_where_the_mapping_names_them(tmp_path):
+    mapping = {"angle": {"unit": "rev", "scale": 1 / 16384}}
+    log = read(tmp_path, "time,setpoint,angle,state\ns,deg,counts,-\n0,1,8192,idle\n", mapping)
+    np.testing.assert_allclose(log["angle"], np.pi)
+    assert noted(log, "units: row 2")
 
 
 def test_columns_without_a_header_are_known_by_their_numbers(tmp_path):

@@ -12,7 +12,7 @@ from amulett_gym.storage.curve import MOST_BYTES, Curve, read_curve, read_measur
 from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 
 BAD_CURVES = {
-    "nothing at all": ("", "row 1 has no column 'deflection_m'"),
+    "nothing at all": ("", "it is empty"),
     "a header only": ("deflection_m,force_N\n", "'deflection_m'.*at least 3 items"),
     "no force": ("deflection_m,newton\n0,0\n1,1\n2,2\n", "row 1 has no column 'force_N'"),
     "too short": ("deflection_m,force_N\n0,0\n1,1\n", "'deflection_m'.*at least 3 items"),
