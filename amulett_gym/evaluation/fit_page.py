@@ -13,7 +13,7 @@ from amulett_gym.identification.from_logs.model import Model
 from amulett_gym.identification.from_logs.recording import CHANNELS, FORCES, SLIDERS, Recording
 from amulett_gym.identification.from_logs.result import UNITS
 from amulett_gym.reporting.page import fill_page
-from amulett_gym.reporting.table import Table
+from amulett_gym.reporting.table import Table, fill
 from amulett_gym.reporting.words import interval, number
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Values = NDArray[np.float64]
 
-_MOST_POINTS = 3000  # of a line in a figure
+_MOST_POINTS, _MOST_DOTS = 1500, 400  # of a line in a figure, and of the readings beside it
 _MOST_LOGS = 4  # drawn
 _WHITE = 0.05  # autocorrelation below which residuals are white for practical purposes
 
@@ -31,8 +31,8 @@ def parameter_table(found: Mapping[str, Any], of_recording: bool = False) -> Tab
     rows = [
         (
             f"{each['name']}{' [' + each['unit'] + ']' if each['unit'] else ''}",
-            number(each["value"], 4),
-            interval(each["low"], each["high"], 4),
+            number(each["value"], digits := _digits(each)),
+            interval(each["low"], each["high"], digits),
             ("log" if each["determined"] else "prior") + (", unlike the prior" if each["unlike_prior"] else ""),
             interval(*each["prior"]),
         )
@@ -129,7 +129,7 @@ def in_words(found: Mapping[str, Any]) -> str:
     tables += [each for each in (prediction_table(found), experiment_table(found)) if each.rows]
     parts = [each.text() for each in tables]
     if lines := undetermined_lines(found):
-        parts.insert(1, "\n".join(["What the logs do not determine:", *(f"- {line}" for line in lines)]))
+        parts.insert(1, "\n".join(["What the logs do not determine:", *(fill(f"- {line}") for line in lines)]))
     return "\n\n".join(parts)
 
 
@@ -161,6 +161,14 @@ def page(fit: Fit, found: Mapping[str, Any], name: str, held_out: Sequence[Recor
         figures=[(title, figure_svg(figure, prefix)) for prefix, title, figure in figures],
         command=command,
     )
+
+
+def _digits(each: Mapping[str, Any]) -> int:
+    """Return the digits of a parameter with which its interval's width has two."""
+    width = each["high"] - each["low"]
+    if width <= 0.0 or each["value"] == 0.0:
+        return 3
+    return int(np.clip(np.ceil(np.log10(abs(each["value"]) / width)) + 2, 3, 7))
 
 
 def _sensor(noise: float, low: float, high: float, resolution: float) -> tuple[str, str, str]:
@@ -199,22 +207,28 @@ def _figure(model: Model, predicted: Values, name: str | None = None) -> Figure:
         groups = [group for group in (("angle",), SLIDERS, FORCES) if present & set(group)]
         figure, panels = panel_grid(len(groups) + 1, 1, 0.4, 1.6, sharex=True)
         colours = dict(zip(CHANNELS, (JOINT, BICEPS, TRICEPS, BICEPS, TRICEPS), strict=True))
-        for part in model.parts:
-            piece = model.pieces[sum(len(each) for each in model.blocks[: part.block]) + part.lane]
-            if name is not None and piece.recording.name != name:
-                continue
+        drawn = [(part, model.piece_of(part)) for part in model.parts]
+        drawn = [(part, piece) for part, piece in drawn if name in (None, piece.recording.name)]
+        rows = {
+            channel: sum(part.cells.stop - part.cells.start for part, _ in drawn if part.channel == channel)
+            for channel in CHANNELS
+        }
+        labels = {channel: channel.split("_")[1] for channel in (*SLIDERS, *FORCES)}
+        for part, piece in drawn:
             _, factor = UNITS[part.channel.split("_")[0]]
             time = piece.recording.columns["time"][piece.rows][part.known]
-            every = max(len(time) * len(model.parts) // (_MOST_POINTS * 3), 1)
             panel = panels[next(k for k, group in enumerate(groups) if part.channel in group)]
-            own = slice(None, None, every)
-            panel.plot(time[own], factor * model.measured[part.cells][own], ".", color=GREY, markersize=1.5)
-            panel.plot(time[own], factor * predicted[part.cells][own], color=colours[part.channel], linewidth=1.0)
+            measured, found = (factor * values[part.cells] for values in (model.measured, predicted))
+            line, dots = (slice(None, None, -(-rows[part.channel] // most)) for most in (_MOST_POINTS, _MOST_DOTS))
+            panel.plot(time[dots], measured[dots], ".", color=GREY, markersize=1.5)
+            label = labels.pop(part.channel, None)
+            panel.plot(time[line], found[line], color=colours[part.channel], linewidth=1.0, label=label)
             if part.channel == "angle":
-                apart = factor * (model.measured - predicted)[part.cells][own]
-                panels[-1].plot(time[own], apart, ".", color=BLACK, markersize=1.5)
+                panels[-1].plot(time[dots], (measured - found)[dots], ".", color=BLACK, markersize=1.5)
         for panel, group in zip(panels, groups, strict=False):
             panel.set_ylabel(f"{group[0].split('_')[0]} [{UNITS[group[0].split('_')[0]][0]}]")
+            if group != ("angle",):
+                panel.legend(loc="upper right", ncols=2)
         label_outer(panels[-1:], "time [s]", "angle, residual [deg]")
         return figure
 

@@ -37,6 +37,7 @@ def test_a_log_becomes_profile_fleet_numbers_and_page(folder, monkeypatch, capsy
     shown = capsys.readouterr().out
     assert "Written: mine.yaml, mine.json, fleet.yaml, mine.html." in " ".join(shown.split())
     assert "radius_ratio" in shown
+    assert max(map(len, shown.splitlines())) <= 80
     profile = load_profile(folder / "mine.yaml")
     assert profile.name == "mine"
     assert profile.drives.sources["lag"].startswith("identified: lag 0.1")
@@ -57,6 +58,14 @@ def test_a_log_becomes_profile_fleet_numbers_and_page(folder, monkeypatch, capsy
     assert page.count("<svg") == 2
     assert "last fifth of steps.csv" in page
     assert "free oscillation with a weight" in page
+    assert page.count("<use") < 2500  # dots; all rows would be 3400
+
+
+def test_json_is_one_document(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    assert main(arguments(folder, "--json", "--out", "again.yaml")) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out) == json.loads((folder / "again.json").read_text())
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from amulett_gym.identification.from_logs.recording import (
     FORCES,
     SLIDERS,
     Inputs,
+    Piece,
     Recording,
     at_rows,
     blocks_of,
@@ -99,6 +100,10 @@ class Model:
         for part in self.parts:
             found[part.cells] = CHANNELS.index(part.channel)
         return found
+
+    def piece_of(self, part: Part) -> Piece:
+        """Return the piece that a part belongs to."""
+        return self.blocks[part.block][part.lane]
 
     def profile(self, values: Mapping[str, float]) -> Profile:
         """Return the device with the given values, with exact sensors."""
