@@ -7,16 +7,12 @@
 
 #ifdef CONTROLLER_DOUBLE
 #define EXP exp
-#define TANH tanh
 #define POWER pow
 #define OVER(a, b) ((a) / (b))
-#define EIGHTH_ROOT(a) pow(a, 0.125)
 #else /* of constants b: an AVR takes three times as long for a division */
 #define EXP expf
-#define TANH tanhf
 #define POWER powf
 #define OVER(a, b) ((a) * (1 / (real)(b)))
-#define EIGHTH_ROOT(a) sqrtf(sqrtf(sqrtf(a)))
 #endif
 
 static inline real tension_of_action(real action) {

@@ -6,13 +6,24 @@
 
 #include "law_action.h"
 
+#ifndef CONTROLLER_DOUBLE
+#include "curves.h"
+#include "law_curve.h"
+#endif
+
 static real seen[OBSERVED];
-static real error, rate, torque, way, far, early, fast, moving, pushed, pushing, wanted; /* as in laws/parametric.py */
+static real error, rate, by_rate, torque, way, far, early, fast, moving, pushed, pushing; /* as in laws/parametric.py */
 static uint8_t stage;
 
 static real limit(real value, real least, real most) { return value < least ? least : value > most ? most : value; }
 
-static real size_of(real x) { return 1 - (real)EXP(-x * x); }
+#ifdef CONTROLLER_DOUBLE
+static real size_of(real x) { return 1 - exp(-x * x); }
+static real tanh_of(real x) { return tanh(x); }
+#else
+static real size_of(real x) { return read_curve(size_curve, CURVE_CELLS, (x < 0 ? -x : x) * (CURVE_CELLS / SIZE_END)); }
+static real tanh_of(real x) { return read_odd_curve(tanh_curve, CURVE_CELLS, x * (CURVE_CELLS / TANH_END)); }
+#endif
 
 void law_start(void) { stage = 0; }
 
@@ -36,8 +47,13 @@ static real external_torque(void) {
 /* The wanted tension within the law's range. */
 static real squash(real tension) {
     const real middle = (real)0.5 * (LAW_LEAST + LAW_MOST), half = (real)0.5 * (LAW_MOST - LAW_LEAST);
-    real x = OVER(tension - middle, half), square = x * x, fourth = square * square;
-    return middle + half * x / EIGHTH_ROOT(1 + fourth * fourth);
+    real x = OVER(tension - middle, half);
+#ifdef CONTROLLER_DOUBLE
+    real square = x * x, fourth = square * square;
+    return middle + half * x / pow(1 + fourth * fourth, 0.125);
+#else
+    return middle + half * read_odd_curve(squash_curve, CURVE_CELLS, x * (CURVE_CELLS / SQUASH_END));
+#endif
 }
 
 static real sum(void) {
@@ -50,33 +66,31 @@ static real sum(void) {
            LAW_EARLY_DIRECTION_GAIN * early * way;
 }
 
-/* Three slices, so that an ATmega2560 takes at most 15000 cycles for each. */
+/* One agent step of a low-pass with two time constants. */
+static real follow(real last, real tension) {
+    const real rise = LAW_RISE_TIME, fall = LAW_FALL_TIME, period = LAW_PERIOD;
+#ifdef CONTROLLER_DOUBLE
+    return last + (tension - last) * period / ((tension > last ? rise : fall) + period);
+#else
+    return last + (tension - last) * (tension > last ? period / (rise + period) : period / (fall + period));
+#endif
+}
+
+/* Two slices, so that an ATmega2560 takes at most 15000 cycles for each. */
 uint8_t law_slice(real *tension) {
-    switch (stage++) {
-    case 0: {
-        real rate_deg = OVER(rate * 180, LAW_PI);
-        torque = external_torque();
-        fast = size_of(OVER(rate_deg, LAW_SPEED_WIDTH));
-        return 0;
-    }
-    case 1: {
+    if (stage++ == 0) {
         real time = seen[TIME_SINCE_MOVE] > 0 ? seen[TIME_SINCE_MOVE] : 0;
-        far = size_of(OVER(error, LAW_ERROR_WIDTH));
+        by_rate = OVER(OVER(rate * 180, LAW_PI), LAW_SPEED_WIDTH);
+        torque = external_torque();
         early = (real)EXP(OVER(-time * (real)OBSERVED_TIME, LAW_EARLY_TIME));
-        way = (real)TANH(OVER(error, LAW_ERROR_WIDTH));
+        fast = size_of(by_rate);
         return 0;
     }
-    default: {
-        real rate_deg = OVER(rate * 180, LAW_PI);
-        moving = (real)TANH(OVER(rate_deg, LAW_SPEED_WIDTH));
-        pushed = size_of(OVER(torque, LAW_TORQUE_WIDTH));
-        pushing = (real)TANH(OVER(torque, LAW_TORQUE_WIDTH));
-        real last = limit(tension_of_action(seen[TENSION_SETPOINT]), LAW_LEAST, LAW_MOST);
-        wanted = squash(sum());
-        real time_constant = wanted > last ? LAW_RISE_TIME : LAW_FALL_TIME;
-        last += (wanted - last) * LAW_PERIOD / (time_constant + LAW_PERIOD);
-        *tension = tension_of_action(action_of_tension(last));
-        return 1;
-    }
-    }
+    real by_error = OVER(error, LAW_ERROR_WIDTH), by_torque = OVER(torque, LAW_TORQUE_WIDTH);
+    far = size_of(by_error), way = tanh_of(by_error);
+    pushed = size_of(by_torque), pushing = tanh_of(by_torque);
+    moving = tanh_of(by_rate);
+    real last = limit(tension_of_action(seen[TENSION_SETPOINT]), LAW_LEAST, LAW_MOST);
+    *tension = tension_of_action(action_of_tension(follow(last, squash(sum()))));
+    return 1;
 }

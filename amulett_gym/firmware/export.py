@@ -25,10 +25,13 @@ from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.layout import pack_parameters
 from amulett_gym.storage.writing import files_together, output_folder, to_json
 
-TEXTS = ("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "flash.h", "host.c", "check.c")
+TEXTS = (
+    *("controller.h", "controller.c", "loop.h", "law.h", "law_action.h", "law_curve.h", "flash.h"),
+    *("host.c", "check.c"),
+)
 """Files of `amulett_gym.c` that are copied unchanged, beside the law's and the Makefile."""
 
-OTHERS = ("weights.h",)
+OTHERS = ("weights.h", "curves.h")
 """Files that not every firmware has: an earlier export's are deleted."""
 
 README = "README.md"

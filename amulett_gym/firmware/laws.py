@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from amulett_gym.firmware.network import (
     slices,
     weights_header,
 )
+from amulett_gym.firmware.numbers import array, defines
 from amulett_gym.laws.bundle import Bundle, read_bundle
 from amulett_gym.laws.contenders import (
     CONSTANT,
@@ -39,8 +41,10 @@ from amulett_gym.laws.policies import is_law
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import CONTROLS
 
-PARAMETRIC_SLICES = 3
+PARAMETRIC_SLICES = 2
 """Of ``law_parametric.c``."""
+
+_CURVE_CELLS = 1024
 
 LOOPS = ("decentralized", "position-only")
 """The loops of `simulation.layout.CONTROLS` that the firmware has."""
@@ -179,7 +183,24 @@ def firmware_law(
     values = {parameter.name.upper(): value for parameter, value in zip(law.parameters, vector, strict=True)}
     values |= {**constants, "PI": math.pi, "PERIOD": nominal.agent_period, "LEAST": law.range[0], "MOST": law.range[1]}
     numbers_of_law = {f"LAW_{key}": float(value) for key, value in values.items()}
-    return FirmwareLaw("law_parametric.c", numbers_of_law, slices=PARAMETRIC_SLICES)
+    return FirmwareLaw("law_parametric.c", numbers_of_law, {"curves.h": _curves()}, slices=PARAMETRIC_SLICES)
+
+
+def _curves() -> str:
+    """Return ``curves.h``: what the parametric law reads from tables, where numbers have 32 bits."""
+    curves: dict[str, tuple[float, Callable[[Any], Any]]] = {
+        "size": (4.0, lambda x: -np.expm1(-(x**2))),
+        "tanh": (8.0, np.tanh),
+        "squash": (4.0, lambda x: x / (1.0 + x**8) ** 0.125),
+    }
+    share = np.linspace(0.0, 1.0, _CURVE_CELLS + 1)
+    values = {"CURVE_CELLS": _CURVE_CELLS, **{f"{name.upper()}_END": end for name, (end, _) in curves.items()}}
+    tables = [
+        array("table_real", f"{name}_curve", curve(end * share).astype(np.float32))
+        for name, (end, curve) in curves.items()
+    ]
+    head = "/* Generated: 1 - exp(-x^2), tanh(x) and x / (1 + x^8)^(1/8), from 0 to their ends. */"
+    return f'{head}\n\n#include "flash.h"\n\n{defines(values)}\n{"".join(tables)}'
 
 
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
