@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("law", metavar="LAW", help="law by name, tuned law's file or policy bundle's folder")
     add_device(parser)
     parser.add_argument("--control", metavar="LOOP", help="control loop (default: that of the law)")
-    numbers = "numbers of a network: float, int16 or int8 (default: the finest that fit an agent period)"
+    numbers = "numbers of a network: float, int16 or int8 (default: the finest that need no "
+    numbers += "longer delay than that of the training, else those with the shortest)"
     parser.add_argument("--numbers", choices=("float", "int16", "int8"), help=numbers)
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the sources, or of an earlier export")
     add_json(parser, "the files' names and sizes")

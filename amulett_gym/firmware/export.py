@@ -59,7 +59,7 @@ def export(
     folder : str or Path
         New, empty, or of an earlier export, which is replaced.
     numbers : {"float", "int16", "int8"}, optional
-        Of a network's weights and activations; None: the finest in which it fits.
+        Of a network's weights and activations; None: see `network.choose_numbers`.
     note : callable
         Called with a sentence about the law's delay in the firmware and in the simulation in which it was made.
 

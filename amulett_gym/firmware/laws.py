@@ -204,7 +204,7 @@ def _curves() -> str:
 
 
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
-    """Return a policy's network in the finest numbers that fit, or those asked for."""
+    """Return a policy's network in the numbers asked for, or the best ones that fit."""
     kind = choose_numbers(bundle, settings.ticks(profile), numbers)
     costs = jobs(bundle, kind)
     layers, remarks, most = None, list[str](), 0.0

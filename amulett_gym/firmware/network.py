@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,12 @@ from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware.numbers import array, defines
 from amulett_gym.laws.actor import Actor
-from amulett_gym.laws.bundle import Bundle
+from amulett_gym.laws.bundle import Bundle, Layers
 from amulett_gym.laws.memory import SPANS
 
 Numbers = Literal["float", "int16", "int8"]
+
+T = TypeVar("T", int, NDArray[np.int64])
 
 DIGITS: dict[Numbers, tuple[int, int]] = {"int16": (12, 15), "int8": (7, 7)}
 """Binary digits of an activation and of a weight, beside their sign."""
@@ -27,23 +29,36 @@ DIGITS: dict[Numbers, tuple[int, int]] = {"int16": (12, 15), "int8": (7, 7)}
 SUM_DIGITS: dict[Numbers, int] = {"int16": 31, "int8": 23}
 """Binary digits of a sum, beside its sign (`dot` in ``law_network.c``)."""
 
-SLICE = 14_600
+SLICE = 18_000
 """Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the loop."""
 
-COSTS: dict[str, int] = {"OBSERVATION": 5000, "TANH": 1450, "EXP": 2700, "SUM": 250, "QUANTITIES": 7700, "MEANS": 7000}
-"""How many cycles an ATmega2560 takes for a job, measured with simavr."""
+FLASH = 32_000
+"""Bytes that weights may take: all tables have to be in the first 64 kB of flash. Activations then have room, too."""
 
-FILL_COSTS: dict[Numbers, int] = {"float": 100, "int16": 520, "int8": 465}
-"""The same for an input of the first layer."""
+BYTES: dict[Numbers, int] = {"float": 4, "int16": 2, "int8": 1}
+"""Bytes of a weight."""
 
-NEURON_COSTS: dict[Numbers, tuple[int, int]] = {"float": (600, 1600), "int16": (600, 400), "int8": (470, 400)}
+COSTS: dict[str, int] = {"OBSERVATION": 5200, "QUANTITIES": 8000, "MEANS": 14_000, "END": 1700}
+"""How many cycles an ATmega2560 takes, measured with simavr: before the first job, for the memory, after the layers."""
+
+INPUT_COSTS: dict[Numbers, dict[str, int]] = {
+    "float": {"ENTRY": 150, "TANH": 1600, "EXP": 2900, "PRODUCT": 250},
+    "int16": {"ENTRY": 500, "TANH": 710, "EXP": 710, "PRODUCT": 250},
+    "int8": {"ENTRY": 470, "TANH": 710, "EXP": 710, "PRODUCT": 250},
+}
+"""The same for an observation's entry, and for features."""
+
+NEURON_COSTS: dict[Numbers, tuple[int, int]] = {"float": (300, 1600), "int16": (240, 160), "int8": (220, 160)}
 """The same for a neuron beside its weights, and for its tanh."""
 
-WEIGHT_COSTS: dict[Numbers, int] = {"float": 350, "int16": 36, "int8": 16}
+WEIGHT_COSTS: dict[Numbers, int] = {"float": 350, "int16": 36, "int8": 12}
 """The same for each weight of a neuron."""
 
+TOGETHER: dict[Numbers, int] = {"float": 1, "int16": 1, "int8": 4}
+"""So many weights are taken at a time: rows are filled up with zeros."""
+
 _CELLS, _END = 512, 8.0  # of the table of tanh
-_TANH_END = 16383  # largest argument of a tanh as a whole number; 2048 is 1
+_TANH_END = 16380  # largest argument of a tanh as a whole number, rounded down; 2048 is 1, and tables end at 16384
 _ROOM = 1.1  # an activation's range over the largest recorded one
 
 
@@ -60,7 +75,8 @@ class Layer:
     most : int
         Sum from which an activation is at the end of its range.
     shift, factor : int
-        A sum in this range becomes an activation, or the argument of a tanh, by ``(sum >> shift) * factor >> 15``.
+        A sum in this range becomes an activation, or the argument of a tanh, by ``(sum >> shift) * factor >> 16``; a
+        negative shift is one to the left.
     """
 
     weights: NDArray[np.int64]
@@ -107,8 +123,8 @@ def quantised(bundle: Bundle, inputs: NDArray[np.float64], numbers: Numbers) -> 
         most = min(int(end / (scale * unit)), 2**31 - 2)
         target = _TANH_END if tanh else largest
         fast = [shift for shift in (0, 8, 16) if target < most >> shift < 2**15]
-        shift = fast[-1] if fast else max(most.bit_length() - 15, 0)
-        factor = min(round(target * 2**15 / max(most >> shift, 1)), 2**15 - 1)
+        shift = fast[-1] if fast else most.bit_length() - 15
+        factor = round(target * 2**16 / max(_shifted(most, shift), 1)) if most else 0
         found.append(Layer(**layer, most=most, shift=shift, factor=factor))
         unit = 1.0 / largest if tanh else end / largest
     return found
@@ -128,7 +144,7 @@ def forward_numbers(
         over = np.abs(sums) > layer.most
         saturated += int((over & ((sums > 0) | tanh)).sum())
         sums = np.clip(sums, -layer.most, layer.most)
-        values = ((sums >> layer.shift) * layer.factor + 16384) >> 15
+        values = (_shifted(sums, layer.shift) * layer.factor + 2**15) >> 16
         if tanh:
             size = np.abs(values)
             cell = size >> 6
@@ -140,18 +156,27 @@ def forward_numbers(
     return (np.tanh(output) if bundle.policy.network.output == "tanh" else np.clip(output, -1.0, 1.0)), saturated
 
 
+def _shifted(sums: T, shift: int) -> T:
+    return sums >> shift if shift >= 0 else sums << -shift
+
+
 def jobs(bundle: Bundle, numbers: Numbers) -> list[int]:
     """Return about how many cycles an ATmega2560 takes for each job of an action, in order (`law_network.c`)."""
     policy, sizes = bundle.policy, bundle.policy.network.layers
-    found = (
-        [COSTS["TANH"]] * 6 + [COSTS["EXP"]] * 2 + [COSTS["SUM"]] * 7 + [COSTS["TANH"]] * 6 if policy.features else []
-    )
+    entry, tanh, exp, product = INPUT_COSTS[numbers].values()
+    found = [entry] * len(policy.observations)
+    if policy.features:
+        found += [tanh] * 6 + [exp] * 2 + [product] * 7 + [tanh] * 6
     if policy.memory:
         found += [COSTS["MEANS"], COSTS["QUANTITIES"], COSTS["MEANS"], COSTS["MEANS"]]
-    found += [FILL_COSTS[numbers]] * policy.size
     for size, outputs in pairwise(sizes):
-        found += [_neuron_cost(bundle, numbers) + WEIGHT_COSTS[numbers] * size] * outputs
-    return found
+        found += [_neuron_cost(bundle, numbers) + WEIGHT_COSTS[numbers] * row(size, numbers)] * outputs
+    return [*found, COSTS["END"]]
+
+
+def row(size: int, numbers: Numbers) -> int:
+    """Return how many weights a neuron with so many inputs has in the firmware."""
+    return -(-size // TOGETHER[numbers]) * TOGETHER[numbers]
 
 
 def _neuron_cost(bundle: Bundle, numbers: Numbers) -> int:
@@ -170,7 +195,10 @@ def slices(costs: list[int]) -> int:
 
 
 def choose_numbers(bundle: Bundle, ticks: int, wanted: Numbers | None) -> Numbers:
-    """Return the numbers in which a network fits an agent period of so many control ticks: those wanted, or the finest.
+    """Return the numbers in which a network fits an agent period of so many control ticks: those wanted, or the best.
+
+    These are the finest that need no more slices than the delay of the bundle's training has, else those that need
+    the fewest: a longer delay costs more than coarser numbers.
 
     Raises
     ------
@@ -178,17 +206,27 @@ def choose_numbers(bundle: Bundle, ticks: int, wanted: Numbers | None) -> Number
         If none fits.
     """
     kinds: tuple[Numbers, ...] = ("float", "int16", "int8") if wanted is None else (wanted,)
-    for kind in kinds:
-        costs = jobs(bundle, kind)
-        if slices(costs) <= ticks and max(costs) <= SLICE:
-            return kind
-    sizes, costs = " x ".join(map(str, bundle.policy.network.layers)), jobs(bundle, kinds[-1])
+    fit = [kind for kind in kinds if not _too_much(bundle, ticks, kind)]
+    if fit:
+        own = 1 + int(bundle.env.keywords.get("action_delay", 0))
+        return min(fit, key=lambda kind: max(slices(jobs(bundle, kind)), own))
+    sizes = " x ".join(map(str, bundle.policy.network.layers))
     raise AmulettError(
-        f"the network {sizes} of '{bundle.folder}' does not fit: in {kinds[-1]} an action takes about {sum(costs)} "
-        f"cycles of an ATmega2560, {slices(costs)} slices of at most {SLICE}; an agent period has {ticks} control "
-        "ticks. Train a smaller one, for example with network.hidden=[32, 32] and without memory, or with a longer "
-        "env.agent_period"
+        f"the network {sizes} of '{bundle.folder}' does not fit: in {kinds[-1]} {_too_much(bundle, ticks, kinds[-1])}. "
+        "Train a smaller one, for example with configs/device.yaml, or with a longer env.agent_period"
     )
+
+
+def _too_much(bundle: Bundle, ticks: int, numbers: Numbers) -> str:
+    """Return of what a network needs too much; empty if it fits."""
+    costs, sizes = jobs(bundle, numbers), bundle.policy.network.layers
+    if slices(costs) > ticks or max(costs) > SLICE:
+        return (
+            f"an action takes about {sum(costs)} cycles of an ATmega2560, {slices(costs)} slices of at most {SLICE}; "
+            f"an agent period has {ticks} control ticks"
+        )
+    flash = sum((BYTES[numbers] * row(size, numbers) + 4) * outputs for size, outputs in pairwise(sizes))
+    return f"its weights take {flash} bytes of flash; they may take {FLASH}" if flash > FLASH else ""
 
 
 def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers) -> str:
@@ -208,8 +246,8 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers)
         "NETWORK_SHORT": SPANS[0],
         "NETWORK_LONG": SPANS[1],
         "NETWORK_SLICE": SLICE,
-        **{f"NETWORK_COST_{name}": cost for name, cost in COSTS.items()},
-        "NETWORK_COST_FILL": FILL_COSTS[numbers],
+        "NETWORK_TOGETHER": TOGETHER[numbers],
+        **{f"NETWORK_COST_{name}": cost for name, cost in (COSTS | INPUT_COSTS[numbers]).items()},
         "NETWORK_COST_NEURON": _neuron_cost(bundle, numbers),
         "NETWORK_COST_WEIGHT": WEIGHT_COSTS[numbers],
         "LAW_ERROR_DEG": math.degrees(OBSERVATION_SCALES["position_error"]),
@@ -220,23 +258,24 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers)
         "/* Generated: the network, its layers one after the other, each with a row of weights for each neuron. */\n\n"
     )
     sizes = array("uint16_t", "network_sizes", np.array(network.layers), flash=False)
-    real = _real_weights(bundle)
+    weights, biases = _joined(bundle.layers)
+    real = array("table_real", "network_weights", weights) + array("table_real", "network_biases", biases)
     if layers is None:
         return f"{head}{defines(values)}\n{sizes}\n{real}\n#ifndef CONTROLLER_DOUBLE\n{_tanh_table()}#endif\n"
     digits = DIGITS[numbers][0]
     values |= {"NETWORK_DIGITS": digits, "NETWORK_SCALE": layers[-1].scale}
     kind = f"{numbers}_t"
     whole = [
-        f"typedef {kind} network_weight;\n",
-        array("network_weight", "network_numbers", np.concatenate([layer.weights.ravel() for layer in layers])),
+        f"typedef {kind} network_weight;\ntypedef int32_t network_bias;\n",
+        array("network_weight", "network_numbers", np.concatenate([_rows(layer.weights, numbers) for layer in layers])),
         array("int32_t", "network_biases", np.concatenate([layer.biases for layer in layers])),
         array("int32_t", "network_most", np.array([layer.most for layer in layers]), flash=False),
-        array("uint8_t", "network_shift", np.array([layer.shift for layer in layers]), flash=False),
-        array("int16_t", "network_factor", np.array([layer.factor for layer in layers]), flash=False),
+        array("int8_t", "network_shift", np.array([layer.shift for layer in layers]), flash=False),
+        array("uint16_t", "network_factor", np.array([layer.factor for layer in layers]), flash=False),
         _tanh_table(),
+        array("int16_t", "tanh_numbers", tanh_numbers(2**digits - 1)),
+        array("int16_t", "exp_numbers", exp_numbers(2**digits - 1)),
     ]
-    if network.activation == "tanh":
-        whole.append(array("int16_t", "tanh_numbers", tanh_numbers(2**digits - 1)))
     return f"{head}{defines(values)}\n{sizes}\n#ifdef CONTROLLER_DOUBLE\n{real}#else\n{''.join(whole)}#endif\n"
 
 
@@ -245,13 +284,24 @@ def tanh_numbers(largest: int) -> NDArray[np.int64]:
     return np.rint(largest * np.tanh(np.arange(257) / 32.0)).astype(np.int64)
 
 
+def exp_numbers(largest: int) -> NDArray[np.int64]:
+    """Return exp(-x) as a share of `largest` at 257 points from 0 to 8, the last one 0."""
+    found = np.rint(largest * np.exp(-np.arange(257) / 32.0)).astype(np.int64)
+    found[-1] = 0
+    return found
+
+
+def _rows(weights: NDArray[np.int64], numbers: Numbers) -> NDArray[np.int64]:
+    """Return a layer's weights one after the other, each row filled up with zeros."""
+    more = row(weights.shape[1], numbers) - weights.shape[1]
+    return np.pad(weights, ((0, 0), (0, more))).ravel()
+
+
 def _tanh_table() -> str:
     return array("table_real", "tanh_table", np.tanh(np.linspace(0.0, _END, _CELLS + 1)).astype(np.float32))
 
 
-def _real_weights(bundle: Bundle) -> str:
-    weights: list[NDArray[Any]] = [weight.ravel() for weight, _ in bundle.layers]
-    biases: list[NDArray[Any]] = [bias for _, bias in bundle.layers]
-    return array("table_real", "network_weights", np.concatenate(weights)) + array(
-        "table_real", "network_bias", np.concatenate(biases)
-    )
+def _joined(layers: Layers) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the weights and the biases of all layers, one after the other."""
+    weights, biases = zip(*layers, strict=True)
+    return np.concatenate([weight.ravel() for weight in weights]), np.concatenate(biases)

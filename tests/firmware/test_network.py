@@ -71,7 +71,20 @@ def test_whole_numbers_are_near(activation, numbers, tmp_path):
     for layer in layers:
         assert np.abs(layer.weights).max() < 2 ** digits[1]
         assert _largest_sum(layer, numbers) < 2 ** network.SUM_DIGITS[numbers]
-        assert 0 <= layer.most < 2**31 and layer.most >> layer.shift < 2**15 and layer.factor < 2**15
+        assert 0 <= layer.most < 2**31 and layer.most >> layer.shift < 2**15 and layer.factor < 2**16
+
+
+@pytest.mark.parametrize("numbers", ["int16", "int8"])
+@pytest.mark.parametrize("activation", ["relu", "tanh"])
+def test_large_weights(activation, numbers, tmp_path):
+    weights = np.zeros((4, 13), "f4")
+    weights[:, 0], weights[:, 1] = [40.0, 30.0, 20.0, 10.0], [0.0, 3.0, 0.0, 1.0]
+    layers = [(weights, np.zeros(4, "f4")), (np.full((1, 4), 0.008, "f4"), np.zeros(1, "f4"))]
+    bundle = read_bundle(keep_network(tmp_path, layers, activation=activation))
+    inputs = np.zeros((201, 13))
+    inputs[:, 0] = np.arange(-100, 101) / 127.0
+    found, _ = network.forward_numbers(network.quantised(bundle, inputs, numbers), bundle, inputs, numbers)
+    np.testing.assert_allclose(found, bundle.act(inputs), atol={"int16": 0.002, "int8": 0.01}[numbers])
 
 
 def _largest_sum(layer, numbers):
@@ -120,14 +133,25 @@ def test_the_controller_computes_these_whole_numbers(firmware, activation, numbe
 
 
 def test_a_network_that_does_not_fit_is_refused_with_numbers(tmp_path):
-    with pytest.raises(AmulettError, match=r"34 x 64 x 64 x 1 .*in int8 .* cycles .* slices .* 8 control ticks"):
-        export("pretrained:testbed", "testbed", None, tmp_path)
+    with pytest.raises(AmulettError, match=r"66 x 64 x 64 x 1 .*in int8 .* cycles .* slices .* 8 control ticks"):
+        export("pretrained", "testbed", None, tmp_path)
     small = read_bundle(write(tmp_path / "small", hidden=(32, 32), features=list(FEATURES), activation="relu"))
-    assert network.choose_numbers(small, 8, None) == "int8"
-    assert network.choose_numbers(small, 20, None) == "int16"
-    assert network.choose_numbers(small, 200, None) == "float"
     with pytest.raises(AmulettError, match="in int16"):
-        network.choose_numbers(small, 8, "int16")
+        network.choose_numbers(small, 6, "int16")
+
+
+@pytest.mark.parametrize(("delay", "numbers"), [(0, "int8"), (3, "int8"), (6, "int16"), (66, "float")])
+def test_numbers_are_as_fine_as_the_delay_of_the_training_allows(delay, numbers, tmp_path):
+    bundle = read_bundle(write(tmp_path, hidden=(32, 32), features=list(FEATURES), activation="relu"))
+    bundle.env.keywords["action_delay"] = delay
+    assert network.choose_numbers(bundle, 200, None) == numbers
+    assert network.choose_numbers(bundle, 200, "float") == "float"
+
+
+def test_weights_beyond_the_near_flash_are_refused(tmp_path):
+    bundle = read_bundle(write(tmp_path, hidden=(200, 160)))
+    with pytest.raises(AmulettError, match=r"in int8 its weights take 36804 bytes of flash; they may take 32000"):
+        network.choose_numbers(bundle, 4000, None)
 
 
 def test_a_loop_that_the_firmware_has_not_is_refused():
