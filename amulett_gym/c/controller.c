@@ -1,4 +1,4 @@
-/* The controller: the loop of loop.h for one device, with the law at agent rate around it. */
+/* The controller: the loop of loop.h, or one of loops.h, for one device, with the law at agent rate around it. */
 
 #include "controller.h"
 
@@ -28,11 +28,17 @@ typedef uint8_t mask;
 #ifdef CONTROLLER_DOUBLE
 #define absolute fabs
 #define root sqrt
+#define exponential exp
+#define sine sin
+#define cosine cos
 #define over(a, b) ((a) / (b))
 #define share(a, b, c) ((a) * (b) / (c))
 #else /* the compiler computes with the parameters: an AVR takes three times as long for a division */
 #define absolute fabsf
 #define root sqrtf
+#define exponential expf
+#define sine sinf
+#define cosine cosf
 #define over(a, b) ((a) * (1 / (real)(b)))
 #define share(a, b, c) ((a) * ((b) / (c)))
 #endif
@@ -54,7 +60,8 @@ typedef struct {
     real antagonist_share, position_only_offset, fixed_agonist;
     real switch_filter, switch_hysteresis, tie_width, tie_error, velocity_filter;
     real nominal_tension, minimum_tension, error_offset;
-    uint8_t below_floor, position_on_error, tension_on_error, tension_loop, law;
+    real drive_radius, joint_radius, inverse_max_deflection, damping_a, damping_b, damping_c, damping_d;
+    uint8_t below_floor, position_on_error, tension_on_error, tension_loop, law, damping_by_mean;
 } parameters;
 
 /* One device. */
@@ -78,11 +85,20 @@ INLINE void load_cell(Table table, integer cell, real *k0, real *k1, real *k2, r
 
 #include "loop.h"
 
+#ifdef LOOP /* that of the device is not the paper's */
+#include "loops.h"
+#include "loop_tables.h"
+#endif
+
 /* ---- the device ---- */
 
 static const parameters device = {PARAMETERS};
 
 static states state;
+#ifdef LOOP
+static const gains own = {GAINS};
+static memory loop;
+#endif
 static real wanted_tension;  /* at the end of the present ramp */
 static real next_tension;    /* the same of the next one, once the law is known */
 static uint32_t since_move;  /* control ticks since the setpoint began to move */
@@ -108,6 +124,16 @@ static void read_counts(States s, const controller_input *input) {
 #define force_by(s, name, count) ((void)(s), read_real(force_table + (count)))
 #else
 #define force_by(s, name, count) ((void)(count), estimate_force(&device, device.estimate_table, (s)->measured_##name[0]))
+#endif
+
+#ifdef LOOP /* what the loop reads of a slider: the slope of the force, or the force */
+#if LOOP != FEEDFORWARD_FEEDBACK
+#define loop_reading(s, name, count, force) (force)
+#elif defined FORCES
+#define loop_reading(s, name, count, force) read_real(slope_table + (count))
+#else
+#define loop_reading(s, name, count, force) estimate_force(&device, own.slope_table, (s)->measured_##name[0])
+#endif
 #endif
 
 void controller_begin_here(const controller_input *first_input, const real command[2], controller_begin *begin) {
@@ -150,6 +176,9 @@ void controller_start(const controller_begin *begin) {
     s->position_output[0] = s->position_integral[0] = begin->output;
     s->offset_biceps[0] = begin->offset[0], s->offset_triceps[0] = begin->offset[1];
     s->tension_integral[0] = begin->tension_integral;
+#ifdef LOOP
+    start_loop(&device, &own, &loop, begin->averaged_angle, begin->averaged_slider);
+#endif
     since_move = phase = thinking = status = 0;
     first = 1;
     law_start();
@@ -160,8 +189,13 @@ static void sense(States s, const controller_input *input) {
     real last_angle = s->measured_angle[0];
     real difference = s->measured_difference[0], biceps = s->estimate_biceps[0], triceps = s->estimate_triceps[0];
     read_counts(s, input);
-    estimate_strings(&device, s, 0, force_by(s, biceps, input->slider[BICEPS_STRING]),
-                     force_by(s, triceps, input->slider[TRICEPS_STRING]));
+    real force_biceps = force_by(s, biceps, input->slider[BICEPS_STRING]);
+    real force_triceps = force_by(s, triceps, input->slider[TRICEPS_STRING]);
+    estimate_strings(&device, s, 0, force_biceps, force_triceps);
+#ifdef LOOP
+    loop.slider_biceps = loop_reading(s, biceps, input->slider[BICEPS_STRING], force_biceps);
+    loop.slider_triceps = loop_reading(s, triceps, input->slider[TRICEPS_STRING], force_triceps);
+#endif
     if (!first) {
         estimate_velocity(&device, s, 0, last_angle);
         return;
@@ -181,6 +215,9 @@ static void read_setpoint(States s, const controller_input *input) {
     }
     status &= (uint8_t)~CONTROLLER_BAD_SETPOINT;
     s->setpoint[0] = input->setpoint;
+#ifdef LOOP
+    loop.setpoint_jump += input->jump;
+#endif
     if (input->flags & CONTROLLER_MOVE_BEGINS) since_move = 0;
 }
 
@@ -252,16 +289,26 @@ void controller_tick(const controller_input *input, controller_output *output) {
     if (is_sound(input)) {
         status &= (uint8_t)~CONTROLLER_BAD_SENSOR;
         sense(s, input);
+#ifdef LOOP
+        if (first) begin_loop(&device, &own, s, &loop);
+#endif
         read_setpoint(s, input);
         if (device.law == AGENT && device.tension_loop) think(s);
         if (!(input->flags & CONTROLLER_LATE)) {
+#ifdef LOOP
+            pair wanted = run_loop(&device, &own, s, &loop);
+#else
             commands wanted = control(&device, s, 0);
+#endif
             command(s, wanted.biceps, wanted.triceps);
         }
         first = 0;
     } else {
         status |= CONTROLLER_BAD_SENSOR;
     }
+#ifdef LOOP
+    predict_drives(&own, s, &loop);
+#endif
     report(s, output);
 }
 

@@ -22,5 +22,6 @@
 
 typedef real table_real;
 typedef const table_real (*Table)[4]; /* cells of cubics, the constant term first */
+typedef const table_real (*Pairs)[2]; /* a value and its slope at each knot */
 
 #endif

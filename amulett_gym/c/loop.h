@@ -6,7 +6,7 @@
      real, scalar, integer, mask, lane   a device's number, a parameter, a whole number, a condition, the place of a device
      select, either, all, all_integers   a choice of numbers, of whole numbers; the same number for all devices
      to_real, to_integer, not, any       conversions and conditions
-     absolute, root                      functions of numbers
+     absolute, root, exponential         functions of numbers
      Parameters, States                  pointers to records with the fields of simulation/layout.py
      over, share                         a / b and a * b / c with parameters b, c
      Table, load_cell                    a table of cubics, and how its coefficients are read
@@ -45,6 +45,13 @@ INLINE real look_up_slope(Table table, real position) {
 
 INLINE real estimate_force(Parameters p, Table table, real spring_deflection) {
     return look_up(table, root(over(greatest(spring_deflection, all(0.0)), p->max_spring_deflection)));
+}
+
+/* ---- model/damping.py ---- */
+
+INLINE real decay_rate(Parameters p, real preload) {
+    real rate = p->damping_a * exponential(p->damping_b * preload + p->damping_c) + p->damping_d;
+    return greatest(rate, all(0.0));
 }
 
 /* ---- control/ ---- */

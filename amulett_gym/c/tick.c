@@ -212,11 +212,6 @@ INLINE real stretch_triceps(Parameters p, Scenarios c, int64_t i, real drive, re
     return (joint * p->joint_radius - drive * radius) * p->inverse_max_deflection;
 }
 
-INLINE real decay_rate(Parameters p, real preload) {
-    real rate = p->damping_a * exponential(p->damping_b * preload + p->damping_c) + p->damping_d;
-    return greatest(rate, all(0.0));
-}
-
 INLINE real drive_rate(Parameters p, real command, real angle, double sense, real load) {
     if (!p->extended) return least(greatest((command - angle) * p->inverse_lag, all(-p->rate_limit)), all(p->rate_limit));
     if (p->inverse_lag == 0.0) return all(0.0);

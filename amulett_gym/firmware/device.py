@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError
+from amulett_gym.firmware.control import loop_numbers
 from amulett_gym.firmware.numbers import array, defines, initialiser
 from amulett_gym.model.spring import estimate_force
 from amulett_gym.profile import Profile
@@ -66,11 +67,19 @@ FIELDS = (
     "nominal_tension",
     "minimum_tension",
     "error_offset",
+    "drive_radius",
+    "joint_radius",
+    "inverse_max_deflection",
+    "damping_a",
+    "damping_b",
+    "damping_c",
+    "damping_d",
     "below_floor",
     "position_on_error",
     "tension_on_error",
     "tension_loop",
     "law",
+    "damping_by_mean",
 )
 """What the firmware's loop reads of `layout.PARAMETERS`, by the same names, in addition to the estimates' table."""
 
@@ -109,7 +118,8 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
     return (
         "/* Generated: the numbers of device, loop and law in SI units and rad. */\n\n"
         "#ifndef DEVICE_H\n#define DEVICE_H\n\n"
-        f"{defines(values)}\n{forces}#define PARAMETERS \\\n    ESTIMATES {initialiser(parameters)}\n\n#endif\n"
+        f"{defines(values)}\n{forces}#define PARAMETERS \\\n    ESTIMATES {initialiser(parameters)}\n\n"
+        f"{loop_numbers(profile, settings.control)}#endif\n"
     )
 
 
@@ -119,14 +129,14 @@ def tables_header(profile: Profile, settings: Settings) -> str:
     cubics = array("table_real", "estimate_table", np.asarray(record["estimate_table"]))
     head = '/* Generated: the string force [N] over a slider\'s reading. */\n\n#include "flash.h"\n\n'
     over_root = "/* Cubics over 256 cells of the square root of the reading's share, the constant term first. */\n"
-    if not _has_few_counts(record):
+    readings = slider_readings(profile, record)
+    if readings is None:
         return f"{head}{over_root}{cubics}"
-    readings = np.arange(sensor_numbers(profile, record)["SLIDER_MOST"] + 1) * float(record["slider_resolution"])
     table, end = np.asarray(record["estimate_table"]), float(record["max_spring_deflection"])
     forces = np.array([estimate_force(table, reading, end) for reading in readings])
     return (
-        f"{head}#ifdef FORCES\n/* By count. */\n{array('table_real', 'force_table', forces.astype(np.float32))}"
-        f"#else\n{over_root}{cubics}#endif\n"
+        f"{head}#ifdef FORCES\n/* By count. */\n{array('table_real', 'force_table', forces.astype(np.float32))}#endif\n"
+        f"#if !defined FORCES || defined LOOP\n{over_root}{cubics}#endif\n"
     )
 
 
@@ -146,6 +156,14 @@ def sensor_numbers(profile: Profile, record: NDArray[np.void] | np.void) -> dict
         "SLIDER_RESOLUTION": slider or 1.0,
         "SLIDER_MOST": math.floor(travel / slider + 0.5) if slider else travel,
     }
+
+
+def slider_readings(profile: Profile, record: NDArray[np.void] | np.void) -> NDArray[np.float64] | None:
+    """Return what a slider's counts mean [m], or None if they are too many for a table."""
+    if not _has_few_counts(record):
+        return None
+    readings: NDArray[np.float64] = np.arange(sensor_numbers(profile, record)["SLIDER_MOST"] + 1, dtype=np.float64)
+    return readings * float(record["slider_resolution"])
 
 
 def _has_few_counts(record: NDArray[np.void] | np.void) -> bool:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.settings import Settings
+from amulett_gym.firmware.control import APART, LOOP_FILES, TABLES, check_cycles, loop_tables, loop_texts
 from amulett_gym.firmware.description import MANIFEST
-from amulett_gym.firmware.device import device_header, tables_header
+from amulett_gym.firmware.device import device_header, slider_readings, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller, firmware_id
 from amulett_gym.firmware.laws import FirmwareLaw, choose, delay_remark, firmware_law, with_delay
 from amulett_gym.firmware.network import Numbers
@@ -31,7 +32,7 @@ TEXTS = (
 )
 """Files of `amulett_gym.c` that are copied unchanged, beside the law's and the Makefile."""
 
-OTHERS = ("weights.h", "curves.h")
+OTHERS = ("weights.h", "curves.h", *LOOP_FILES)
 """Files that not every firmware has: an earlier export's are deleted."""
 
 README = "README.md"
@@ -78,18 +79,20 @@ def export(
     copies = copy_policies([contender.name])  # in memory: their place may be in `folder`
     with output_folder(folder, "firmware", [("device.h", "controller.c")]):
         found = firmware_law(contender, device, settings, numbers)
+        check_cycles(settings.control, device.loop.control_period, found.cycles)
         own, settings = settings, with_delay(settings, found.slices)
         late = delay_remark(own, settings)
         files = firmware_files(device, settings, found)
         recording = record_mixed(contender, settings)
         packed = pack_parameters(device, settings.control)[0]
         resolutions = float(packed["encoder_resolution"]), float(packed["slider_resolution"])
-        files["vectors.h"] = vectors_header(recording, *resolutions, found.apart)
+        loop = [name for name in LOOP_FILES if name in files]
+        files["vectors.h"] = vectors_header(recording, *resolutions, found.apart + (APART if loop else 0.0))
         period, ticks = device.loop.control_period, settings.ticks(device)
         with files_together(folder, OTHERS) as new:
             _write(new, files)
             checked = "\n\n".join([_checked(new, recording), *found.remarks, late])
-            files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked)
+            files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked, loop)
             files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
         copies.write(folder)
@@ -102,6 +105,10 @@ def firmware_files(profile: Profile, settings: Settings, found: FirmwareLaw) -> 
     files = {name: text(name) for name in (*TEXTS, *BOARD_FILES)}
     files |= {"law.c": text(found.source), "tables.h": tables_header(profile, settings), **found.files}
     files["Makefile"] = text("firmware.mk")
+    if texts := loop_texts(settings.control):
+        readings = slider_readings(profile, pack_parameters(profile, settings.control)[0])
+        files |= {name: text(name) for name in texts}
+        files[TABLES] = loop_tables(profile, settings.control, readings)
     header = device_header(profile, settings, found.defines)
     digest = zlib.crc32("".join([*(files[name] for name in sorted(files)), header]).encode())
     files["device.h"] = header.replace(

@@ -41,13 +41,10 @@ from amulett_gym.laws.policies import is_law
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import CONTROLS
 
-PARAMETRIC_SLICES = 2
-"""Of ``law_parametric.c``."""
+PARAMETRIC_SLICES, _PARAMETRIC_CYCLES = 2, 14_600
+"""Of ``law_parametric.c``; the cycles are those of its longest slice on an ATmega2560."""
 
 _CURVE_CELLS = 1024
-
-LOOPS = ("decentralized", "position-only")
-"""The loops of `simulation.layout.CONTROLS` that the firmware has."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +65,8 @@ class FirmwareLaw:
         By how much whole numbers may change its tension setpoint [N].
     slices : int
         Control ticks that it takes.
+    cycles : int
+        Of an ATmega2560 in the longest slice, if that is more than a few.
     """
 
     source: str
@@ -76,6 +75,7 @@ class FirmwareLaw:
     remarks: tuple[str, ...] = ()
     apart: float = 0.0
     slices: int = 1
+    cycles: int = 0
 
 
 def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Contender, Settings]:
@@ -102,11 +102,9 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
         )
     if control is not None:
         contender = in_loop(contender, control)
-    loop = contender.env_keywords.get("control", LOOPS[0])
+    loop = contender.env_keywords.get("control", CONTROLS[0])
     if loop not in CONTROLS:
-        raise unknown("control", str(loop), LOOPS)
-    if loop not in LOOPS:
-        raise AmulettError(f"the firmware has no loop '{loop}' yet; it has {' and '.join(LOOPS)}")
+        raise unknown("control", str(loop), CONTROLS)
     if contender.env_keywords.get("privileged"):
         raise AmulettError(f"'{name}' needs observations that no device can measure; the firmware cannot run it")
     keywords = {key: value for key, value in contender.env_keywords.items() if key != "privileged"}
@@ -183,7 +181,8 @@ def firmware_law(
     values = {parameter.name.upper(): value for parameter, value in zip(law.parameters, vector, strict=True)}
     values |= {**constants, "PI": math.pi, "PERIOD": nominal.agent_period, "LEAST": law.range[0], "MOST": law.range[1]}
     numbers_of_law = {f"LAW_{key}": float(value) for key, value in values.items()}
-    return FirmwareLaw("law_parametric.c", numbers_of_law, {"curves.h": _curves()}, slices=PARAMETRIC_SLICES)
+    slices, cycles = PARAMETRIC_SLICES, _PARAMETRIC_CYCLES
+    return FirmwareLaw("law_parametric.c", numbers_of_law, {"curves.h": _curves()}, slices=slices, cycles=cycles)
 
 
 def _curves() -> str:
@@ -227,7 +226,7 @@ def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numb
         f"agent period has {settings.ticks(profile)} control ticks."
     )
     files = {"weights.h": weights_header(bundle, layers, kind)}
-    return FirmwareLaw("law_network.c", {}, files, tuple(remarks), 3.0 * most, slices(costs))
+    return FirmwareLaw("law_network.c", {}, files, tuple(remarks), 3.0 * most, slices(costs), SLICE)
 
 
 def _constant(tension: float, settings: Settings) -> FirmwareLaw:

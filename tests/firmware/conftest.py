@@ -30,8 +30,10 @@ class Firmware:
     def controller(self, real="double") -> Controller:
         return Controller(self.folder, real)
 
-    def record(self, steps=60, num_devices=6, **options):
-        return record(self.contender, self.settings, steps, num_devices, **options)
+    def record(self, steps=60, num_devices=6, **environment):
+        options = {key: environment.pop(key) for key in ("seed", "scenarios") if key in environment}
+        settings = type(self.settings)(**{**self.settings.given, **environment})
+        return record(self.contender, settings, steps, num_devices, **options)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,167 @@
+"""Each loop of the literature as firmware: with the simulation's readings it commands what the simulation's does."""
+
+import shutil
+import subprocess
+from itertools import cycle
+
+import numpy as np
+import pytest
+from helpers import device
+
+from amulett_gym.c.build import find_compiler
+from amulett_gym.errors import AmulettError
+from amulett_gym.firmware import hil
+from amulett_gym.firmware.board import Board
+from amulett_gym.firmware.chip import Chip
+from amulett_gym.firmware.control import APART, CYCLES, LOOP_FILES, TABLES
+from amulett_gym.firmware.export import export
+from amulett_gym.firmware.host import FLAGS
+from amulett_gym.firmware.readme import begin_record, compare
+from amulett_gym.firmware.toolchain import build_chip, build_hex
+from amulett_gym.gains import group_name
+from amulett_gym.simulation.layout import LOOPS
+from amulett_gym.tasks.suites import suite_names
+
+LAWS = ("eq6-printed", "eq6-held", "parametric", "eq6-tuned", "eq6-held-printed")
+EQUAL = {"command": 0.0, "tension": 0.0}
+
+OTHER_DEVICES = {
+    "vertical": {"plant": {"orientation": "vertical"}, "sensors": {"potentiometer_bits": 0}},
+    "critically-damped": {"reference": "critically-damped", "drives": {"command_limit_deg": 300}},
+    "first-order": {"reference": "first-order", "drives": {"lag": 0.0, "rate_limit_deg": None}},
+    "preload": {"damping": {"preload": "smaller"}, "sensors": {"below_floor": "ignore"}},
+}
+OTHERS = {
+    "vertical": ("feedback-linearisation", "cascade", "minimal-motion"),
+    "critically-damped": ("feedback-linearisation", "feedforward-feedback"),
+    "first-order": ("torque-stiffness", "feedback-linearisation"),
+    "preload": ("torque", "cascade"),
+}
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_in_double_the_commands_are_the_simulations_in_every_suite(firmware, control):
+    made = firmware("eq6", control=control)
+    controller = made.controller()
+    for suite in suite_names():
+        recording = made.record(steps=30, num_devices=4, suite=suite, split="shifted")
+        assert compare(controller, recording) == EQUAL, suite
+        assert np.ptp(recording.outputs["biceps"], axis=0).max() > 1e-3, suite
+
+
+@pytest.mark.parametrize(("control", "law"), list(zip(LOOPS, cycle(LAWS), strict=False)))
+def test_with_every_law(firmware, control, law):
+    made = firmware(law, control=control, suite="mixed", split="shifted")
+    recording = made.record(steps=40)
+    assert recording.readings["late"].any() and recording.readings["jump"].any()
+    assert compare(made.controller(), recording) == EQUAL
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_of_the_simulated_device_with_exact_sensors(firmware, control):
+    made = firmware("constant:8", "simulation", control, suite="mixed")
+    assert compare(made.controller(), made.record(steps=25)) == EQUAL
+
+
+@pytest.mark.parametrize("name", OTHER_DEVICES)
+def test_of_other_devices_and_references(firmware, name, tmp_path):
+    changes = dict(OTHER_DEVICES[name])
+    reference = changes.pop("reference", "minimum-jerk")
+    for control in OTHERS[name]:
+        group = {group_name(control): {"reference": reference}}
+        (folder := tmp_path / control).mkdir()
+        profile = device("testbed", loops=group, **changes)
+        made = type(firmware("eq6"))(folder, "eq6-held", profile, control, suite="mixed", split="shifted")
+        assert compare(made.controller(), made.record(steps=30, num_devices=4)) == EQUAL, control
+
+
+@pytest.mark.parametrize("control", LOOPS)
+def test_in_float_the_commands_are_near(firmware, control):
+    made = firmware("constant:10", control=control)
+    found = compare(made.controller("float"), made.record(steps=30, suite="steps"))
+    assert 0.0 < found["command"] < APART and found["tension"] < 1e-5
+
+
+def test_only_the_files_of_the_loop_are_in_a_folder(tmp_path):
+    folder = tmp_path / "firmware"
+    found = {}
+    for law in ("co-rotation/eq6", "computed-torque/eq6", "eq6"):
+        export(law, "testbed", None, folder)
+        found[law] = {path.name for path in folder.iterdir()} & set(LOOP_FILES)
+    common = {"loops.h", "loop_springs.h", "loop_motion.h", TABLES}
+    assert found["co-rotation/eq6"] == common | {"loop_feed_forward.h"}
+    assert found["computed-torque/eq6"] == common | {"loop_computed_torque.h"}
+    assert found["eq6"] == set()
+    assert "loop_motion.h" not in (folder / "README.md").read_text()
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+def test_a_folder_checks_itself_and_shows_its_files(tmp_path):
+    export("computed-torque/constant:8", "testbed", None, tmp_path / "firmware")
+    done = subprocess.run(["make", "check"], cwd=tmp_path / "firmware", capture_output=True, text=True, check=True)
+    assert done.stdout.count("as it should be") == 2
+    readme = (tmp_path / "firmware" / "README.md").read_text()
+    assert "| control loop | computed-torque |" in readme and "`loop_computed_torque.h`" in readme
+    header = tmp_path / "firmware" / "device.h"
+    header.write_text(header.read_text().replace(".kd = 5.0", ".kd = 5.1"))
+    done = subprocess.run(["make", "check"], cwd=tmp_path / "firmware", capture_output=True, text=True)
+    assert "TOO MUCH" in done.stdout
+
+
+@pytest.mark.parametrize("real", FLAGS)
+@pytest.mark.parametrize("control", LOOPS)
+def test_sources_compile_without_a_warning(firmware, control, real, tmp_path):
+    folder = firmware("eq6", control=control).folder
+    flags = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wconversion", "-Wno-sign-conversion", "-Werror", *FLAGS[real]]
+    command = [find_compiler(), *flags, "-c", str(folder / "controller.c"), "-o", str(tmp_path / "out.o")]
+    assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+def test_a_loop_that_does_not_fit_is_refused_with_numbers(tmp_path):
+    message = "'minimal-motion' takes up to [0-9]+ cycles .* leaves 32000, 80% of it.* at least [0-9.]+ ms"
+    with pytest.raises(AmulettError, match=message):
+        export("eq6", "testbed", "minimal-motion", tmp_path / "firmware")
+    with pytest.raises(AmulettError, match="'co-rotation' takes up to .* and [0-9]+ for its law"):
+        export("parametric", "testbed", "co-rotation", tmp_path / "firmware")
+    assert not (tmp_path / "firmware").exists()
+    slow = device("testbed", loop={"control_period": 0.01})
+    assert TABLES in export("eq6", slow, "minimal-motion", tmp_path / "firmware")
+
+
+FITTING = [control for control, cycles in CYCLES.items() if cycles < 32_000]
+
+
+@pytest.mark.parametrize("control", FITTING)
+def test_the_chip_computes_as_the_host_does_and_in_time(firmware, control, tmp_path):
+    made = firmware("eq6", control=control)
+    try:
+        build_chip(tmp_path / "chip")
+        board = Board(Chip(build_hex(made.folder, tmp_path / "build")))
+    except AmulettError as error:
+        if "install it:" not in str(error):
+            raise
+        pytest.skip(str(error).splitlines()[0])
+    recording, controller = (
+        made.record(steps=8, num_devices=1, suite="mixed", split="shifted"),
+        made.controller("float"),
+    )
+    begin = begin_record(controller, recording, 0)
+    controller.start(begin)
+    inputs = controller.inputs({key: values[:, 0] for key, values in recording.readings.items()})
+    expected = controller.run(inputs)
+    board.start([float(x) for key in begin.dtype.names[:-1] for x in np.ravel(begin[key])], int(begin["agonist"]))
+    rows = zip(*(inputs[name].tolist() for name in ("encoder", "slider", "setpoint", "jump", "flags")), strict=True)
+    commands = [board.tick(encoder, *slider, *rest).commands for encoder, slider, *rest in rows]
+    np.testing.assert_allclose(commands, expected["command"], atol=2e-5)
+    assert np.ptp(expected["command"]) > 1e-3
+    measured = board.port.measure()
+    assert 0.7 * CYCLES[control] < measured.most <= CYCLES[control]
+    assert measured.flash < 60_000 and measured.static + measured.stack < 2_000
+    board.close()
+
+
+@pytest.mark.parametrize("control", ["computed-torque", "feedforward-feedback", "torque"])
+def test_in_the_loop_of_a_host_the_cost_is_the_simulations(firmware, control):
+    found = hil.compare(firmware("eq6", control=control).folder, episodes=2, duration=1.0)
+    assert found.kernel.costs.min() > 0.0
+    assert found.played[0].costs == pytest.approx(found.kernel.costs, rel=1e-12)
