@@ -25,6 +25,7 @@ from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY
 from amulett_gym.profile import load_profile
+from amulett_gym.storage.safe_yaml import MAX_NODES
 
 HEAVY = {"name": "heavy", "base": "testbed", "plant": {"masses": [{"mass": 0.4, "arm": 0.13}]}}
 SMALL = [*SMALL_RECIPE, "num_envs=24", "ppo.batch_size=384", "env.suite=reach"]
@@ -115,3 +116,16 @@ def test_a_bundle_names_a_shipped_fleet():
     assert describe_env(env).keywords["fleet"] == "plausible-choose"
     own = make_sb3_env("Amulett/Scaling-v0", 8, fleet=["testbed", HEAVY], suite="reach")
     assert [load_profile(each).name for each in describe_env(own).keywords["fleet"]] == ["testbed", "heavy"]
+
+
+def test_the_recipe_of_a_run_on_many_own_devices_can_be_read():
+    config = load_train_config(None, ["env.fleet=full_control/plausible.yaml"])
+    assert len(config.env.fleet) == 64
+    assert 1e4 < _nodes(config.model_dump(mode="json")) < MAX_NODES / 4  # written and read, it takes seconds
+
+
+def _nodes(content):
+    """Return the number of keys and values."""
+    if isinstance(content, dict):
+        return 1 + sum(1 + _nodes(value) for value in content.values())
+    return 1 + sum(map(_nodes, content)) if isinstance(content, list) else 1
