@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from amulett_gym.cli.options import add_json, add_options, check_least, check_seconds, command_words
 from amulett_gym.cli.output import print_json, printer
+from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.reading import user_path
 from amulett_gym.storage.writing import output_folder
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 HELP = "run a firmware against the simulated device: on this computer, a simulated chip, or a real board"
 EXAMPLES = """  amulett hil firmware --suite mixed
   amulett hil firmware --transport host chip --episodes 10 --out runs/hil
+  amulett hil firmware --transport chip --readme
   amulett hil firmware --transport serial:/dev/ttyACM0 --episodes 5
 """
 
@@ -42,15 +44,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first scenario (default: 0)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="length of one [s] (default: 10)")
     parser.add_argument("--out", metavar="DIR", help="folder for hil.json and a page, index.html")
+    readme = "write memory and cycles, which the transport chip measures, into the firmware's README.md"
+    parser.add_argument("--readme", action="store_true", help=readme)
     add_json(parser, "the content of hil.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Play, print the table, and write the files; return 1 if a device failed or the strings were let go."""
-    from amulett_gym.firmware.hil import table
+    from amulett_gym.firmware.hil import table, write_needs
+    from amulett_gym.firmware.readme import MEASURED, README
+    from amulett_gym.reporting.document import check_document
 
     check_least(arguments, episodes=1, seed=0)
     check_seconds(arguments, "duration")
+    if arguments.readme:
+        if "chip" not in arguments.transport:
+            raise AmulettError("--readme writes what the simulated chip measures; add chip to --transport")
+        check_document(user_path(arguments.folder) / README, [MEASURED])
     config = {
         "firmware": str(user_path(arguments.folder).resolve()),
         "transport": list(dict.fromkeys(arguments.transport)),
@@ -65,6 +75,9 @@ def run(arguments: argparse.Namespace) -> int:
     show(table(found).text(), wrap=False)
     if arguments.out is not None:
         show(f"Written: {arguments.out}/hil.json, {arguments.out}/index.html")
+    if arguments.readme:
+        write_needs(found)
+        show(f"Written: {arguments.folder}/{README}")
     return int(any(each.failures > found.kernel.failures or each.let_go for each in found.played))
 
 

@@ -15,10 +15,11 @@ from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, slider_readings, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller, firmware_id
 from amulett_gym.firmware.laws import FirmwareLaw, choose, delay_remark, firmware_law, with_delay
+from amulett_gym.firmware.measuring import OnChip, check_fits, measure
 from amulett_gym.firmware.network import Numbers
-from amulett_gym.firmware.readme import compare, readme
+from amulett_gym.firmware.readme import README, compare, needs, readme
 from amulett_gym.firmware.recording import Recording, record
-from amulett_gym.firmware.toolchain import BOARD_FILES
+from amulett_gym.firmware.toolchain import BOARD_FILES, ToolMissing
 from amulett_gym.firmware.vectors import vectors_header
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.laws.copies import NO_COPIES, Copies, copy_policies
@@ -34,8 +35,6 @@ TEXTS = (
 
 OTHERS = ("weights.h", "curves.h", *LOOP_FILES)
 """Files that not every firmware has: an earlier export's are deleted."""
-
-README = "README.md"
 
 _STEPS, _DEVICES = 50, 8  # of the recording that the firmware is compared with
 
@@ -91,8 +90,13 @@ def export(
         period, ticks = device.loop.control_period, settings.ticks(device)
         with files_together(folder, OTHERS) as new:
             _write(new, files)
-            checked = "\n\n".join([_checked(new, recording), *found.remarks, late])
-            files[README] = readme(contender.name, settings.control, device.name, period, ticks, checked, loop)
+            chip = _on_chip(new, recording)
+            if isinstance(chip, OnChip):
+                check_fits(chip.measurement, period)
+            needed = needs(chip.measurement, period, _run(recording)) if isinstance(chip, OnChip) else chip
+            checked = "\n\n".join([_checked(new, recording, chip), *found.remarks, late])
+            about = contender.name, settings.control, device.name, period, ticks
+            files[README] = readme(*about, needed, checked, loop)
             files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
         copies.write(folder)
@@ -141,22 +145,37 @@ def text(name: str) -> str:
     return resources.files("amulett_gym.c").joinpath(name).read_text("utf-8")
 
 
-def _checked(folder: Path, recording: Recording) -> str:
+def _run(recording: Recording) -> str:
+    ticks, devices = recording.outputs["biceps"].shape
+    return f"with the readings of {devices} simulated episodes of `mixed`, {ticks} control ticks each"
+
+
+def _on_chip(folder: Path, recording: Recording) -> OnChip | str:
+    """Return what the simulated chip measures, or what is missing for it."""
+    try:
+        return measure(folder, recording)
+    except ToolMissing as error:
+        missing = str(error).splitlines()[0]
+        return f"Not measured: {missing}. Then `amulett hil FOLDER --transport chip --readme` fills in this part."
+
+
+def _checked(folder: Path, recording: Recording, chip: OnChip | str) -> str:
     """Return what a comparison of the compiled controller with the simulation gives, as Markdown."""
     if find_compiler() is None:
         return "Nothing: there was no C compiler. `make check` compares the controller with the test vectors."
-    ticks, devices = recording.outputs["biceps"].shape
     lines = [
-        f"With the readings of {devices} simulated episodes of `mixed`, {ticks} control ticks each, the largest "
-        "difference from the simulation's own loop was:",
+        f"The largest difference from the simulation's own loop, {_run(recording)}:",
         "",
-        "| Build for this computer | command [rad] | tension setpoint [N] |",
+        "| Build | command [rad] | tension setpoint [N] |",
         "|---|---|---|",
     ]
+    builds: dict[str, dict[str, float]] = {}
     for real in FLAGS:
         with closing(Controller(folder, real)) as controller:
-            found = compare(controller, recording)
-        lines.append(f"| {real} | {found['command']:.2g} | {found['tension']:.2g} |")
+            builds[real] = compare(controller, recording)
+    if isinstance(chip, OnChip):
+        builds["float, simulated ATmega2560"] = chip.apart
+    lines += [f"| {name} | {found['command']:.2g} | {found['tension']:.2g} |" for name, found in builds.items()]
     return "\n".join(lines)
 
 

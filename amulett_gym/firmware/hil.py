@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.transition import METRICS
+from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import control_prices, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, play_alone
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.description import Description, read_description
 from amulett_gym.firmware.env import HardwareEnv
+from amulett_gym.firmware.readme import MEASURED, README, needs
 from amulett_gym.firmware.toolchain import FLASH, FREQUENCY, RAM
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting.document import update_document
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table
 from amulett_gym.storage.writing import write_json, write_text
@@ -216,6 +219,25 @@ def write_comparison(found: Comparison, out: Path) -> None:
     content, page = FILES
     write_json(out / content, found.content())
     write_text(out / page, fill_page("firmware/hil.html.j2", found=found, table=table(found), limits=LIMITS))
+
+
+def write_needs(found: Comparison) -> None:
+    """Write the memory and cycles that a simulated chip has measured into the ``README.md`` of the firmware's folder.
+
+    Raises
+    ------
+    AmulettError
+        If none has, or the file has no place for them.
+    """
+    chip = next((each for each in found.played if each.measurement is not None), None)
+    if chip is None or chip.measurement is None:
+        raise AmulettError("memory and cycles are those of the simulated chip: it has to be among the transports")
+    protocol, (mean, _) = found.protocol, found.difference(chip)
+    run = (
+        f"in lock step with the simulation in {protocol.episodes} scenarios of `{protocol.suite}`, {protocol.split}, "
+        f"{protocol.duration:g} s each, whose mean cost differs by {_percent(mean)} from that of the simulation's loop"
+    )
+    update_document(found.description.folder / README, {MEASURED: needs(chip.measurement, found.period, run)})
 
 
 LIMITS = f"ATmega2560 at {FREQUENCY / 1e6:g} MHz: {FLASH:,} bytes of flash, {RAM:,} bytes of memory."

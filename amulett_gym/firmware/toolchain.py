@@ -20,6 +20,11 @@ BOARD_FILES = (
 INSTALL = "apt-get install -y gcc-avr avr-libc simavr libsimavr-dev libelf-dev"
 """The command that installs on Debian what the simulated chip needs."""
 
+
+class ToolMissing(AmulettError):
+    """A compiler or the simulator is not installed; the message says how to install it."""
+
+
 FREQUENCY = 16_000_000
 """CPU frequency of the Arduino Mega 2560 [Hz]."""
 
@@ -48,7 +53,7 @@ def build_hex(folder: Path, out: Path) -> Path:
         If the compiler is missing, or refuses.
     """
     if shutil.which("avr-gcc") is None or shutil.which("avr-objcopy") is None:
-        raise AmulettError(f"there is no avr-gcc, which compiles for the ATmega2560; install it: {INSTALL}")
+        raise ToolMissing(f"there is no avr-gcc, which compiles for the ATmega2560; install it: {INSTALL}")
     out.mkdir(parents=True, exist_ok=True)
     elf, hex_file = out / "firmware.elf", out / "firmware.hex"
     _run(["avr-gcc", *AVR_FLAGS, "-Wl,--gc-sections", *_sources(folder, "mega.c"), "-o", str(elf), "-lm"], folder)
@@ -71,7 +76,7 @@ def build_board(folder: Path, out: Path, real: Real = "float") -> Path:
     """
     compiler = find_compiler()
     if compiler is None:
-        raise AmulettError(NO_COMPILER)
+        raise ToolMissing(NO_COMPILER)
     out.mkdir(parents=True, exist_ok=True)
     program = out / "board"
     _run(
@@ -90,7 +95,7 @@ def build_chip(out: Path) -> Path:
     """
     compiler = find_compiler()
     if compiler is None:
-        raise AmulettError(NO_COMPILER)
+        raise ToolMissing(NO_COMPILER)
     out.mkdir(parents=True, exist_ok=True)
     library, source = out / "simulated_chip.so", _C / "simulated_chip.c"
     command = [compiler, "-std=gnu11", "-O2", "-fPIC", "-shared", str(source), "-o", str(library)]
@@ -98,7 +103,7 @@ def build_chip(out: Path) -> Path:
         _run([*command, "-lsimavr", "-lelf"], _C)
     except AmulettError as error:
         missing = f"simavr, which simulates the ATmega2560, is missing; install it: {INSTALL}"
-        raise AmulettError(f"{missing}\n{error}") from None
+        raise ToolMissing(f"{missing}\n{error}") from None
     return library
 
 

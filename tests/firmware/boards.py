@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 import amulett_gym
-from amulett_gym.errors import AmulettError
-from amulett_gym.firmware.toolchain import BOARD_FILES, build_chip, build_hex
+from amulett_gym.firmware.loops import FirmwareLoop, open_loop
+from amulett_gym.firmware.toolchain import BOARD_FILES, ToolMissing, build_chip, build_hex
 
 STUB = Path(__file__).with_name("stub")
 BEGIN = [1.0, -1.0, *[0.5] * 12]
@@ -25,10 +27,20 @@ def stub_folder(folder: Path) -> Path:
 
 def hex_or_skip(folder: Path) -> Path:
     """Return the stub's hex file; skip if avr-gcc or simavr is missing."""
-    try:
+    with skipping():
         build_chip(folder / "chip")
         return build_hex(stub_folder(folder), folder / "build")
-    except AmulettError as error:
-        if "install it:" not in str(error):
-            raise
+
+
+def chip_or_skip(folder: Path) -> FirmwareLoop:
+    """Return a firmware on the simulated chip; skip if avr-gcc or simavr is missing."""
+    with skipping():
+        return open_loop(folder, "chip")
+
+
+@contextmanager
+def skipping() -> Iterator[None]:
+    try:
+        yield
+    except ToolMissing as error:
         pytest.skip(str(error).splitlines()[0])
