@@ -14,6 +14,7 @@ from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.identification.from_logs.recording import Recording
+    from amulett_gym.tasks.scenario import Payload
 
 HELP = "fit a device's parameters to its logs, with intervals"
 EXAMPLES = """  amulett fit steps.csv --base testbed --out mine.yaml
@@ -57,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.identification.from_logs.experiments import outlooks
     from amulett_gym.identification.from_logs.fit import fit
     from amulett_gym.identification.from_logs.profile import draw_fleet, profile_content
+    from amulett_gym.identification.from_logs.recording import cut
     from amulett_gym.identification.from_logs.result import content
     from amulett_gym.profile import load_profile
     from amulett_gym.storage.provenance import process_words
@@ -65,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     show, base, prior = printer(arguments), load_profile(arguments.base), load_fleet(arguments.prior)
     fitted, held_out = recordings(arguments, show)
+    cut(held_out, base.loop.control_period, whole=True)  # what cannot be predicted is refused before the fit
     found = fit(base, fitted, prior, arguments.starts, show)
     result = content(found, base, held_out, outlooks(found))
     command, name = shlex.join(process_words()), out.stem
@@ -101,8 +104,13 @@ def _files(arguments: argparse.Namespace) -> Path:
         for name in names:
             if name not in logs:
                 raise AmulettError(f"--{option} names '{name}'; it has to be one of the logs: {', '.join(logs)}")
-    if both := set(arguments.logs) & set(arguments.hold_out):
-        raise AmulettError(f"'{min(both)}' is to be fitted and held out; choose one")
+    files: dict[Path, str] = {}
+    for option, names in (("fit", arguments.logs), ("hold out", arguments.hold_out)):
+        for name in names:
+            if (other := files.setdefault(Path(name).resolve(), option)) != option:
+                raise AmulettError(f"'{name}' is to be fitted and held out; choose one")
+            if names.count(name) > 1:
+                raise AmulettError(f"'{name}' is named twice among the logs to {other}")
     return out
 
 
@@ -112,13 +120,15 @@ def recordings(arguments: argparse.Namespace, show: object) -> tuple[list[Record
 
     from amulett_gym.identification.from_logs.recording import Recording
     from amulett_gym.logs import read_log
-    from amulett_gym.tasks.scenario import Payload
 
-    payloads = {name: Payload(mass=_number(mass), arm=_number(arm)) for name, mass, arm in arguments.payload}
+    payloads = {name: _payload(mass, arm) for name, mass, arm in arguments.payload}
+    files = [Path(path).name for path in (*arguments.logs, *arguments.hold_out)]
 
     def load(path: str) -> Recording:
-        columns = read_log(path, arguments.mapping).columns
-        return Recording(Path(path).name, columns, payloads.get(path), path in arguments.release)
+        columns, name = read_log(path, arguments.mapping).columns, Path(path).name
+        return Recording(
+            name if files.count(name) == 1 else path, columns, payloads.get(path), path in arguments.release
+        )
 
     fitted, held_out = [load(path) for path in arguments.logs], [load(path) for path in arguments.hold_out]
     if not held_out:
@@ -130,8 +140,15 @@ def recordings(arguments: argparse.Namespace, show: object) -> tuple[list[Record
     return fitted, held_out
 
 
-def _number(text: str) -> float:
+def _payload(mass: str, arm: str) -> Payload:
+    from pydantic import ValidationError
+
+    from amulett_gym.settings import describe
+    from amulett_gym.tasks.scenario import Payload
+
     try:
-        return float(text)
+        return Payload(mass=float(mass), arm=float(arm))
+    except ValidationError as error:
+        raise describe(error, Payload, "--payload") from error
     except ValueError as error:
-        raise AmulettError(f"--payload needs a mass [kg] and an arm [m], two numbers, not '{text}'") from error
+        raise AmulettError(f"--payload needs a mass [kg] and an arm [m], two numbers, not '{mass} {arm}'") from error

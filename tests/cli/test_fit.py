@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
-from amulett_gym.cli import main
+from amulett_gym.cli import build_parser, main
+from amulett_gym.cli.fit import recordings
 from amulett_gym.fleet import load_fleet
 from amulett_gym.logs import write_log
 from amulett_gym.profile import load_profile
@@ -22,7 +24,10 @@ def folder(tmp_path_factory):
     prior = load_fleet("plausible")[:3]
     (folder / "prior.yaml").write_text(to_yaml([each.model_dump(mode="json") for each in prior]))
     device = prior[1].model_copy(update={"loop": load_profile(folder / "base.yaml").loop})
-    write_log(folder / "steps.csv", simulate_log(device, duration=10.0).columns)
+    columns = simulate_log(device, duration=10.0).columns
+    write_log(folder / "steps.csv", columns)
+    write_log(folder / "short.csv", {name: values[:100] for name, values in columns.items()})
+    write_log(folder / "still.csv", columns | {"angle": np.zeros_like(columns["angle"])})
     return folder
 
 
@@ -74,7 +79,16 @@ def test_json_is_one_document(folder, monkeypatch, capsys):
         (["--out", "mine.txt"], "--out 'mine.txt' has to end in .yaml"),
         (["--release", "other.csv"], "--release names 'other.csv'; it has to be one of the logs: steps.csv"),
         (["--payload", "steps.csv", "much", "0.1"], "--payload needs a mass \\[kg\\] and an arm \\[m\\]"),
+        (
+            ["--payload", "steps.csv", "-1", "0.1"],
+            "--payload: 'mass' is -1.0: Input should be greater than or equal to 0",
+        ),
         (["--hold-out", "steps.csv"], "'steps.csv' is to be fitted and held out; choose one"),
+        (["--hold-out", "./steps.csv"], "'./steps.csv' is to be fitted and held out; choose one"),
+        (["--hold-out", "short.csv"], "short.csv has no rows to compare with a simulation: the first 1.5 s"),
+        (["--hold-out", "still.csv"], "still.csv: the angle never changes, so there is nothing to fit"),
+        (["--hold-out", "none.csv"], "cannot read log 'none.csv'"),
+        (["--base", "tesbed"], "unknown profile 'tesbed'"),
         (["--prior", "none.yaml"], "none.yaml"),
         (["--devices", "0"], "--devices is 0; it has to be at least 1"),
     ],
@@ -82,4 +96,15 @@ def test_json_is_one_document(folder, monkeypatch, capsys):
 def test_wrong_options_are_refused_before_any_work(folder, monkeypatch, capsys, more, message):
     monkeypatch.chdir(folder)
     assert main(arguments(folder, *more)) == 2
-    assert message.replace("\\", "") in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert message.replace("\\", "") in error
+    assert error.count("\n") == 1
+
+
+def test_logs_with_the_same_file_name_have_different_names(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "b").mkdir()
+    (folder / "b" / "steps.csv").write_bytes((folder / "steps.csv").read_bytes())
+    found, held_out = recordings(build_parser().parse_args(arguments(folder, "--hold-out", "b/steps.csv")), print)
+    assert [each.name for each in (*found, *held_out)] == ["steps.csv", "b/steps.csv"]
+    assert main(["fit", "steps.csv", "steps.csv", "--out", "x.yaml"]) == 2

@@ -103,7 +103,7 @@ def cut(recordings: Sequence[Recording], control_period: float, whole: bool = Fa
     Raises
     ------
     AmulettError
-        If a log has no column that is needed, or nothing is left after the warm-up.
+        If a log has no column that is needed, or nothing of it is left after the warm-up.
     """
     spans = [(each, *span) for each in recordings for span in _spans(each)]
     total = sum(end - begin for _, _, begin, end in spans)
@@ -121,8 +121,14 @@ def cut(recordings: Sequence[Recording], control_period: float, whole: bool = Fa
                 before = first - _on_grid(WARM_UP, control_period) if recording.open_loop else start
                 state = _state(recording, start, first)
                 pieces.append(Piece(recording, before, first, last, rows, *state))
-    if not pieces:
-        raise AmulettError("the logs have no rows to fit after the warm-up of each uninterrupted part")
+    for recording in recordings:
+        if np.nanmin(recording.columns["angle"]) == np.nanmax(recording.columns["angle"]):
+            raise AmulettError(f"{recording.name}: the angle never changes, so there is nothing to fit or predict")
+        if not any(piece.recording is recording for piece in pieces):
+            raise AmulettError(
+                f"{recording.name} has no rows to compare with a simulation: the first {WARM_UP:g} s of each part "
+                "without a gap only let the simulated drives forget their start"
+            )
     return pieces
 
 
