@@ -15,7 +15,7 @@ from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import Contender, bundle_folder, split_loop
 from amulett_gym.laws.parametric import is_tuned_file, tuned_names, tuned_over, tuning_differs
-from amulett_gym.laws.training import other_loop
+from amulett_gym.laws.training import OUTSIDE, other_loop
 from amulett_gym.profile import Profile, is_shipped
 from amulett_gym.simulation.layout import LOOPS, Control
 
@@ -102,12 +102,13 @@ def start_remarks(start: str, devices: Sequence[Profile], control: str) -> list[
 def fleet_remarks(remarks: Mapping[str, Iterable[str]]) -> list[str]:
     """Return the remarks on the devices of a fleet, by their names, as sentences without a full stop.
 
-    Remarks that differ only in numbers and the device's name are one: that on the first device, and the other devices.
+    Remarks that differ only in numbers, the device's name and what of it is outside the ranges of training are one:
+    that on the first device, and the other devices.
     """
     alike: dict[str, dict[str, str]] = {}
     for device, texts in remarks.items():
         for text in texts:
-            alike.setdefault(_NUMBER.sub("", text.replace(device, "")), {}).setdefault(device, text)
+            alike.setdefault(_DETAIL.sub("", text.replace(device, "")), {}).setdefault(device, text)
     found = []
     for texts in alike.values():
         (device, text), *others = texts.items()
@@ -120,7 +121,7 @@ def fleet_remarks(remarks: Mapping[str, Iterable[str]]) -> list[str]:
     return found
 
 
-_NUMBER = re.compile(r"\d[\d.,]*")
+_DETAIL = re.compile(rf"(?<={OUTSIDE}) in .*|\d[\d.,]*")
 _NAMED = 5
 """Most devices that are named after the first one."""
 

@@ -18,6 +18,9 @@ from amulett_gym.laws.bundle import TrainingEnv
 from amulett_gym.profile import Profile, loop_configuration
 from amulett_gym.simulation.layout import CONTROLS, DRIVES
 
+OUTSIDE = "outside their ranges"
+"""Words of a sentence about a device, before those on what of it is outside the ranges of the training's devices."""
+
 MOST_NAMED = 3
 """Number of parameters that a sentence names."""
 
@@ -75,7 +78,7 @@ def other_device(env: TrainingEnv, device: Profile) -> str:
     if device in profiles:
         return f"{there} with the {device.name}"
     beyond = [f"{key} {values}" for key, values in outside(device, profiles).items()]
-    which = f"outside their ranges in {_listed(beyond)}" if beyond else "within their ranges"
+    which = f"{OUTSIDE} in {_listed(beyond)}" if beyond else "within their ranges"
     return f"{there} without the {device.name}, which is {which}"
 
 

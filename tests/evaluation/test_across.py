@@ -121,6 +121,16 @@ def test_remarks_that_are_alike_on_several_devices_are_one():
     ]
 
 
+def test_what_of_each_device_is_outside_the_ranges_of_training_is_named_on_the_first():
+    where = {"a-1": "within their ranges", "a-2": "outside their ranges in mass 2 (0 to 1)"}
+    where |= {"a-3": "within their ranges", "a-4": "outside their ranges in mass 3 (0 to 1), lag 0.3 (0 to 0.2)"}
+    remarks = {device: [f"p was trained without the {device}, which is {which}"] for device, which in where.items()}
+    assert fleet_remarks(remarks) == [
+        f"{remarks['a-1'][0]} (and 1 of the other devices: a-3)",
+        f"{remarks['a-2'][0]} (and 1 of the other devices: a-4)",
+    ]
+
+
 def test_a_law_tuned_over_a_fleet_is_named_on_other_devices(monkeypatch):
     monkeypatch.setattr(remarks, "tuned_over", lambda name: "ours" if name == "parametric" else "")
     monkeypatch.setattr(remarks, "load_fleet", lambda name: load_fleet(["testbed"]))
