@@ -94,13 +94,14 @@ def export(
             if isinstance(chip, OnChip):
                 check_fits(chip.measurement, period)
             needed = needs(chip.measurement, period, _run(recording)) if isinstance(chip, OnChip) else chip
-            checked = "\n\n".join([_checked(new, recording, chip), *found.remarks, late])
+            checked = "\n\n".join([_checked(new, recording, chip), *found.remarks, *([late] if late else [])])
             about = contender.name, settings.control, device.name, period, ticks
             files[README] = readme(*about, needed, checked, loop)
             files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
         copies.write(folder)
-    note(late)
+    if late:
+        note(late)
     return files
 
 

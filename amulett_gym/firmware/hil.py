@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,12 +17,13 @@ from amulett_gym.envs.transition import METRICS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import control_prices, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, play_alone
+from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.description import Description, read_description
 from amulett_gym.firmware.env import HardwareEnv
 from amulett_gym.firmware.readme import MEASURED, README, needs
 from amulett_gym.firmware.toolchain import FLASH, FREQUENCY, RAM
-from amulett_gym.laws.contenders import parse_contender
+from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import update_document
 from amulett_gym.reporting.page import fill_page
@@ -73,13 +75,27 @@ class Comparison:
     description : Description
     protocol : Protocol
     kernel : Played
+        The simulation with the firmware's `action_delay`.
     played : list of Played
+    own : Played or None
+        The simulation with the delay that the law was trained or tuned with, if that is another one.
     """
 
     description: Description
     protocol: Protocol
     kernel: Played
     played: list[Played]
+    own: Played | None = None
+
+    @property
+    def rows(self) -> list[Played]:
+        """All of them, the simulation first."""
+        return [self.kernel, *([] if self.own is None else [self.own]), *self.played]
+
+    def interval(self, played: Played) -> tuple[float, float] | None:
+        """Return the 95 % interval, a paired bootstrap over scenarios, of the mean cost's difference; None of one."""
+        found = ratio_of_sums(played.costs, self.kernel.costs, draw_weights(self.protocol.episodes))
+        return (found.low - 1.0, found.high - 1.0) if math.isfinite(found.low) and math.isfinite(found.high) else None
 
     def difference(self, played: Played) -> tuple[float, float]:
         """Return the difference of the mean cost from the simulation's, and the largest of a scenario's cost.
@@ -93,11 +109,12 @@ class Comparison:
     def content(self) -> dict[str, Any]:
         """Return what ``hil.json`` holds."""
         found = {}
-        for each in [self.kernel, *self.played]:
+        for each in self.rows:
             mean, largest = self.difference(each)
             found[each.label] = {
                 "cost": float(each.costs.mean()),
                 "cost_difference": mean,
+                "interval": self.interval(each),
                 "largest_difference": largest,
                 "costs": each.costs.tolist(),
                 **{key: getattr(each, key) for key in ("failures", "let_go", "retries")},
@@ -148,12 +165,18 @@ def compare(
     profile = load_profile(found.keywords["profile"])
     protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
     contender = parse_contender(found.contender)
-    if delay := found.keywords["action_delay"]:
-        contender = replace(contender, env_keywords={**contender.env_keywords, "action_delay": delay})
-    run = play_alone(protocol, contender)
-    kernel = Played(KERNEL, run.values["cost"], sum(reason != "" for reason in run.failures))
+    delay, trained = found.keywords["action_delay"], contender.env_keywords.get("action_delay", 0)
+    own, kernel = None, _simulated(protocol, contender, KERNEL)
+    if delay != trained:
+        late = replace(contender, env_keywords={**contender.env_keywords, "action_delay": delay})
+        own, kernel = replace(kernel, label=f"{KERNEL}, action_delay {trained}"), _simulated(protocol, late, KERNEL)
     played = [play(found, protocol, transport, partial(advance, note=transport)) for transport in transports]
-    return Comparison(found, protocol, kernel, played)
+    return Comparison(found, protocol, kernel, played, own)
+
+
+def _simulated(protocol: Protocol, contender: Contender, label: str) -> Played:
+    run = play_alone(protocol, contender)
+    return Played(label, run.values["cost"], sum(reason != "" for reason in run.failures))
 
 
 def agent_steps(found: Description, duration: float) -> int:
@@ -194,11 +217,14 @@ def play(
 def table(found: Comparison) -> Table:
     """Return costs, differences, and what a simulated chip needs."""
     rows = []
-    for each in [found.kernel, *found.played]:
+    for each in found.rows:
         mean, largest = found.difference(each)
-        apart = ("-", "-") if each is found.kernel else (_percent(mean), _percent(largest))
+        interval = found.interval(each)
+        shown = "-" if interval is None else f"{100.0 * interval[0]:.2g} to {_percent(interval[1])}"
+        apart = ("-",) * 3 if each is found.kernel else (_percent(mean), shown, _percent(largest))
         rows.append((each.label, f"{each.costs.mean():.5g}", *apart, *_needs(each.measurement, found.period)))
-    head = ("loop in", "cost", "difference", "largest of a scenario", "worst tick", "of the period", "flash", "memory")
+    differences = ("difference", "95 % interval", "largest of a scenario")
+    head = ("loop in", "cost", *differences, "worst tick", "of the period", "flash", "memory")
     return Table("", head, rows, note=remarks(found))
 
 

@@ -120,7 +120,9 @@ def with_delay(settings: Settings, slices: int) -> Settings:
 
 
 def delay_remark(own: Settings, found: Settings) -> str:
-    """Return what the firmware's delay is beside that of the law's `own` settings, as a sentence."""
+    """Return what the firmware's delay is beside that of the law's `own` settings, as a sentence; "" without any."""
+    if found.action_delay == 0:
+        return ""
     late = f"The ramp of an action begins {_control_ticks(found.action_delay)} after its observation"
     if own.action_delay == found.action_delay:
         return f"{late}, as in the simulation in which the law was trained or tuned."

@@ -80,13 +80,14 @@ def test_the_delay_is_the_bundles_own_or_what_the_slices_need(tmp_path, capsys):
     for law, delay, remark in (
         (late, 4, "begins 4 control ticks after its observation, as in the simulation"),
         ("parametric", PARAMETRIC_SLICES - 1, "the law was trained or tuned with 0 control ticks"),
-        ("constant:8", 0, "begins 0 control ticks after its observation, as in the simulation"),
     ):
         assert main(["export", law, "--out", str(tmp_path / "firmware")]) == 0
         assert remark in " ".join(capsys.readouterr().out.split())
         assert remark in (tmp_path / "firmware" / "README.md").read_text()
         assert f"#define LAW_DELAY {delay}" in " ".join((tmp_path / "firmware" / "device.h").read_text().split())
         assert read_description(tmp_path / "firmware").keywords["action_delay"] == delay
+    files = export("constant:8", "testbed", None, tmp_path / "firmware", note=pytest.fail)
+    assert "after its observation" not in files["README.md"] and "#define LAW_DELAY" in files["device.h"]
     wrong = keep_network(
         tmp_path / "wrong", [(np.zeros((1, 13), "f4"), np.zeros(1, "f4"))], keywords={"action_delay": 8}
     )

@@ -10,6 +10,7 @@ import pytest
 
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.firmware import hil
 from amulett_gym.firmware.hil import compare
 from amulett_gym.laws.copies import FOLDER
@@ -23,6 +24,18 @@ def test_the_host_costs_what_the_simulation_costs(firmware):
     assert found.difference(host) == pytest.approx((0.0, 0.0), abs=1e-12)
     mean, largest = found.difference(narrow)
     assert 0.0 < abs(mean) <= largest < 0.05
+
+
+def test_the_simulation_has_the_firmwares_delay_and_is_shown_without_it(firmware):
+    folder = firmware("parametric").folder
+    found = compare(folder, ["host"], episodes=2, duration=1.0)
+    assert found.played[0].costs == pytest.approx(found.kernel.costs, rel=1e-12)
+    in_time = evaluate(["parametric"], "mixed", episodes=2, duration=1.0).values["parametric"]["cost"]
+    assert found.own is not None and found.own.costs.tolist() == in_time.tolist() != found.kernel.costs.tolist()
+    interval = found.interval(found.own)
+    assert interval is not None and interval[0] <= found.difference(found.own)[0] <= interval[1]
+    assert list(found.content()["results"]) == ["simulation", "simulation, action_delay 0", "host"]
+    assert "action_delay 0" in hil.table(found).text()
 
 
 def test_the_command_prints_and_writes(firmware, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -107,6 +120,7 @@ def test_episodes_that_end_before_they_count_differ_by_nothing(firmware):
     found = compare(firmware("eq6").folder, suite="steps", episodes=1, duration=0.02)
     assert found.kernel.costs.tolist() == [0.0]
     assert found.difference(found.played[0]) == (0.0, 0.0)
+    assert found.interval(found.played[0]) is None  # nor has one scenario an interval
 
 
 def test_the_command_refuses_what_is_no_firmware(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
