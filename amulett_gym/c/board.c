@@ -135,6 +135,7 @@ static void tick(void) {
     cycles = (uint16_t)(board_clock() - begun);
     board_mark(0);
     if (output.status & CONTROLLER_BAD_SENSOR) let_go(REASON_SENSOR);
+    if (output.status & CONTROLLER_BAD_NUMBER) let_go(REASON_NUMBER);
 }
 
 /* Whether nothing is to be let go any more, or only in a simulation. */

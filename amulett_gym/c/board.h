@@ -2,7 +2,7 @@
 
    Idle until the host says START (lock step: the host sends sensor readings, the board answers with commands) or RUN
    (own sensors, own timer). Both end, at most LET_GO_RATE per control period, with slack strings if a reading is out of
-   its range, if the host says STOP, or if no sound frame came for HOST_TIMEOUT_US. */
+   its range, if a command is not finite, if the host says STOP, or if no sound frame came for HOST_TIMEOUT_US. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -22,7 +22,8 @@ typedef enum { /* why the strings are let go */
     REASON_STOP = 1,    /* the host said so */
     REASON_SENSOR = 2,  /* a reading out of its range, or none */
     REASON_SILENCE = 3, /* no sound frame for HOST_TIMEOUT_US */
-    REASON_WATCHDOG = 4 /* a reset while the drives were on: by the watchdog if the board hung, or by its button */
+    REASON_WATCHDOG = 4, /* a reset while the drives were on: by the watchdog if the board hung, or by its button */
+    REASON_NUMBER = 5    /* the controller's numbers are not finite any more; the last commands are kept until then */
 } board_reason;
 
 /* ---- called by the hardware's part ---- */

@@ -145,7 +145,7 @@ chip *chip_open(const char *hex, uint32_t frequency, uint32_t baud) {
 /* Queue bytes for the serial port; return how many. */
 uint32_t chip_send(chip *c, const uint8_t *bytes, uint32_t count) {
     uint32_t k = 0;
-    bool idle = c->in_head == c->in_tail;
+    bool idle = !avr_cycle_timer_status(c->avr, deliver, c); /* the watchdog's reset stops it, too */
     while (k < count && (c->in_head + 1) % WAITING != c->in_tail) {
         c->in[c->in_head] = bytes[k++];
         c->in_head = (c->in_head + 1) % WAITING;

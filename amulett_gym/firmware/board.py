@@ -11,6 +11,8 @@ from amulett_gym.firmware.protocol import BoardError, Decoder, Hello, Report, Wi
 TRIES = 3
 """How often a request is sent before the board counts as silent."""
 
+_MOST_MESSAGES = 64  # without an answer among them, after a request
+
 
 class Port(Protocol):
     """A line to a board.
@@ -60,8 +62,12 @@ class Board:
         self.retries = 0
         self._sequence = 0
         self._decoder = Decoder()
-        self.port_send(b"\0")  # ends what an earlier host may have left
-        self.hello = self._greet(port.hello_tries)
+        try:
+            self.port_send(b"\0")  # ends what an earlier host may have left
+            self.hello = self._greet(port.hello_tries)
+        except BaseException:
+            port.close()
+            raise
         self._wire = Wire(self.hello)
 
     def start(self, numbers: Sequence[float], agonist: int) -> None:
@@ -129,7 +135,7 @@ class Board:
     def _await(self, kind: int) -> tuple[bytes | None, str]:
         """Return the answer's content, or None and what went wrong if the request has to be sent again."""
         broken = self._decoder.garbled
-        while True:
+        for _ in range(_MOST_MESSAGES):
             try:
                 data = self.port.receive()
             except OSError as error:
@@ -149,6 +155,7 @@ class Board:
                     return frame.content, ""
             if self._decoder.garbled > broken:
                 return None, "its answer was broken"
+        return None, "what it sends is no answer"
 
 
 def _first_line(error: OSError) -> str:

@@ -15,7 +15,7 @@ from amulett_gym.envs.single import TensionEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware.description import KEYS, read_description
 from amulett_gym.firmware.host import LATE, MOVE_BEGINS
-from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, open_step
+from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, misses_tick, open_step
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
 from amulett_gym.firmware.protocol import MODES, REASONS, Report
 from amulett_gym.firmware.recording import Reader, begin_of
@@ -52,6 +52,8 @@ class FirmwareEpisodes(Episodes):
     def start(self, *arguments: Any, **keywords: Any) -> Observations:
         """Start an episode, here and in the firmware."""
         observations = super().start(*arguments, **keywords)
+        if self._reader is None:
+            self._compile()
         self.loop.start({name: value[0] for name, value in begin_of(self.simulation).items()})
         self._reader, self.report_of_board = Reader(self.simulation), None
         return observations
@@ -76,6 +78,17 @@ class FirmwareEpisodes(Episodes):
         transition.observe_devices(*arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)
 
+    def _compile(self) -> None:
+        """Take a step without the firmware, since a real board would take the time of the compiler for silence."""
+        state, loop, self.loop = self.get_state(), self.loop, _Resting()
+        try:
+            misses_tick(self.simulation.scenarios, self.simulation.states, 0)
+            self._reader = Reader(self.simulation)
+            self.step(np.zeros(1))
+        finally:
+            self.loop = loop
+            self.set_state(state)
+
     def tick(self) -> Report:
         """Let the firmware do one control tick, then the drives, the arm and the sensors."""
         simulation = self.simulation
@@ -92,9 +105,30 @@ class FirmwareEpisodes(Episodes):
             command_device(simulation.parameters, scenarios, states, paper, *values)
         own = scenarios["late_probability"][0, 0]
         scenarios["late_probability"][0, 0] = ALWAYS
-        simulation.advance(1)
-        scenarios["late_probability"][0, 0] = own
+        try:
+            simulation.advance(1)
+        finally:
+            scenarios["late_probability"][0, 0] = own
         return report
+
+
+class _Resting:
+    """A firmware that commands nothing."""
+
+    label, retries = "nowhere", 0
+
+    def start(self, begin: dict[str, Any]) -> None:
+        """Do nothing."""
+
+    def tick(self, sample: Sample) -> Report:
+        """Return commands of 0."""
+        return Report((0.0, 0.0), 0.0, 1, 0)
+
+    def measure(self) -> None:
+        """Return None."""
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 class HardwareEnv(TensionEnv):

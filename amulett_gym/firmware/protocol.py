@@ -25,6 +25,7 @@ GOAL   setpoint [rad] for that                        :class:`Report` and the bo
 from __future__ import annotations
 
 import binascii
+import math
 import struct
 from dataclasses import dataclass, field
 
@@ -55,6 +56,7 @@ REASONS = (
     "a sensor's reading was out of its range or missing",
     "the host was silent",
     "the board was reset while its drives were on",
+    "the controller's numbers were not finite",
 )
 """Why the strings are let go."""
 
@@ -200,10 +202,16 @@ class Wire:
         self._readings = struct.Struct(f"<{encoder}2{slider}")
 
     def read_report(self, content: bytes) -> Report:
-        """Return the report at the begin of an answer; AmulettError if it is too short."""
+        """Return the report at the begin of an answer; BoardError if it is too short, or holds what cannot be."""
         if len(content) < self.report.size:
             raise BoardError(f"the board's report has {len(content)} bytes; {self.report.size} are needed")
         biceps, triceps, tension, agonist, status, mode, reason, cycles = self.report.unpack_from(content)
+        if not all(map(math.isfinite, (biceps, triceps, tension))):
+            raise BoardError("the board's report holds a command or a tension that is not finite")
+        if agonist not in (-1, 1, 0) or mode >= len(MODES) or reason >= len(REASONS):
+            raise BoardError(
+                f"the board's report holds agonist {agonist}, mode {mode}, reason {reason}; one is unknown"
+            )
         return Report((biceps, triceps), tension, agonist, status, mode, reason, cycles)
 
     def read_readings(self, content: bytes) -> tuple[float, float, float]:

@@ -17,7 +17,9 @@ from amulett_gym.firmware.protocol import ERROR, HELLO, SAMPLE, BoardError, Deco
 
 LETTING_GO, SLACK, BAD_SENSOR = 8, 16, 2
 RATE, PERIOD = 2.0, 0.0025
-SILENCE, SENSOR = 3, 2
+SILENCE, SENSOR, WATCHDOG = 3, 2, 4
+HANG, NO_NUMBER = 77.0, 78.0
+"""Setpoints with which the stub fails."""
 
 
 @pytest.fixture(scope="module")
@@ -314,6 +316,47 @@ def test_a_running_board_lets_the_strings_go(hex_file: Path, cause: str):
     chip.set_sensors(0, 200, 300)
     assert board.run().mode == 2  # it can begin anew
     chip.close()
+
+
+def test_a_program_that_hangs_is_reset_and_lets_the_strings_go(running: Board, chip: Chip):
+    chip.wait(0.02)
+    running.follow(HANG)
+    before = chip.pulses()
+    chip.wait(0.01)
+    with pytest.raises(BoardError, match="on the simulated ATmega2560 (refuses|failed 3 times in turn)") as caught:
+        running.read()
+    assert "\n" not in str(caught.value)
+    board = Board(chip)
+    report = board.read()
+    assert (report.mode, report.reason) == (3, WATCHDOG)
+    assert report.commands[0] - report.commands[1] <= angle(before[0]) - angle(before[1]) + 0.022
+    slack_in(board, chip)
+    assert board.run().mode == 2
+
+
+def test_a_program_that_hangs_in_lock_step_begins_anew(board: Board, chip: Chip):
+    sample(board)
+    with pytest.raises(BoardError, match="an episode has to be started first"):
+        sample(board, setpoint=HANG)
+    board.start(BEGIN, 1)
+    assert (sample(board).mode, sample(board).status) == (1, 0)
+    assert chip.pulses() is None
+
+
+def test_numbers_that_are_not_finite_any_more_let_the_strings_go(board: Board, chip: Chip):
+    last = sample(board).commands
+    report = sample(board, setpoint=NO_NUMBER)
+    assert (report.mode, report.reason, report.commands) == (3, 5, last)
+    after = sample(board).commands
+    apart = [commands[0] - commands[1] for commands in (last, after)]
+    assert apart[0] - apart[1] == pytest.approx(2.0 * RATE * PERIOD, rel=1e-4)
+
+
+def test_running_numbers_that_are_not_finite_any_more_let_the_strings_go(running: Board, chip: Chip):
+    running.follow(NO_NUMBER)
+    chip.wait(0.01)
+    assert (running.read().mode, running.read().reason) == (3, 5)
+    slack_in(running, chip)
 
 
 def test_a_closed_chip_is_gone(board: Board, chip: Chip):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import subprocess
 from pathlib import Path
 
@@ -150,3 +151,24 @@ def test_c_and_python_find_the_same_frames_in_noise(in_c: ctypes.CDLL):
     assert [frame for frame in found if frame is not None] == expected
     assert len(expected) > 100
     assert found.count(None) == decoder.garbled
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"biceps": math.nan}, {"triceps": math.inf}, {"tension": math.nan}, {"mode": 9}, {"reason": 200}, {"agonist": 3}],
+)
+def test_a_report_of_what_cannot_be_is_refused(changes: dict[str, float]):
+    wire = Wire(Hello(VERSION, 4, False, False, 1, 2500, 8))
+    good = {
+        "biceps": 1.0,
+        "triceps": -1.0,
+        "tension": 5.0,
+        "agonist": 1,
+        "status": 0,
+        "mode": 1,
+        "reason": 0,
+        "cycles": 9,
+    }
+    assert wire.read_report(wire.report.pack(*good.values())).cycles == 9
+    with pytest.raises(BoardError, match="the board's report holds"):
+        wire.read_report(wire.report.pack(*{**good, **changes}.values()))

@@ -2,6 +2,9 @@
 #include <string.h>
 #include "controller.h"
 
+#define HANG 77      /* setpoints [rad] with which it fails */
+#define NO_NUMBER 78
+
 static controller_begin begun;
 static controller_output last;
 
@@ -20,8 +23,11 @@ void controller_start(const controller_begin *begin) {
 }
 
 void controller_tick(const controller_input *in, controller_output *out) {
+    for (volatile uint8_t hang = in->setpoint == HANG; hang;) {} /* until the watchdog resets */
     last.status = 0;
-    if (in->encoder > ENCODER_MOST || in->encoder < -ENCODER_MOST || in->slider[0] < 0 || in->slider[0] > SLIDER_MOST ||
+    if (in->setpoint == NO_NUMBER) {
+        last.status = CONTROLLER_BAD_NUMBER;
+    } else if (in->encoder > ENCODER_MOST || in->encoder < -ENCODER_MOST || in->slider[0] < 0 || in->slider[0] > SLIDER_MOST ||
         in->slider[1] < 0 || in->slider[1] > SLIDER_MOST) {
         last.status = CONTROLLER_BAD_SENSOR;
     } else if (!(in->flags & CONTROLLER_LATE)) {
