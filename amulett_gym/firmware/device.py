@@ -21,6 +21,9 @@ from amulett_gym.simulation.layout import pack_parameters
 MOST_TICKS = 65_535
 """Control ticks of an agent period, which the firmware counts in 16 bits."""
 
+LEAST_RANGE = 0.01
+"""Least range of an action [N]."""
+
 MOST_BITS = 24
 """Of a converter: its counts are exact as 32-bit floating-point numbers."""
 
@@ -90,10 +93,14 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
     Raises
     ------
     AmulettError
-        If a converter has too many bits, or an agent period too many control ticks.
+        If a converter has too many bits, an agent period too many control ticks, or actions too narrow a range.
     """
     record = pack_parameters(profile, settings.control, settings.tension_law)[0]
     low, high = settings.tension_range
+    if high - low < LEAST_RANGE:
+        raise AmulettError(
+            f"tension_range is from {low!r} to {high!r} N; the firmware computes in 32 bits and needs {LEAST_RANGE:g} N"
+        )
     ticks = settings.ticks(profile)
     if ticks > MOST_TICKS:
         raise AmulettError(

@@ -206,7 +206,8 @@ def _curves() -> str:
 
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
     """Return a policy's network in the numbers asked for, or the best ones that fit."""
-    kind = choose_numbers(bundle, settings.ticks(profile), numbers)
+    low, high = settings.tension_range
+    kind = choose_numbers(bundle, settings.ticks(profile), settings.action_delay, numbers)
     costs = jobs(bundle, kind)
     layers, remarks, most = None, list[str](), 0.0
     if kind != "float":
@@ -214,7 +215,6 @@ def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numb
         layers = quantised(bundle, inputs, kind)
         rounded, saturated = forward_numbers(layers, bundle, inputs, kind)
         exact = bundle.act(inputs).astype(np.float64)
-        low, high = settings.tension_range
         apart = 0.5 * (high - low) * np.abs(rounded - exact)
         rms, most = float(np.sqrt(np.mean(apart**2))), float(apart.max())
         activations = len(inputs) * sum(bundle.policy.network.layers[1:-1])

@@ -194,11 +194,11 @@ def slices(costs: list[int]) -> int:
     return count
 
 
-def choose_numbers(bundle: Bundle, ticks: int, wanted: Numbers | None) -> Numbers:
+def choose_numbers(bundle: Bundle, ticks: int, delay: int, wanted: Numbers | None = None) -> Numbers:
     """Return the numbers in which a network fits an agent period of so many control ticks: those wanted, or the best.
 
-    These are the finest that need no more slices than the delay of the bundle's training has, else those that need
-    the fewest: a longer delay costs more than coarser numbers.
+    These are the finest that need no more slices than the `delay` of the policy's training [control ticks] allows, else
+    those that need the fewest: a longer delay costs more than coarser numbers.
 
     Raises
     ------
@@ -208,8 +208,7 @@ def choose_numbers(bundle: Bundle, ticks: int, wanted: Numbers | None) -> Number
     kinds: tuple[Numbers, ...] = ("float", "int16", "int8") if wanted is None else (wanted,)
     fit = [kind for kind in kinds if not _too_much(bundle, ticks, kind)]
     if fit:
-        own = 1 + int(bundle.env.keywords.get("action_delay", 0))
-        return min(fit, key=lambda kind: max(slices(jobs(bundle, kind)), own))
+        return min(fit, key=lambda kind: max(slices(jobs(bundle, kind)), delay + 1))
     sizes = " x ".join(map(str, bundle.policy.network.layers))
     raise AmulettError(
         f"the network {sizes} of '{bundle.folder}' does not fit: in {kinds[-1]} {_too_much(bundle, ticks, kinds[-1])}. "

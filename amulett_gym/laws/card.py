@@ -96,6 +96,8 @@ def _interface(policy: PolicyDescription, env: TrainingEnv) -> list[str]:
         output += f" and a mean drive angle up to {policy.mean_angle_range:g} deg"
     if policy.follow < 1.0:
         output += f"; it moves {100.0 * policy.follow:.0f} % of the way to the output of the network"
+    if delay := env.keywords.get("action_delay"):
+        output += f"; its ramp begins {delay} control ticks after the observation"
     layers = "-".join(map(str, policy.network.layers))
     return [f"Input: {inputs}{stack}.", f"{output}.", f"Network: {layers}, {policy.network.activation}; numpy runs it."]
 

@@ -30,7 +30,12 @@ CONSTANT = "constant:"
 
 _PRETRAINED = "robust"
 
-PRETRAINED = {"pretrained": _PRETRAINED, "pretrained:tension": _PRETRAINED, "pretrained:testbed": "testbed"}
+PRETRAINED = {
+    "pretrained": _PRETRAINED,
+    "pretrained:tension": _PRETRAINED,
+    "pretrained:testbed": "testbed",
+    "pretrained:device": "device",
+}
 """Folders in `amulett_gym/policies`, by name; each holds a bundle and its model card. A policy acts in
 `Amulett/Scaling-v0` and `Amulett/Tension-v0` alike, so `pretrained:tension` is another name of `pretrained`."""
 
@@ -53,6 +58,7 @@ _DESCRIPTIONS = {
     "pretrained": "a policy for all plausible devices (PPO on mixed); card: amulett config validate pretrained --show",
     "pretrained:tension": "another name of pretrained",
     "pretrained:testbed": "the best learned policy that was trained on the shipped testbed alone (PPO on mixed)",
+    "pretrained:device": "a small policy of the testbed that fits a microcontroller: amulett export pretrained:device",
     "constant:<N>": "a constant tension setpoint in newtons, for example constant:10",
     "<folder>": "a policy bundle, or the folder of a training run (its best policy)",
     "<file.json>": "a tuned law, from `amulett tune-law`",

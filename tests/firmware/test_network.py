@@ -137,21 +137,20 @@ def test_a_network_that_does_not_fit_is_refused_with_numbers(tmp_path):
         export("pretrained", "testbed", None, tmp_path)
     small = read_bundle(write(tmp_path / "small", hidden=(32, 32), features=list(FEATURES), activation="relu"))
     with pytest.raises(AmulettError, match="in int16"):
-        network.choose_numbers(small, 6, "int16")
+        network.choose_numbers(small, 6, 0, "int16")
 
 
 @pytest.mark.parametrize(("delay", "numbers"), [(0, "int8"), (3, "int8"), (6, "int16"), (66, "float")])
 def test_numbers_are_as_fine_as_the_delay_of_the_training_allows(delay, numbers, tmp_path):
     bundle = read_bundle(write(tmp_path, hidden=(32, 32), features=list(FEATURES), activation="relu"))
-    bundle.env.keywords["action_delay"] = delay
-    assert network.choose_numbers(bundle, 200, None) == numbers
-    assert network.choose_numbers(bundle, 200, "float") == "float"
+    assert network.choose_numbers(bundle, 200, delay) == numbers
+    assert network.choose_numbers(bundle, 200, delay, "float") == "float"
 
 
 def test_weights_beyond_the_near_flash_are_refused(tmp_path):
     bundle = read_bundle(write(tmp_path, hidden=(200, 160)))
     with pytest.raises(AmulettError, match=r"in int8 its weights take 36804 bytes of flash; they may take 32000"):
-        network.choose_numbers(bundle, 4000, None)
+        network.choose_numbers(bundle, 4000, 0)
 
 
 def test_a_loop_that_the_firmware_has_not_is_refused():
@@ -160,13 +159,32 @@ def test_a_loop_that_the_firmware_has_not_is_refused():
 
 
 def test_nothing_of_a_bundle_but_numbers_reaches_the_sources(tmp_path):
-    hostile = "*/ #include <evil.h>"
+    hostile = "*/ $(shell evil) `evil` | [x](http://evil)\n#include <evil.h> \\"
     files = export(str(write(tmp_path / hostile / "policy")), "testbed", None, tmp_path / "firmware")
     assert {name for name, content in files.items() if "evil" in content} <= {"README.md", "manifest.json"}
     assert "<evil.h>" not in files["README.md"]
     for name in ("device.h", "weights.h", "tables.h"):
         lines = [line for line in files[name].splitlines() if line.startswith("#include")]
         assert set(lines) <= {'#include "flash.h"'}
+
+
+def test_a_range_that_32_bits_cannot_divide_by_is_refused(tmp_path):
+    folder = str(write(tmp_path / "policy", tension_range=[4.0, 4.0000001]))
+    with pytest.raises(AmulettError, match=r"tension_range is from 4.0 to 4.0000001 N; .* needs 0.01 N"):
+        export(folder, "testbed", None, tmp_path / "firmware")
+
+
+@pytest.mark.parametrize(
+    ("delay", "message"),
+    [("7; #define X", "valid integer"), (-1, "greater"), (8, "from 0 to 7"), ([1], "valid integer"), (None, None)],
+)
+def test_a_hostile_delay(delay, message, tmp_path):
+    folder = str(write(tmp_path / "policy", keywords={"action_delay": delay}))
+    if message is None:  # as if there was none
+        assert choose(folder, load_profile("testbed"))[1].action_delay == 0
+        return
+    with pytest.raises(AmulettError, match=f"action_delay.*{message}"):
+        choose(folder, load_profile("testbed"))
 
 
 @pytest.mark.parametrize("name", ["x; system(0)", "*/", "error_5deg\n#include <evil.h>"])
