@@ -490,7 +490,7 @@ def ratios_figure(
                 style.draw_dot(panel, estimate, row, colour[name], "o", **look)
         style.name_rows(panel, list(label.values()))
         panel.tick_params(axis="y", labelleft=k % 3 == 0)
-        panel.tick_params(axis="x", labelbottom=True)
+        panel.tick_params(axis="x", which="both", labelbottom=True)
     for panel in panels:
         panel.set_xscale("log")
         _log_ticks(panel.xaxis, panels[0].get_xlim())

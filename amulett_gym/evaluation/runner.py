@@ -80,6 +80,8 @@ class Protocol:
         Time between two actions of a contender without its own period [s].
     scenarios : tuple of Scenario
         Own scenarios to play in turn instead of the suite's; those without a family have the suite's cost.
+    unit : Profile or None
+        The device by whose costs of eq. 6 costs are divided; None: `profile`. Returns are the environment's.
     """
 
     profile: Profile
@@ -91,6 +93,7 @@ class Protocol:
     duration: float = 10.0
     agent_period: float = 0.02
     scenarios: tuple[Scenario, ...] = ()
+    unit: Profile | None = None
 
     def __post_init__(self) -> None:
         for kind, name, choices in (
@@ -495,7 +498,8 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
             failures[device] = str(info["failure"][device])
             charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
         running &= ~ended
-    tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
+    unit = protocol.unit or protocol.profile
+    tables = (table(unit, protocol.suite, families=families) for table in (prices, control_prices))
     values = derive(metrics, charges, *tables)
     values["return"] = returns
     error, tension, phase, approach = (np.concatenate(column) for column in zip(*seen, strict=True))

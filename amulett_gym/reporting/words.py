@@ -61,7 +61,8 @@ def pretty(text: str) -> str:
 
 
 def html(text: str) -> Markup:
-    """Return a text as HTML, with typeset numbers and `code`; `Markup` is returned unchanged."""
+    """Return a text as HTML, with typeset numbers, unbroken intervals and `code`; `Markup` is returned unchanged."""
     if isinstance(text, Markup):
         return text
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(pretty(text)))))
+    unbroken = re.sub(r"\[(\S+), (\S+)\]", "[\\1,\N{NO-BREAK SPACE}\\2]", pretty(text))
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(unbroken))))

@@ -209,3 +209,12 @@ def test_laws_in_another_loop_are_coloured_as_laws():
     found = plots.colours([*laws, *learned])
     assert {found[name] for name in laws}.isdisjoint(plots._LEARNED_COLOURS)
     assert {found[name] for name in learned} <= set(plots._LEARNED_COLOURS)
+
+
+def test_all_panels_of_ratios_have_the_same_labels():
+    estimate = {"mean": 0.8, "low": 0.7, "high": 0.9}
+    rows = {f"row {k}": {"a": estimate, "b": estimate} for k in range(5)}
+    figure = plots.ratios_figure(rows, {"a": "A", "b": "B"}, {"a": "red", "b": "blue"}, "ratio [1]")
+    for which in ("major", "minor"):
+        shown = {panel.xaxis.get_tick_params(which=which).get("labelbottom", True) for panel in figure.axes}
+        assert shown == {True}

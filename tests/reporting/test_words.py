@@ -44,6 +44,10 @@ def test_a_ratio_has_the_digits_that_show_a_difference_from_1():
     assert span({"mean": None, "low": None, "high": None}) == "-"
 
 
+def test_intervals_are_not_broken_in_html():
+    assert html("0.8 [0.7, 0.9] of 1, [1, 2, 3]") == "0.8 [0.7,\N{NO-BREAK SPACE}0.9] of 1, [1, 2, 3]"
+
+
 def test_html_is_escaped_once():
     assert html("a < `b`, 2e+06 m2") == "a &lt; <code>b</code>, 2×10⁶ m²"
     assert html(Markup("<b>1e+06</b>")) == "<b>1e+06</b>"

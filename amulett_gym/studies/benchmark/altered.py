@@ -1,4 +1,4 @@
-"""The headline's held-out scenarios with one change in all: what noise alone, or wrong parameters alone, do."""
+"""What one change does: noise alone, or wrong parameters alone, in all scenarios; other gains of the paper's loop."""
 
 from __future__ import annotations
 
@@ -38,6 +38,12 @@ def alter(protocol: Protocol, change: Altered) -> Protocol:
         devices = [_off(one.device, *each) for one, each in zip(scenarios, factors.tolist(), strict=True)]
     changed = (_with(scenario, device) for scenario, device in zip(scenarios, devices, strict=True))
     return replace(protocol, scenarios=tuple(changed))
+
+
+def with_gains(profile: Profile, other: Profile) -> Profile:
+    """Return a device with the gains of another profile in the paper's loop."""
+    gains = {"position": other.loop.position, "tension": other.loop.tension}
+    return profile.model_copy(update={"loop": profile.loop.model_copy(update=gains)})
 
 
 def _off(device: Device, spring: float, inertia: float, damping: float) -> dict[str, float]:

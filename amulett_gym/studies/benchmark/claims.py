@@ -41,7 +41,7 @@ class Claim:
 
     about: str  # suite and split, or another heading
     claim: str
-    measured: float | None
+    measured: float | None  # an int: a count
     low: float | None
     high: float | None
     holds: bool | None  # None: not measured, or reported without a claim

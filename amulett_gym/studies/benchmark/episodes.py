@@ -69,7 +69,7 @@ def _digest(protocol: Protocol, contender: Contender, keep_schedule: bool) -> st
     settings = [
         *(protocol.suite, protocol.split, protocol.episodes, protocol.seed, protocol.duration, protocol.agent_period),
         *(VERSION, _code(), keep_schedule, contender.env_keywords, list(UNITS)),
-        prices(protocol.profile, protocol.suite, track=contender.env_keywords.get("track", SCHEDULE)),
+        prices(protocol.unit or protocol.profile, protocol.suite, track=contender.env_keywords.get("track", SCHEDULE)),
         *_unusual(protocol, contender),
     ]
     settings += [scenario.model_dump_json() for scenario in protocol.scenarios]
@@ -87,7 +87,7 @@ def _unusual(protocol: Protocol, contender: Contender) -> list[Any]:
     """Return settings of a run that differ from the usual ones; usual ones add nothing, so older digests stay valid."""
     found: list[Any] = []
     if not _prices_are_frozen():
-        found.append(control_prices(protocol.profile, protocol.suite))
+        found.append(control_prices(protocol.unit or protocol.profile, protocol.suite))
     if (env_id := protocol.env_of(contender)) not in (ENV_IDS[0], DRIVES_ID):  # the keyword control names that
         found.append(env_id)
     if protocol.scenarios:

@@ -31,7 +31,7 @@ from amulett_gym.storage.reading import read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
-from amulett_gym.studies.benchmark.altered import alter
+from amulett_gym.studies.benchmark.altered import alter, with_gains
 from amulett_gym.studies.benchmark.description import (
     PAPER_STEP,
     PAPERS,
@@ -398,9 +398,7 @@ def _with_paper_gains(evidence: Evidence, folder: Path) -> dict[str, Run]:
     They are of the headline and of the paper's step, on the track *full control*; none if the profile has these gains.
     """
     profile, description = evidence.profile, evidence.description
-    gains = load_profile(profile.root if profile.root in profile_names() else PROFILE).loop
-    loop = profile.loop.model_copy(update={"position": gains.position, "tension": gains.tension})
-    papers = profile.model_copy(update={"loop": loop})
+    papers = with_gains(profile, load_profile(profile.root if profile.root in profile_names() else PROFILE))
     if description.track != FULL_CONTROL or papers == profile:
         return {}
     suites = [suite for suite in dict.fromkeys((description.headline, PAPER_STEP)) if suite in description.suites]

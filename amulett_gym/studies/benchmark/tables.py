@@ -49,7 +49,14 @@ def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
 
 def claims_table(claims: Sequence[Claim]) -> Table:
     """Return the claims, the measured numbers, and whether they hold."""
-    rows = [[c.about, c.claim, number(c.measured), interval(c.low, c.high), HOLDS[c.holds], c.note] for c in claims]
+    rows = [
+        [
+            *(claim.about, claim.claim),
+            str(claim.measured) if isinstance(claim.measured, int) else number(claim.measured),
+            *(interval(claim.low, claim.high), HOLDS[claim.holds], claim.note),
+        ]
+        for claim in claims
+    ]
     held, judged = sum(claim.holds is True for claim in claims), sum(claim.holds is not None for claim in claims)
     note = f"{held} of {judged} claims are met. A dash: not measured here, or reported only."
     head = ("scenarios", "claim", "measured", "95 % interval", "met", "what is measured")

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
 from amulett_gym.envs.eq6_costs import device_digest
 from amulett_gym.envs.reward import SCHEDULE
@@ -17,7 +17,7 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.evaluation.runner import MOST_EPISODES, YARDSTICK
 from amulett_gym.fleet import fleet_names, load_fleet, names_or_contents
 from amulett_gym.laws.parametric import BEST_CONSTANT, LAWS
-from amulett_gym.profile import Positive, Profile
+from amulett_gym.profile import Positive, Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.studies.benchmark.description import PAPERS, QUICK_SEEDS, QUICK_STEPS, Bootstrap, Learned
 
@@ -25,6 +25,9 @@ Fleet = str | list[str | dict[str, Any]]
 
 CONSTANT, OWN_CONSTANT = "best-constant", "own-constant"
 """Entries: the constant tuned on the training devices; the best constant of each judged device."""
+
+EQ6_WITH_GAINS = "eq6-with-gains"
+"""Entry: eq. 6 with the gains of a profile, `DevicesBenchmark.eq6_gains`; in the unit of the devices' own eq. 6."""
 
 SPECIALIST, ADAPTED = "specialist", "adapted"
 """Entries: policies trained, or trained further, on the very device that they are judged on."""
@@ -75,6 +78,11 @@ class DevicesBenchmark(Group):
     seed: int = Field(default=20_000, ge=0, lt=2**63, description="seed of the first scenario [1]")
     duration: Positive = Field(default=10.0, le=1000, description="duration of an episode [s]")
     contenders: list[str] = Field(default=[], description="further laws or policy bundles to compare")
+    eq6_gains: str | None = Field(
+        default=None,
+        description="profile with whose gains of the paper's loop eq. 6 also plays, a name or a file; costs are still "
+        "divided by those with each device's gains; null: it does not",
+    )
     laws: list[str] = Field(
         default=["constant", "eq6-tuned", "parametric"], description="laws that are tuned on the training devices"
     )
@@ -102,7 +110,7 @@ class DevicesBenchmark(Group):
             if law not in LAWS:
                 raise unknown("law that can be tuned", law, LAWS)
         taken = [YARDSTICK, *map(entry_name, self.laws), *self.contenders, *self.learned]
-        taken += [OWN_CONSTANT, SPECIALIST, ADAPTED]
+        taken += [OWN_CONSTANT, EQ6_WITH_GAINS, SPECIALIST, ADAPTED]
         for name in taken:
             if taken.count(name) > 1:
                 raise ValueError(
@@ -114,6 +122,11 @@ class DevicesBenchmark(Group):
             if entry.loops or entry.best_loop_seeds or entry.reference:
                 raise ValueError(f"learned.{name}: loops, best_loop_seeds and reference are not for devices")
         return self
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out an option that came later, so that folders of older descriptions stay valid."""
+        return {key: value for key, value in dump(self).items() if value is not None or key != "eq6_gains"}
 
 
 def entry_name(law: str) -> str:
@@ -181,6 +194,14 @@ def load_fleets(description: DevicesBenchmark, folder: Path) -> dict[str, tuple[
                         "no device may be in two fleets"
                     )
     return found
+
+
+def eq6_gains(description: DevicesBenchmark, folder: Path) -> Profile | None:
+    """Return the profile with whose gains eq. 6 also plays; files are relative to the description's `folder`."""
+    given = description.eq6_gains
+    if given is None or given in profile_names():
+        return None if given is None else load_profile(given)
+    return load_profile(find_config(given, "profile", folder))
 
 
 def as_override(fleet: Fleet, folder: Path) -> str:

@@ -19,7 +19,13 @@ from amulett_gym.reporting.table import Table, csv_text, fill
 from amulett_gym.reporting.words import number, pretty, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
-from amulett_gym.studies.benchmark.devices.description import ADAPTED, CONSTANT, OWN_CONSTANT, SPECIALIST
+from amulett_gym.studies.benchmark.devices.description import (
+    ADAPTED,
+    CONSTANT,
+    EQ6_WITH_GAINS,
+    OWN_CONSTANT,
+    SPECIALIST,
+)
 from amulett_gym.studies.benchmark.devices.results import Content
 from amulett_gym.studies.benchmark.devices.stages import Evidence
 from amulett_gym.studies.benchmark.page import FIGURES, PAGE, RESULTS, not_met
@@ -89,14 +95,15 @@ def _costs(evidence: Evidence) -> Iterable[Sequence[Any]]:
 
 def write_document(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure], path: str | Path) -> None:
     """Renew the generated part of a document, and its figures; AmulettError as `reporting.document.check_document`."""
+    prefix = Path(path).stem.replace("-", "_")  # several documents have figures in one folder
     parts = [
         "" if found["command"] is None else f"`{found['command']}` on {found['machine']}",
         pretty(f"**{verdict(found, claims)}**"),
         pretty("\n".join(f"- {line}" for line in not_met(claims))),
         *(pretty(table.markdown()) for table in tables(found, claims).values()),
-        *(image(f"devices_benchmark_{name}", CAPTIONS[name]) for name in figures),
+        *(image(f"{prefix}_{name}", CAPTIONS[name]) for name in figures),
     ]
-    files = {f"devices_benchmark_{name}": figure for name, figure in figures.items()}
+    files = {f"{prefix}_{name}": figure for name, figure in figures.items()}
     update_document(path, {MARKS: "\n\n".join(filter(None, parts))}, files)
 
 
@@ -118,6 +125,8 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
     )
     against = [f"{with_interval(mine['ratio'][law])} of {law}'s" for law in found["laws"] if law != YARDSTICK]
     against += [f"{with_interval(mine['ratio'][OWN_CONSTANT])} of the best constant's of each device"]
+    if EQ6_WITH_GAINS in mine["ratio"]:
+        against.append(f"{with_interval(mine['ratio'][EQ6_WITH_GAINS])} of that of {label(found, EQ6_WITH_GAINS)}")
     text += f", and has {', '.join(against)}."
     if found.get("quick"):
         return f"{text} This was a quick run, which only shows that everything works. No claim is judged by it."
@@ -130,7 +139,9 @@ def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
     made = {
         "claims": claims_table(claims),
         "contenders": contenders_table(found),
+        "lower": lower_table(found),
         "families": families_table(found),
+        "families_to_laws": families_to_laws_table(found),
         "devices": devices_table(found),
         "adaptation": adaptation_table(found),
         "seeds": seeds_table(found),
@@ -141,51 +152,69 @@ def tables(found: Content, claims: Sequence[Claim]) -> dict[str, Table]:
 
 def contenders_table(found: Content) -> Table:
     """Return all contenders, the lowest ratio to eq. 6 first."""
-    others = [law for law in found["laws"] if law != YARDSTICK] + [OWN_CONSTANT]
-    rows = []
-    for name, numbers in sorted(found["results"].items(), key=lambda item: item[1]["ratio"][YARDSTICK]["mean"]):
-        lower, worst, failures = numbers["lower_on"], numbers["worst"], numbers["failures"]
+    others, rows = _compared(found), []
+    for name, numbers in _ranked(found):
+        worst, failures = numbers["worst"], numbers["failures"]
         rows.append(
             [
                 label(found, name),
                 with_interval(numbers["ratio"][YARDSTICK]),
-                _of(lower.get(YARDSTICK)),
                 f"{number(worst['ratio_to_eq6'])} ({worst['device']})",
-                *(
-                    cell
-                    for other in others
-                    for cell in (with_interval(numbers["ratio"].get(other)), _of(lower.get(other)))
-                ),
+                *(with_interval(numbers["ratio"].get(other)) for other in others),
                 f"{failures['count']} of {failures['total']}",
             ]
         )
-    head = ["", "ratio to eq6", "below eq6 on", "worst device"]
-    for other in others:
-        head += [f"ratio to {label(found, other)}", "below it on"]
+    head = ("", "ratio to eq6", "worst device", *(f"ratio to {label(found, other)}" for other in others), "failed")
     note = (
         "Ratios of costs over all devices and scenarios, with 95 % intervals over training seeds, devices and "
-        "scenarios. Costs on a device are divided by those of eq. 6 on that device. Below: number of devices on which "
-        "the mean cost is lower. Specialists and adapted policies play on the first devices only."
+        "scenarios. Costs on a device are divided by those of eq. 6 on that device. Specialists and adapted policies "
+        "play on the first devices only."
     )
-    return Table("Held-out devices: all contenders", (*head, "failed"), rows, note)
+    return Table("Held-out devices: all contenders", head, rows, note)
+
+
+def lower_table(found: Content) -> Table:
+    """Return on how many devices each contender costs less than the hand-tuned laws."""
+    others = (YARDSTICK, *_compared(found))
+    rows = [
+        [label(found, name), *(_of(numbers["lower_on"].get(other)) for other in others)]
+        for name, numbers in _ranked(found)
+    ]
+    head = ("", *(label(found, other) for other in others))
+    return Table("Number of held-out devices on which the mean cost is lower than that of", head, rows)
+
+
+def _compared(found: Content) -> list[str]:
+    """Return the entries with which all are compared, besides eq. 6 as it is."""
+    others = [law for law in found["laws"] if law != YARDSTICK] + [OWN_CONSTANT]
+    return others + [EQ6_WITH_GAINS] * (EQ6_WITH_GAINS in found["entries"])
+
+
+def _ranked(found: Content) -> list[tuple[str, Content]]:
+    return sorted(found["results"].items(), key=lambda item: item[1]["ratio"][YARDSTICK]["mean"])
 
 
 def families_table(found: Content) -> Table:
-    """Return each entry's ratio to eq. 6 by family, and the learned one's ratio to the richer law."""
-    names = [name for name in found["entries"] if name != YARDSTICK]
+    """Return by family the ratio to eq. 6 of each entry that plays on all devices."""
+    names = [name for name, entry in found["entries"].items() if entry["devices"] == found["fleets"]["judge"]]
+    names.remove(YARDSTICK)
     rows = [
-        [
-            f"{family} ({numbers['scenarios']})",
-            *(with_interval(numbers["ratio_to_eq6"][name]) for name in names),
-            *(with_interval(numbers["ratio_of_learned"][law]) for law in found["laws"] if law != YARDSTICK),
-        ]
+        [f"{family} ({numbers['scenarios']})", *(with_interval(numbers["ratio_to_eq6"][name]) for name in names)]
         for family, numbers in found["families"].items()
     ]
-    best = found["best_learned"]
-    head = [label(found, name) for name in names]
-    head += [f"{best} to {label(found, law)}" for law in found["laws"] if law != YARDSTICK]
-    note = "Ratios of costs to those of eq. 6; the last columns: of the learned policy to the hand-tuned laws."
-    return Table("By family of scenarios", ("", *head), rows, note)
+    head = ("", *(label(found, name) for name in names))
+    return Table("By family of scenarios: ratios of costs to eq. 6", head, rows)
+
+
+def families_to_laws_table(found: Content) -> Table:
+    """Return the learned entry's ratio to the hand-tuned laws by family."""
+    laws, best = [law for law in found["laws"] if law != YARDSTICK], label(found, found["best_learned"])
+    rows = [
+        [f"{family} ({numbers['scenarios']})", *(with_interval(numbers["ratio_of_learned"][law]) for law in laws)]
+        for family, numbers in found["families"].items()
+    ]
+    head = ("", *(f"to {label(found, law)}" for law in laws))
+    return Table(f"By family of scenarios: ratios of the costs of {best}", head, rows if laws else [])
 
 
 def devices_table(found: Content) -> Table:
@@ -241,21 +270,30 @@ def seeds_table(found: Content) -> Table:
 
 def budgets_table(found: Content) -> Table:
     """Return the number of episodes that each learned or tuned entry was given, and the time."""
-    rows = []
+    runs: dict[str, list[Content]] = {}
     for name, entry in found["training"].items():
-        if "tuned_episodes" in entry:
-            rows.append([label(found, name), f"{entry['tuned_episodes']:,}", "-"])
-            continue
-        runs = list(entry["runs"].values())
-        longest = max(run["seconds"] for run in runs)
-        rows.append([name, f"{max(run['episodes'] for run in runs):,}", f"{longest:.0f}"])
-    return Table("Price of tuning and training", ("", "simulated episodes, of one run", "longest run [s]"), rows)
+        if "runs" in entry:  # specialists and adapted policies: of all devices together
+            runs.setdefault(name.partition("/")[0], []).extend(entry["runs"].values())
+    rows = [
+        [
+            name,
+            str(len(each)),
+            f"{max(run['episodes'] for run in each):,}",
+            f"{max(run['seconds'] for run in each):.0f}",
+        ]
+        for name, each in runs.items()
+    ]
+    tuned = {name: entry["tuned_episodes"] for name, entry in found["training"].items() if "tuned_episodes" in entry}
+    rows += [[label(found, name), "1", f"{episodes:,}", "-"] for name, episodes in tuned.items()]
+    return Table(
+        "Price of tuning and training", ("", "runs", "simulated episodes, of one run", "longest run [s]"), rows
+    )
 
 
 def in_words(found: Content, claims: Sequence[Claim]) -> str:
     """Return the text for the terminal: claims, contenders, verdict."""
     made = tables(found, claims)
-    shown = [made["contenders"]]
+    shown = [made["contenders"], made["lower"]]
     if claims:
         table = made["claims"]
         shown = [replace(table, head=table.head[:5], rows=[row[:5] for row in table.rows], left=(0, 1)), *shown]
@@ -269,6 +307,8 @@ def label(found: Content, name: str) -> str:
         return f"best constant ({number(found['constants']['tuned'])} N)"
     if name == OWN_CONSTANT:
         return "best constant of the device"
+    if name == EQ6_WITH_GAINS:
+        return f"eq6, gains of {found['eq6_gains']}"
     count = len(found["entries"][name]["seeds"]) if name in found["entries"] else 0
     return f"{name} ({count} seeds)" if count > 1 else name
 

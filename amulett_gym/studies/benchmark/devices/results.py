@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import __version__
+from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.evaluation.statistics import (
@@ -23,14 +24,23 @@ from amulett_gym.evaluation.statistics import (
     nested_mean,
     nested_ratio,
 )
-from amulett_gym.studies.benchmark.devices.description import ADAPTED, CONSTANT, OWN_CONSTANT, SPECIALIST
+from amulett_gym.studies.benchmark.devices.description import (
+    ADAPTED,
+    CONSTANT,
+    EQ6_WITH_GAINS,
+    OWN_CONSTANT,
+    SPECIALIST,
+)
 from amulett_gym.studies.benchmark.devices.stages import Entry, Evidence
 from amulett_gym.studies.benchmark.runs import learning_curve, outcome
 
 Content = dict[str, Any]
 
-REPORTED = ("position_ise", "effort", "tension_ise", "resting_stiffness", "push_deflection", "contact_peak")
-"""Physical metrics that are reported of every entry."""
+REPORTED = {
+    SCHEDULE: ("position_ise", "effort", "tension_ise", "resting_stiffness", "push_deflection", "contact_peak"),
+    FULL_CONTROL: ("position_ise", "drive_effort", "resting_stiffness", "push_deflection", "contact_peak"),
+}
+"""Physical metrics that are reported of every entry, by track."""
 
 
 def content(evidence: Evidence, command: str | None = None, machine: str | None = None, quick: bool = False) -> Content:
@@ -51,7 +61,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
         "versions": {"amulett-gym": __version__, **{name: version(name) for name in ("numba", "numpy", "scipy")}},
         "bootstrap": {"level": LEVEL, **description.bootstrap.model_dump()},
         "track": description.track,
-        "units": {metric: UNITS[metric] for metric in REPORTED},
+        "units": {metric: UNITS[metric] for metric in REPORTED[description.track]},
         "fleets": {key: [profile.name for profile in fleet] for key, fleet in evidence.fleets.items()},
         "best_learned": description.best_learned,
         "laws": hand_tuned(evidence),
@@ -59,6 +69,7 @@ def content(evidence: Evidence, command: str | None = None, machine: str | None 
             name: {"kind": entry.kind, "seeds": list(entry.seeds), "devices": list(entry.devices)}
             for name, entry in entries.items()
         },
+        **({} if (gains := _gains(evidence)) is None else {"eq6_gains": gains}),
         "constants": {"of_devices": evidence.own_constants, "tuned": _tension(evidence)},
         "results": {name: _numbers(evidence, entry) for name, entry in entries.items()},
         "devices": {device: _on_device(evidence, device) for device in entries[YARDSTICK].devices},
@@ -76,7 +87,7 @@ def hand_tuned(evidence: Evidence) -> list[str]:
 
 def opponents(evidence: Evidence, name: str) -> list[str]:
     """Return the entries with which an entry is compared, each on the devices of both."""
-    asked = [*hand_tuned(evidence), OWN_CONSTANT, SPECIALIST, ADAPTED]
+    asked = [*hand_tuned(evidence), EQ6_WITH_GAINS, OWN_CONSTANT, SPECIALIST, ADAPTED]
     return [other for other in asked if other in evidence.entries and other != name]
 
 
@@ -92,8 +103,9 @@ def _numbers(evidence: Evidence, entry: Entry) -> Content:
     to_eq6 = cost.mean(axis=0).sum(axis=1) / evidence.values(YARDSTICK, devices=devices)[0].sum(axis=1)
     worst = int(np.argmax(to_eq6))
     draws = _draws(evidence, *cost.shape)
-    metrics = {metric: evidence.values(entry.name, metric) for metric in REPORTED}
-    eq6 = {metric: evidence.values(YARDSTICK, metric, devices)[0] for metric in REPORTED}
+    reported = REPORTED[evidence.description.track]
+    metrics = {metric: evidence.values(entry.name, metric) for metric in reported}
+    eq6 = {metric: evidence.values(YARDSTICK, metric, devices)[0] for metric in reported}
     others = opponents(evidence, entry.name)
     return {
         "cost": nested_mean(cost, draws).plain(),
@@ -217,6 +229,12 @@ def _validations(evidence: Evidence) -> Content:
         if run.entry in evidence.description.learned:
             found.setdefault(run.entry, {})[str(run.seed)] = learning_curve(run).tolist()
     return found
+
+
+def _gains(evidence: Evidence) -> str | None:
+    """Return the name of the profile with whose gains eq. 6 also plays; None if it does not."""
+    entry = evidence.entries.get(EQ6_WITH_GAINS)
+    return None if entry is None or entry.gains is None else entry.gains.name
 
 
 def _tension(evidence: Evidence) -> float | None:

@@ -31,15 +31,18 @@ from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
+from amulett_gym.studies.benchmark.altered import with_gains
 from amulett_gym.studies.benchmark.description import Learned, named, training_recipe
 from amulett_gym.studies.benchmark.devices.description import (
     ADAPTED,
+    EQ6_WITH_GAINS,
     LEAST_BUDGET,
     OWN_CONSTANT,
     SPECIALIST,
     DevicesBenchmark,
     as_override,
     entry_name,
+    eq6_gains,
     load_fleets,
 )
 from amulett_gym.studies.benchmark.episodes import Played, file_label, played
@@ -67,6 +70,7 @@ class Entry:
     kind: Kind
     members: Mapping[str, tuple[Contender, ...]]  # device -> contenders
     seeds: tuple[int, ...] = ()
+    gains: Profile | None = None  # with those of the paper's loop of this profile; None: with each device's own
 
     @property
     def devices(self) -> tuple[str, ...]:
@@ -134,7 +138,7 @@ def run_devices_benchmark(
     """
     out = user_path(out)
     fleets = load_fleets(description, folder)
-    judged = fleets["judge"]
+    judged, gains = fleets["judge"], eq6_gains(description, folder)
     check_frozen([description.suite], description.track)
     runs_folder = out / RUNS if runs is None else user_path(runs)
     learned = _learned_runs(description, folder, runs_folder)
@@ -165,7 +169,7 @@ def run_devices_benchmark(
         adapted = _adapted_runs(description, runs_folder, judged, _of(learned, description.best_learned)[start])
         _train(adapted, say, progress, 1)  # limited by time: one at a time
         entries = [
-            *_given(description, judged, own),
+            *_given(description, judged, own, gains),
             *_tuned_entries(recipes, judged, out / TUNED_LAWS),
             _own_entry(description, constants),
             *_trained_entries(description, judged, learned, specialists, adapted),
@@ -190,6 +194,7 @@ def check_devices_benchmark(description: DevicesBenchmark, folder: Path) -> None
     judged = load_fleets(description, folder)["judge"]
     _learned_runs(description, folder, Path(RUNS))
     _specialist_runs(description, folder, Path(RUNS), judged)
+    eq6_gains(description, folder)
 
 
 def _of(runs: Sequence[TrainingRun], entry: str) -> list[TrainingRun]:
@@ -328,10 +333,15 @@ def _everywhere(judged: Sequence[Profile], *members: Contender) -> dict[str, tup
     return {profile.name: members for profile in judged}
 
 
-def _given(description: DevicesBenchmark, judged: Sequence[Profile], own: Sequence[Contender]) -> list[Entry]:
+def _given(
+    description: DevicesBenchmark, judged: Sequence[Profile], own: Sequence[Contender], gains: Profile | None
+) -> list[Entry]:
     names = [YARDSTICK, *description.contenders]
     contenders = {**{name: parse_contender(name) for name in names}, **{each.name: each for each in own}}
-    return [Entry(name, "law", _everywhere(judged, contender)) for name, contender in contenders.items()]
+    entries = [Entry(name, "law", _everywhere(judged, contender)) for name, contender in contenders.items()]
+    if gains is not None:
+        entries.append(Entry(EQ6_WITH_GAINS, "law", _everywhere(judged, contenders[YARDSTICK]), gains=gains))
+    return entries
 
 
 def _tuned_entries(recipes: Mapping[str, Recipe], judged: Sequence[Profile], folder: Path) -> list[Entry]:
@@ -389,7 +399,8 @@ def _play(
             "seed": description.seed,
             "duration": description.duration,
         }
-        protocol = Protocol(profile, description.suite, "held-out", **shared)
+        acting = profile if entry.gains is None else with_gains(profile, entry.gains)
+        protocol = Protocol(acting, description.suite, "held-out", **shared, unit=profile)
         members = entry.members[profile.name]
         labels = [f"{entry.name}-seed-{seed}" for seed in entry.seeds] or [entry.name]
         place = folder / file_label(profile.name)

@@ -12,6 +12,7 @@ from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.fleet import load_fleet
+from amulett_gym.profile import load_profile
 from amulett_gym.storage.provenance import read_provenance
 from amulett_gym.studies.benchmark import episodes, runs
 from amulett_gym.studies.benchmark.devices.description import (
@@ -29,6 +30,7 @@ def device(name, mass):
 
 
 JUDGED = [device("heavy", 0.3), device("light", 0.1), device("medium", 0.16)]
+GAINS = {"name": "slow", "base": "testbed", "loop": {"position": {"kp": 0.02}}}
 SHORT = [
     *("env.max_episode_steps=100", "network.hidden=[8]", "num_envs=16", "total_steps=512", "ppo.n_steps=16"),
     *("ppo.batch_size=64", "validation.every_steps=256", "validation.episodes=4", "checkpoint_seconds=0.0"),
@@ -49,9 +51,12 @@ TINY = {
     "bootstrap": {"resamples": 100},
 }
 
+WITH_GAINS = {**TINY, "eq6_gains": "gains.yaml"}
+
 
 def described(folder: Path, content: dict) -> Path:
     path = folder / "tiny.yaml"
+    (folder / "gains.yaml").write_text(yaml.safe_dump(GAINS))
     path.write_text(yaml.safe_dump(content))
     return path
 
@@ -61,7 +66,7 @@ def done(tmp_path_factory):
     """Run a benchmark, and return its folder."""
     folder = tmp_path_factory.mktemp("devices")
     (folder / "doc.md").write_text("# Title\n\n{}\n\n{}\n".format(*MARKS))
-    words = ["benchmark", "--config", str(described(folder, TINY)), "--out", str(folder / "out")]
+    words = ["benchmark", "--config", str(described(folder, WITH_GAINS)), "--out", str(folder / "out")]
     assert main([*words, "--doc", str(folder / "doc.md")]) == 0
     return folder / "out"
 
@@ -73,19 +78,30 @@ def found(done):
 
 def test_it_writes_numbers_tables_figures_a_page_and_a_document(done, found):
     assert {path.stem for path in (done / "tables").iterdir()} == {
-        *("claims", "contenders", "families", "devices", "adaptation", "seeds", "budgets", "costs")
+        *(
+            "claims",
+            "contenders",
+            "lower",
+            "families",
+            "families_to_laws",
+            "devices",
+            "adaptation",
+            "seeds",
+            "budgets",
+            "costs",
+        )
     }
     head, *rows = (done / "tables" / "costs.csv").read_text().splitlines()
     assert head == "entry,seed,device,scenario,family,cost"
-    assert len(rows) == 4 * (5 * 3 + 2 * 3 + 1 + 2) and rows[4 * 3].startswith("position-only,,heavy,0,")
+    assert len(rows) == 4 * (6 * 3 + 2 * 3 + 1 + 2) and rows[4 * 3].startswith("position-only,,heavy,0,")
     assert {path.stem for path in (done / "figures").iterdir()} == {"devices", "families", "learning"}
     page, document = (done / "benchmark.html").read_text(), (done.parent / "doc.md").read_text()
     assert page.count("<svg") == 3 and "<script" not in page
     assert found["verdict"].split(",")[0] in page and "### By device" in document
-    assert (done.parent / "images" / "devices_benchmark_devices.png").exists()
+    assert (done.parent / "images" / "doc_devices.png").exists()
     assert found["fleets"] == {"train": ["a", "b"], "choose": ["c"], "judge": ["heavy", "light", "medium"]}
     assert list(found["entries"]) == [
-        *("eq6", "position-only", "parametric:mixed", "best-constant", "own-constant"),
+        *("eq6", "position-only", "parametric:mixed", "eq6-with-gains", "best-constant", "own-constant"),
         *("mine", "specialist", "adapted"),
     ]
     assert read_provenance(done).kind == "benchmark"
@@ -110,6 +126,27 @@ def test_costs_are_those_of_paired_comparisons_on_each_device(done, found):
     worst = np.mean(learned, axis=0) / eq6
     assert mine["worst"]["ratio_to_eq6"] == pytest.approx(worst.max(), rel=1e-12)
     assert mine["worst"]["device"] == JUDGED[int(worst.argmax())]["name"]
+
+
+def test_eq6_also_plays_with_other_gains_in_the_same_unit(done, found):
+    heavy = load_profile(JUDGED[0])
+    there = heavy.model_copy(
+        update={"loop": heavy.loop.model_copy(update={"position": load_profile(GAINS).loop.position})}
+    )
+    shared = {"suite": "mixed", "episodes": 4, "duration": 2.0}
+    slow, eq6 = (evaluate(["eq6"], profile=profile, **shared).values["eq6"] for profile in (there, heavy))
+    kept = np.load(done / "episodes" / "heavy" / "held-out" / "mixed" / "eq6-with-gains.npz")
+    values = dict(zip(kept["metrics"].tolist(), kept["values"], strict=True))
+    assert np.array_equal(values["position_ise"], slow["position_ise"])
+    assert not np.allclose(slow["position_ise"], eq6["position_ise"], rtol=0.01)
+    unit, other = (each["cost_position"] / each["position_ise"] for each in (eq6, slow))
+    assert values["cost_position"] / values["position_ise"] == pytest.approx(unit, rel=1e-12)
+    assert not np.allclose(unit, other, rtol=0.01)
+    ratio = found["devices"]["heavy"]["ratio_to_eq6"]["eq6-with-gains"]["mean"]
+    assert ratio == pytest.approx(values["cost"].sum() / eq6["cost"].sum(), rel=1e-12)
+    assert found["eq6_gains"] == "slow"
+    assert "eq6, gains of slow" in (done / "benchmark.html").read_text()
+    assert "eq6_gains" not in DevicesBenchmark().model_dump() and DevicesBenchmark(eq6_gains="testbed").model_dump()
 
 
 def test_specialists_and_adapted_policies_are_judged_on_their_own_devices(done, found):
@@ -141,12 +178,12 @@ def test_finished_work_is_kept_and_another_description_refused(done, found, monk
     monkeypatch.setattr(episodes, "play_alone", fail)
     monkeypatch.setattr(runs, "load_learning", fail)
     monkeypatch.setattr("amulett_gym.studies.benchmark.devices.stages.best_constants", fail)
-    assert main(["benchmark", "--config", str(described(tmp_path, TINY)), "--out", str(done)]) == 0
+    assert main(["benchmark", "--config", str(described(tmp_path, WITH_GAINS)), "--out", str(done)]) == 0
     again = json.loads((done / "benchmark.json").read_text())
     assert {key: again[key] for key in again if key != "command"} == {
         key: found[key] for key in found if key != "command"
     }
-    other = parse_devices_benchmark({**TINY, "episodes": 5}, "tiny.yaml")
+    other = parse_devices_benchmark({**WITH_GAINS, "episodes": 5}, "tiny.yaml")
     with pytest.raises(AmulettError, match="holds another benchmark: description.episodes"):
         run_devices_benchmark(other, done, tmp_path)
 
