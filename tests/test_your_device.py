@@ -37,7 +37,7 @@ NEEDS = {"--transport chip": ("avr-gcc", "simavr"), "make ": ("avr-gcc", "make")
 
 
 def commands() -> list[str]:
-    return [line.split("  #")[0].split(" # ")[0].strip() for line in WAY.splitlines()]
+    return [line.split("  #")[0].strip() for line in WAY.splitlines()]
 
 
 def reason_to_skip(command: str) -> str | None:
