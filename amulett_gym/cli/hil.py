@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play, print the table, and write the files; return 1 if a device failed or the strings were let go."""
-    from amulett_gym.firmware.hil import table, write_needs
+    from amulett_gym.firmware.hil_page import chip_table, table, write_needs
     from amulett_gym.firmware.readme import MEASURED, README
     from amulett_gym.reporting.document import check_document
 
@@ -73,6 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
     show = printer(arguments)
     show(f"{found.description.law} on {found.protocol.profile.name}, {found.protocol.episodes} of {arguments.suite}")
     show(table(found).text(), wrap=False)
+    if (chip := chip_table(found)) is not None:
+        show(f"\n{chip.text()}", wrap=False)
     if arguments.out is not None:
         show(f"Written: {arguments.out}/hil.json, {arguments.out}/index.html")
     if arguments.readme:
@@ -88,7 +90,7 @@ def compare(
 
     `places`: the firmware's path in `config` -> where it is now, if that is elsewhere.
     """
-    from amulett_gym.firmware import hil
+    from amulett_gym.firmware import hil, hil_page
     from amulett_gym.firmware.description import firmware_content, read_description
     from amulett_gym.laws.copies import Copies
     from amulett_gym.reporting.progress import Progress
@@ -108,8 +110,8 @@ def compare(
             found = hil.compare(folder, transports, **options, advance=bar.update)
         if out is not None:
             seeds = range(options["seed"], options["seed"] + options["episodes"])
-            with files_together(out, hil.FILES) as new:
-                hil.write_comparison(found, new)
+            with files_together(out, hil_page.FILES) as new:
+                hil_page.write_comparison(found, new, words)
                 write_provenance(new, "hil", {**config, "kept": copies.record}, seeds, words)
                 copies.write(out)
     return found

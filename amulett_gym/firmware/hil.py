@@ -14,24 +14,14 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.transition import METRICS
-from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import control_prices, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, play_alone
 from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.description import Description, read_description
 from amulett_gym.firmware.env import HardwareEnv
-from amulett_gym.firmware.readme import MEASURED, README, needs
-from amulett_gym.firmware.toolchain import FLASH, FREQUENCY, RAM
 from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import load_profile
-from amulett_gym.reporting.document import update_document
-from amulett_gym.reporting.page import fill_page
-from amulett_gym.reporting.table import Table
-from amulett_gym.storage.writing import write_json, write_text
-
-FILES = ("hil.json", "index.html")
-"""What :func:`write_comparison` writes."""
 
 KERNEL = "simulation"
 """Name of the simulation's own loop in tables."""
@@ -48,6 +38,8 @@ class Played:
     label : str
         Where it ran: `KERNEL`, or the transport.
     costs : ndarray, shape (episodes,)
+    families : ndarray of int, shape (episodes,)
+        Of each scenario, an index into `simulation.layout.FAMILIES`.
     failures : int
         Devices that failed.
     let_go : int
@@ -60,6 +52,7 @@ class Played:
 
     label: str
     costs: Values
+    families: NDArray[np.int64]
     failures: int
     let_go: int = 0
     retries: int = 0
@@ -176,7 +169,7 @@ def compare(
 
 def _simulated(protocol: Protocol, contender: Contender, label: str) -> Played:
     run = play_alone(protocol, contender)
-    return Played(label, run.values["cost"], sum(reason != "" for reason in run.failures))
+    return Played(label, run.values["cost"], run.families, sum(reason != "" for reason in run.failures))
 
 
 def agent_steps(found: Description, duration: float) -> int:
@@ -209,77 +202,11 @@ def play(
         tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
         costs = derive(raw, charges, *tables)["cost"]
         failures = int((charges > 0.0).sum())
-        return Played(transport, costs, failures, let_go, env.loop.retries, env.loop.measure())
+        return Played(transport, costs, families, failures, let_go, env.loop.retries, env.loop.measure())
     finally:
         env.close()
-
-
-def table(found: Comparison) -> Table:
-    """Return costs, differences, and what a simulated chip needs."""
-    rows = []
-    for each in found.rows:
-        mean, largest = found.difference(each)
-        interval = found.interval(each)
-        shown = "-" if interval is None else f"{100.0 * interval[0]:.2g} to {_percent(interval[1])}"
-        apart = ("-",) * 3 if each is found.kernel else (_percent(mean), shown, _percent(largest))
-        rows.append((each.label, f"{each.costs.mean():.5g}", *apart, *_needs(each.measurement, found.period)))
-    differences = ("difference", "95 % interval", "largest of a scenario")
-    head = ("loop in", "cost", *differences, "worst tick", "of the period", "flash", "memory")
-    return Table("", head, rows, note=remarks(found))
-
-
-def remarks(found: Comparison) -> str:
-    """Return what else happened, as a sentence each; empty if nothing did."""
-    text = []
-    for each in found.played:
-        for count, what in ((each.failures, "devices failed"), (each.let_go, "times the strings were let go")):
-            if count:
-                text.append(f"{each.label}: {count} {what}.")
-        if each.retries:
-            text.append(f"{each.label}: {each.retries} requests were sent again.")
-    return " ".join(text)
-
-
-def write_comparison(found: Comparison, out: Path) -> None:
-    """Write ``hil.json`` and the page ``index.html``."""
-    content, page = FILES
-    write_json(out / content, found.content())
-    write_text(out / page, fill_page("firmware/hil.html.j2", found=found, table=table(found), limits=LIMITS))
-
-
-def write_needs(found: Comparison) -> None:
-    """Write the memory and cycles that a simulated chip has measured into the ``README.md`` of the firmware's folder.
-
-    Raises
-    ------
-    AmulettError
-        If none has, or the file has no place for them.
-    """
-    chip = next((each for each in found.played if each.measurement is not None), None)
-    if chip is None or chip.measurement is None:
-        raise AmulettError("memory and cycles are those of the simulated chip: it has to be among the transports")
-    protocol, (mean, _) = found.protocol, found.difference(chip)
-    run = (
-        f"in lock step with the simulation in {protocol.episodes} scenarios of `{protocol.suite}`, {protocol.split}, "
-        f"{protocol.duration:g} s each, whose mean cost differs by {_percent(mean)} from that of the simulation's loop"
-    )
-    update_document(found.description.folder / README, {MEASURED: needs(chip.measurement, found.period, run)})
-
-
-LIMITS = f"ATmega2560 at {FREQUENCY / 1e6:g} MHz: {FLASH:,} bytes of flash, {RAM:,} bytes of memory."
 
 
 def _measured(found: Measurement, period: float) -> Mapping[str, float]:
     shown = {key: getattr(found, key) for key in ("ticks", "most", "mean", "flash", "static", "stack")}
     return {**shown, "share_of_period": found.share_of_period(period)}
-
-
-def _needs(found: Measurement | None, period: float) -> tuple[str, ...]:
-    if found is None:
-        return ("-",) * 4
-    share, memory = found.share_of_period(period), f"{found.static} + {found.stack}"
-    return f"{found.most:,} cycles", f"{100.0 * share:.0f} %", f"{found.flash:,}", memory
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"

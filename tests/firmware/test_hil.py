@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
-from amulett_gym.firmware import hil
+from amulett_gym.firmware import hil, hil_page
+from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.hil import compare
 from amulett_gym.laws.copies import FOLDER
 from amulett_gym.storage.provenance import read_provenance
@@ -35,7 +37,7 @@ def test_the_simulation_has_the_firmwares_delay_and_is_shown_without_it(firmware
     interval = found.interval(found.own)
     assert interval is not None and interval[0] <= found.difference(found.own)[0] <= interval[1]
     assert list(found.content()["results"]) == ["simulation", "simulation, action_delay 0", "host"]
-    assert "action_delay 0" in hil.table(found).text()
+    assert "action_delay 0" in hil_page.table(found).text()
 
 
 def test_the_command_prints_and_writes(firmware, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -101,7 +103,7 @@ def test_ctrl_c_leaves_nothing_half_written(firmware, played: Path, place: str, 
     def stop(*arguments: object, **keywords: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(hil, "play" if place == "playing" else "fill_page", stop)
+    monkeypatch.setattr(*((hil, "play") if place == "playing" else (hil_page, "fill_page")), stop)
     before = {path: path.read_bytes() for path in played.rglob("*") if path.is_file()}
     words = [*HIL, str(firmware("constant:8").folder)]
     assert main([*words, "--out", "new"]) == 130
@@ -114,6 +116,23 @@ def test_another_folder_is_not_written_to(firmware, tmp_path: Path, capsys: pyte
     (tmp_path / "thesis.tex").write_text("")
     assert main([*HIL, str(firmware("eq6").folder), "--out", str(tmp_path)]) == 2
     assert "is not empty and holds no firmware in the loop" in capsys.readouterr().err
+
+
+def test_the_page_has_all_loops_side_by_side(firmware, tmp_path: Path):
+    found = compare(firmware("eq6").folder, ["host", "host-float"], episodes=3, duration=0.4)
+    chip = Measurement(1, 480, 9000, 11_000, 9000.0, 16_000, 700, 400)
+    found = replace(found, played=[found.played[0], replace(found.played[1], label="chip", measurement=chip)])
+    table = hil_page.chip_table(found)
+    assert table.rows == [("chip", "11,000", "28 %", "9,000", "480", "16,000", "700", "400")]
+    families = hil_page.family_table(found)
+    assert families.head == ("family", "scenarios", "simulation", "host", "difference", "chip", "difference")
+    assert sum(int(row[1]) for row in families.rows) == 3
+    mean = sum(float(row[1]) * float(row[5]) for row in families.rows) / 3
+    assert mean == pytest.approx(found.played[1].costs.mean(), rel=1e-3)
+    hil_page.write_comparison(found, tmp_path, ["amulett", "hil", "my folder"])
+    page = (tmp_path / "index.html").read_text()
+    for text in ("11,000", "By family", "Cycles and memory", "<svg", "amulett hil &#39;my folder&#39;"):
+        assert text in page
 
 
 def test_episodes_that_end_before_they_count_differ_by_nothing(firmware):
