@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -37,6 +38,8 @@ APART = 0.1
 """A command of the 32-bit build may differ by this [rad] in a tick: where a motion of the reference begins or ends."""
 
 CYCLES: Mapping[Control, int] = {
+    "decentralized": 10_900,
+    "position-only": 10_900,
     "equilibrium-point": 22_600,
     "co-rotation": 24_900,
     "torque-stiffness": 61_900,
@@ -71,17 +74,20 @@ def loop_texts(control: Control) -> tuple[str, ...]:
     return (*_COMMON, _OWN[control]) if control in _OWN else ()
 
 
+def left_for_law(control: Control, period: float) -> int:
+    """Return the cycles that a loop leaves for its law in a control period [s], negative if it takes too long alone."""
+    return int(SHARE * period * FREQUENCY) - CYCLES[control]
+
+
 def check_cycles(control: Control, period: float, law: int = 0) -> None:
     """Raise an AmulettError if a loop and `law` cycles more take too long for a control period [s]."""
-    if control not in CYCLES:
-        return
-    cycles, most = CYCLES[control] + law, SHARE * period * FREQUENCY
-    if cycles > most:
-        alone = f" and {law} for its law" if law else ""
+    if left_for_law(control, period) < law:
+        cycles, alone = CYCLES[control] + law, f" and {law} for its law" if law else ""
         raise AmulettError(
             f"the loop '{control}' takes up to {CYCLES[control]} cycles of an ATmega2560 in a control tick{alone}; "
-            f"a period of {1000.0 * period:g} ms leaves {most:.0f}, {SHARE:.0%} of it. Choose a faster loop, such as "
-            f"'{CONTROLS[0]}', or a loop.control_period of at least {1000.0 * cycles / (SHARE * FREQUENCY):.2g} ms"
+            f"a period of {1000.0 * period:g} ms leaves {SHARE * period * FREQUENCY:.0f}, {SHARE:.0%} of it. Choose a "
+            f"faster loop, such as '{CONTROLS[0]}', or a loop.control_period of at least "
+            f"{math.ceil(1e5 * cycles / (SHARE * FREQUENCY)) / 100:g} ms"
         )
 
 

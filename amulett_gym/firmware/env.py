@@ -15,11 +15,11 @@ from amulett_gym.envs.single import TensionEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware.description import KEYS, read_description
 from amulett_gym.firmware.host import LATE, MOVE_BEGINS
-from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, misses_tick, open_step
+from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, misses_tick, open_step, set_stiffness
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
 from amulett_gym.firmware.protocol import MODES, REASONS, Report
 from amulett_gym.firmware.recording import Reader, begin_of
-from amulett_gym.simulation.layout import RUNNING, Loop, Paths
+from amulett_gym.simulation.layout import BY_STIFFNESS, RUNNING, Loop, Paths
 
 _DEVICE = np.zeros(1, dtype=np.int64)
 
@@ -75,6 +75,8 @@ class FirmwareEpisodes(Episodes):
             if states["failure"][0, 0] != RUNNING:
                 break
             self.tick()
+        if loop is not None and self.settings.control in BY_STIFFNESS:
+            set_stiffness(parameters, loop[0], states)
         transition.observe_devices(*arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)
 

@@ -77,6 +77,7 @@ def export(
     contender, settings = choose(law, device, control)
     copies = copy_policies([contender.name])  # in memory: their place may be in `folder`
     with output_folder(folder, "firmware", [("device.h", "controller.c")]):
+        check_cycles(settings.control, device.loop.control_period)
         found = firmware_law(contender, device, settings, numbers)
         check_cycles(settings.control, device.loop.control_period, found.cycles)
         own, settings = settings, with_delay(settings, found.slices)

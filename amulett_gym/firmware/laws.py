@@ -14,6 +14,7 @@ from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.firmware.control import left_for_law
 from amulett_gym.firmware.network import (
     SLICE,
     Numbers,
@@ -207,11 +208,13 @@ def _curves() -> str:
 def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numbers | None) -> FirmwareLaw:
     """Return a policy's network in the numbers asked for, or the best ones that fit."""
     low, high = settings.tension_range
-    kind = choose_numbers(bundle, settings.ticks(profile), settings.action_delay, numbers)
+    slice_most = min(SLICE, left_for_law(settings.control, profile.loop.control_period))
+    kind = choose_numbers(bundle, settings.ticks(profile), settings.action_delay, numbers, slice_most)
     costs = jobs(bundle, kind)
+    needed = slices(costs, slice_most)
     layers, remarks, most = None, list[str](), 0.0
     if kind != "float":
-        inputs = recorded_inputs(bundle, with_delay(settings, slices(costs)))
+        inputs = recorded_inputs(bundle, with_delay(settings, needed))
         layers = quantised(bundle, inputs, kind)
         rounded, saturated = forward_numbers(layers, bundle, inputs, kind)
         exact = bundle.act(inputs).astype(np.float64)
@@ -224,11 +227,11 @@ def _network(bundle: Bundle, profile: Profile, settings: Settings, numbers: Numb
             "activations were at the end of their range."
         )
     remarks.append(
-        f"An action takes about {sum(costs)} cycles of an ATmega2560, in {slices(costs)} slices of at most {SLICE}; an "
+        f"An action takes about {sum(costs)} cycles of an ATmega2560, in {needed} slices of at most {slice_most}; an "
         f"agent period has {settings.ticks(profile)} control ticks."
     )
-    files = {"weights.h": weights_header(bundle, layers, kind)}
-    return FirmwareLaw("law_network.c", {}, files, tuple(remarks), 3.0 * most, slices(costs), SLICE)
+    files = {"weights.h": weights_header(bundle, layers, kind, slice_most)}
+    return FirmwareLaw("law_network.c", {}, files, tuple(remarks), 3.0 * most, needed, slice_most)
 
 
 def _constant(tension: float, settings: Settings) -> FirmwareLaw:

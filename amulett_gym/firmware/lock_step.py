@@ -11,6 +11,7 @@ import numpy as np
 from amulett_gym.control.agonist import BICEPS
 from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, costs, write_report, write_reward
 from amulett_gym.jit.compiled import compiled
+from amulett_gym.model.spring import find_position, look_up_curve
 from amulett_gym.simulation.commands import command_drives
 from amulett_gym.simulation.kernel import next_late, setpoint_kick, start_counting
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
@@ -44,6 +45,15 @@ def command_device(p, c_blocks, s_blocks, paper, commands, tension, agonist):
     kick_biceps = (1.0 if agonist == BICEPS else share) * kick
     kick_triceps = (share if agonist == BICEPS else 1.0) * kick
     command_drives(p[0], s, m, i, commands[0], commands[1], kick_biceps, kick_triceps)
+
+
+@compiled
+def set_stiffness(p, g, s_blocks):
+    """Set the stiffness [N m/rad] that a loop of `layout.BY_STIFFNESS` asks for at the first device's tension."""
+    s, i = s_blocks[0], np.uint64(0)
+    start = find_position(p[0].force_table, g[0].position_table, s.tension_setpoint[i])
+    _, slope, _ = look_up_curve(p[0].force_table, start)
+    s.stiffness_setpoint[i] = 2.0 * slope * (p[0].inverse_max_deflection * p[0].joint_radius * p[0].joint_radius)
 
 
 @compiled

@@ -30,7 +30,7 @@ SUM_DIGITS: dict[Numbers, int] = {"int16": 31, "int8": 23}
 """Binary digits of a sum, beside its sign (`dot` in ``law_network.c``)."""
 
 SLICE = 18_000
-"""Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the loop."""
+"""Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the paper's loop."""
 
 FLASH = 32_000
 """Bytes that weights may take: all tables have to be in the first 64 kB of flash. Activations then have room, too."""
@@ -184,21 +184,21 @@ def _neuron_cost(bundle: Bundle, numbers: Numbers) -> int:
     return plain + (tanh if bundle.policy.network.activation == "tanh" else 0)
 
 
-def slices(costs: list[int]) -> int:
-    """Return in how many slices the firmware does the jobs: as many as fit into each, at least one."""
+def slices(costs: list[int], most: int = SLICE) -> int:
+    """Return in how many slices of at most so many cycles the firmware does the jobs, at least one in each."""
     count, spent = 1, COSTS["OBSERVATION"] + costs[0]
     for cost in costs[1:]:
-        if spent + cost > SLICE:
+        if spent + cost > most:
             count, spent = count + 1, 0
         spent += cost
     return count
 
 
-def choose_numbers(bundle: Bundle, ticks: int, delay: int, wanted: Numbers | None = None) -> Numbers:
+def choose_numbers(bundle: Bundle, ticks: int, delay: int, wanted: Numbers | None = None, most: int = SLICE) -> Numbers:
     """Return the numbers in which a network fits an agent period of so many control ticks: those wanted, or the best.
 
-    These are the finest that need no more slices than the `delay` of the policy's training [control ticks] allows, else
-    those that need the fewest: a longer delay costs more than coarser numbers.
+    These are the finest that need no more slices, of at most `most` cycles, than the `delay` of the policy's training
+    [control ticks] allows, else those that need the fewest: a longer delay costs more than coarser numbers.
 
     Raises
     ------
@@ -206,30 +206,31 @@ def choose_numbers(bundle: Bundle, ticks: int, delay: int, wanted: Numbers | Non
         If none fits.
     """
     kinds: tuple[Numbers, ...] = ("float", "int16", "int8") if wanted is None else (wanted,)
-    fit = [kind for kind in kinds if not _too_much(bundle, ticks, kind)]
+    fit = [kind for kind in kinds if not _too_much(bundle, ticks, kind, most)]
     if fit:
-        return min(fit, key=lambda kind: max(slices(jobs(bundle, kind)), delay + 1))
+        return min(fit, key=lambda kind: max(slices(jobs(bundle, kind), most), delay + 1))
     sizes = " x ".join(map(str, bundle.policy.network.layers))
     raise AmulettError(
-        f"the network {sizes} of '{bundle.folder}' does not fit: in {kinds[-1]} {_too_much(bundle, ticks, kinds[-1])}. "
+        f"the network {sizes} of '{bundle.folder}' does not fit: in {kinds[-1]} "
+        f"{_too_much(bundle, ticks, kinds[-1], most)}. "
         "Train a smaller one, for example with configs/device.yaml, or with a longer env.agent_period"
     )
 
 
-def _too_much(bundle: Bundle, ticks: int, numbers: Numbers) -> str:
+def _too_much(bundle: Bundle, ticks: int, numbers: Numbers, most: int) -> str:
     """Return of what a network needs too much; empty if it fits."""
     costs, sizes = jobs(bundle, numbers), bundle.policy.network.layers
-    if slices(costs) > ticks or max(costs) > SLICE:
+    if slices(costs, most) > ticks or max(costs) > most:
         return (
-            f"an action takes about {sum(costs)} cycles of an ATmega2560, {slices(costs)} slices of at most {SLICE}; "
-            f"an agent period has {ticks} control ticks"
+            f"an action takes about {sum(costs)} cycles of an ATmega2560, {slices(costs, most)} slices of at most "
+            f"{most}, one of them {max(costs)} or more; an agent period has {ticks} control ticks"
         )
     flash = sum((BYTES[numbers] * row(size, numbers) + 4) * outputs for size, outputs in pairwise(sizes))
     return f"its weights take {flash} bytes of flash; they may take {FLASH}" if flash > FLASH else ""
 
 
-def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers) -> str:
-    """Return ``weights.h``."""
+def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers, most: int = SLICE) -> str:
+    """Return ``weights.h``; `most` are the cycles that a slice may take."""
     policy, network = bundle.policy, bundle.policy.network
     values: dict[str, float | int] = {
         "NETWORK_BITS": {"float": 0, "int16": 16, "int8": 8}[numbers],
@@ -244,7 +245,7 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers)
         "NETWORK_FOLLOW": policy.follow,
         "NETWORK_SHORT": SPANS[0],
         "NETWORK_LONG": SPANS[1],
-        "NETWORK_SLICE": SLICE,
+        "NETWORK_SLICE": most,
         "NETWORK_TOGETHER": TOGETHER[numbers],
         **{f"NETWORK_COST_{name}": cost for name, cost in (COSTS | INPUT_COSTS[numbers]).items()},
         "NETWORK_COST_NEURON": _neuron_cost(bundle, numbers),

@@ -2,23 +2,26 @@
 
 import shutil
 import subprocess
+from contextlib import closing
 from itertools import cycle
 
 import numpy as np
 import pytest
-from helpers import device
+from firmware.boards import chip_or_skip
+from firmware.test_network import write
+from helpers import device, keep_network
 
+from amulett_gym import DRIVES_ID
 from amulett_gym.c.build import find_compiler
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware import hil
-from amulett_gym.firmware.board import Board
-from amulett_gym.firmware.chip import Chip
 from amulett_gym.firmware.control import APART, CYCLES, LOOP_FILES, TABLES
 from amulett_gym.firmware.export import export
-from amulett_gym.firmware.host import FLAGS
+from amulett_gym.firmware.host import FLAGS, read_defines
+from amulett_gym.firmware.measuring import Remote
 from amulett_gym.firmware.readme import begin_record, compare
-from amulett_gym.firmware.toolchain import build_chip, build_hex
 from amulett_gym.gains import group_name
+from amulett_gym.laws.features import FEATURES
 from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.tasks.suites import suite_names
 
@@ -128,36 +131,47 @@ def test_a_loop_that_does_not_fit_is_refused_with_numbers(tmp_path):
     assert TABLES in export("eq6", slow, "minimal-motion", tmp_path / "firmware")
 
 
-FITTING = [control for control, cycles in CYCLES.items() if cycles < 32_000]
+FITTING = [control for control in LOOPS if CYCLES[control] < 32_000]
 
 
 @pytest.mark.parametrize("control", FITTING)
-def test_the_chip_computes_as_the_host_does_and_in_time(firmware, control, tmp_path):
+def test_the_chip_computes_as_the_host_does_and_in_time(firmware, control):
     made = firmware("eq6", control=control)
-    try:
-        build_chip(tmp_path / "chip")
-        board = Board(Chip(build_hex(made.folder, tmp_path / "build")))
-    except AmulettError as error:
-        if "install it:" not in str(error):
-            raise
-        pytest.skip(str(error).splitlines()[0])
-    recording, controller = (
-        made.record(steps=8, num_devices=1, suite="mixed", split="shifted"),
-        made.controller("float"),
-    )
-    begin = begin_record(controller, recording, 0)
-    controller.start(begin)
-    inputs = controller.inputs({key: values[:, 0] for key, values in recording.readings.items()})
-    expected = controller.run(inputs)
-    board.start([float(x) for key in begin.dtype.names[:-1] for x in np.ravel(begin[key])], int(begin["agonist"]))
-    rows = zip(*(inputs[name].tolist() for name in ("encoder", "slider", "setpoint", "jump", "flags")), strict=True)
-    commands = [board.tick(encoder, *slider, *rest).commands for encoder, slider, *rest in rows]
-    np.testing.assert_allclose(commands, expected["command"], atol=2e-5)
+    recording = made.record(steps=8, num_devices=1, suite="mixed", split="shifted")
+    with closing(made.controller("float")) as host, closing(chip_or_skip(made.folder)) as loop:
+        chip, begin = Remote(loop, host), begin_record(host, recording, 0)
+        inputs = host.inputs({key: values[:, 0] for key, values in recording.readings.items()})
+        host.start(begin)
+        chip.start(begin)
+        expected, found = host.run(inputs), chip.run(inputs)
+        measured = loop.measure()
+    np.testing.assert_allclose(found["command"], expected["command"], atol=2e-5)
     assert np.ptp(expected["command"]) > 1e-3
-    measured = board.port.measure()
     assert 0.7 * CYCLES[control] < measured.most <= CYCLES[control]
-    assert measured.flash < 60_000 and measured.static + measured.stack < 2_000
-    board.close()
+    assert measured.flash < 60_000 and measured.memory < 2_000
+
+
+def test_a_network_gets_the_cycles_that_a_loop_leaves(firmware, tmp_path):
+    folder = str(write(tmp_path / "policy", hidden=(16, 16), features=list(FEATURES), activation="relu"))
+    found = {}
+    for control in ("decentralized", "co-rotation"):
+        made = firmware(folder, control=control, numbers="int8")
+        most = read_defines(made.files["weights.h"])["NETWORK_SLICE"]
+        assert CYCLES[control] + most <= 32_000
+        found[control] = most, made.settings.action_delay
+    assert found["co-rotation"][0] < found["decentralized"][0] and found["co-rotation"][1] > found["decentralized"][1]
+    recording = made.record(steps=8, num_devices=1, suite="mixed")
+    with closing(made.controller("float")) as host, closing(chip_or_skip(made.folder)) as loop:
+        assert compare(host, recording)["command"] < APART
+        compare(Remote(loop, host), recording)
+        assert loop.measure().most <= 32_000
+
+
+def test_a_law_that_drives_both_motors_is_refused(tmp_path):
+    about = {"env_id": DRIVES_ID, "mean_angle_range": 258.66, "tension_range": [0.0, 15.0]}
+    folder = keep_network(tmp_path / "policy", [(np.zeros((2, 13), "f4"), np.zeros(2, "f4"))], **about)
+    with pytest.raises(AmulettError, match="drives both motors directly"):
+        export(str(folder), "testbed", None, tmp_path / "firmware")
 
 
 @pytest.mark.parametrize("control", ["computed-torque", "feedforward-feedback", "torque"])

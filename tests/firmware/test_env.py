@@ -37,7 +37,10 @@ def play(env: Any, action: Any, steps: int, **reset: Any) -> list[Any]:
 
 @pytest.mark.parametrize(
     ("law", "profile", "split"),
-    [("eq6", "testbed", "shifted"), ("constant:8", "testbed", "train"), ("eq6", "simulation", "train")],
+    [
+        *(("eq6", "testbed", "shifted"), ("constant:8", "testbed", "train"), ("eq6", "simulation", "train")),
+        *(("feedforward-feedback/eq6", "testbed", "shifted"), ("feedback-linearisation/eq6", "testbed", "train")),
+    ],
 )
 def test_the_host_equals_the_simulation_to_the_last_bit(firmware, law: str, profile: str, split: str):
     made = firmware(law, profile)

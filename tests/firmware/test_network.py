@@ -153,11 +153,6 @@ def test_weights_beyond_the_near_flash_are_refused(tmp_path):
         network.choose_numbers(bundle, 4000, 0)
 
 
-def test_a_loop_that_the_firmware_has_not_is_refused():
-    with pytest.raises(AmulettError, match="no loop 'cascade' yet; it has decentralized and position-only"):
-        choose("constant:8", load_profile("testbed"), "cascade")
-
-
 def test_nothing_of_a_bundle_but_numbers_reaches_the_sources(tmp_path):
     hostile = "*/ $(shell evil) `evil` | [x](http://evil)\n#include <evil.h> \\"
     files = export(str(write(tmp_path / hostile / "policy")), "testbed", None, tmp_path / "firmware")
