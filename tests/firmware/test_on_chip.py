@@ -10,22 +10,36 @@ from firmware.test_network import write
 from amulett_gym.firmware.measuring import Remote
 from amulett_gym.firmware.readme import begin_record
 from amulett_gym.laws.features import FEATURES
+from amulett_gym.laws.memory import MEMORY
 
 MOST_CYCLES = 32_000
 """Four fifths of a control tick of 2.5 ms at 16 MHz."""
+
+MOST_MEMORY = 6000
+"""Bytes, the stack included."""
 
 NETWORKS = {
     "network int8": {"hidden": (32, 32), "features": list(FEATURES), "activation": "relu"},
     "network int16": {"hidden": (12, 8), "features": list(FEATURES), "activation": "tanh"},
     "network float": {"hidden": (4,), "activation": "tanh", "output": "tanh"},
+    "memory int8": {
+        "hidden": (16, 8),
+        "features": list(FEATURES),
+        "memory": list(MEMORY),
+        "activation": "relu",
+        "agent_period": 0.04,
+    },
+    "history int8": {"hidden": (16, 8), "history": 4, "activation": "relu"},
 }
+SAMPLED = ("eq6-tuned", "memory int8")
+"""These follow sampled paths of the setpoint, the others steps."""
 
 
-@pytest.mark.parametrize("law", ["eq6", "eq6-tuned", "parametric", *NETWORKS])
+@pytest.mark.parametrize("law", ["eq6", "eq6-tuned", "parametric", "pretrained:device", *NETWORKS])
 def test_the_chip_computes_as_the_host_does_and_in_time(firmware, law, tmp_path):
     numbers = law.split()[-1] if law in NETWORKS else None
     name = str(write(tmp_path / "policy", **NETWORKS[law])) if law in NETWORKS else law
-    made = firmware(name, numbers=numbers, suite="steps")
+    made = firmware(name, numbers=numbers, suite="track" if law in SAMPLED else "steps")
     recording = made.record(steps=10, num_devices=1)
     with closing(made.controller("float")) as host, closing(chip_or_skip(made.folder)) as loop:
         chip, begin = Remote(loop, host), begin_record(host, recording, 0)
@@ -37,4 +51,4 @@ def test_the_chip_computes_as_the_host_does_and_in_time(firmware, law, tmp_path)
     np.testing.assert_allclose(found["command"], expected["command"], atol=2e-5)
     np.testing.assert_allclose(found["tension_setpoint"], expected["tension_setpoint"], atol=2e-4)
     assert law == "eq6" or np.ptp(expected["tension_setpoint"]) > 0.5
-    assert (measured.ticks, measured.most < MOST_CYCLES) == (inputs.size, True)
+    assert (measured.ticks, measured.most < MOST_CYCLES, measured.memory < MOST_MEMORY) == (inputs.size, True, True)
