@@ -1,6 +1,6 @@
 """A training run that is killed, interrupted or damaged, and resumed: the same bits as if nothing had happened.
 
-With AMULETT_KILLS=20 in the environment each kind of killing is done 20 times in the place of 5.
+With AMULETT_KILLS=20 in the environment each kind of killing is done 20 times instead of 3.
 """
 
 import csv
@@ -42,7 +42,7 @@ from amulett_gym.storage.lock import LOCK, locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
 from amulett_gym.storage.reading import read_arrays  # noqa: E402
 
-KILLS = int(os.environ.get("AMULETT_KILLS", "5"))
+KILLS = int(os.environ.get("AMULETT_KILLS", "3"))
 SMALL = [
     "num_envs=16",
     "total_steps=5120",

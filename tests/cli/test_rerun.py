@@ -12,12 +12,25 @@ import pytest
 from helpers import make_bundle
 
 from amulett_gym.cli import main
+from amulett_gym.evaluation import page, plots
 from amulett_gym.laws.bundle import FILES
 from amulett_gym.laws.copies import FOLDER
 from amulett_gym.laws.parametric import TUNED
 from amulett_gym.storage.provenance import COMMAND, PACKAGES, differences, read_provenance
 
 EVALUATE = ["evaluate", "--policies", "constant:8", "--episodes", "2", "--out", "comparison"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_figures():
+    """Draw one figure for all of a comparison's: these tests are about its numbers."""
+
+    def draw(results, summary):
+        return dict.fromkeys(("cost", "trade_off", "responses"), plots.cost_figure(summary))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "draw", draw)
+        yield
 
 
 @pytest.fixture(scope="module")
