@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _print(arguments, episodes, title)
     if arguments.plot is not None:  # last: an error in a figure loses no number
-        from amulett_gym.evaluation.plots import overlay_figure, trajectory_figure
+        from amulett_gym.evaluation.motion_plots import overlay_figure, trajectory_figure
         from amulett_gym.reporting.style import save_figure
 
         if len(trajectories) > 1:

@@ -143,7 +143,7 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
 
     The responses are those to the first scenario, recorded again at control rate.
     """
-    from amulett_gym.evaluation import plots
+    from amulett_gym.evaluation import motion_plots, plots
 
     protocol = results.protocol
     first = sorted(results.values, key=lambda name: name != YARDSTICK and not is_bundle(name))[:RESPONSES]
@@ -153,7 +153,7 @@ def draw(results: Results, summary: Summary) -> dict[str, Figure]:
     if results.schedules:
         figures["schedule"] = plots.schedule_figure(results.schedules, protocol.profile.variable_stiffness)
     figures["trade_off"] = plots.trade_off_figure(summary)
-    figures["responses"] = plots.step_response_figure(trajectories)
+    figures["responses"] = motion_plots.step_response_figure(trajectories)
     return figures
 
 

@@ -183,7 +183,7 @@ def test_wrong_input_is_named_and_nothing_is_written(words, message, tmp_path, m
 
 @pytest.mark.parametrize("json_too", [True, False])
 def test_a_figure_that_fails_loses_no_number(json_too, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("amulett_gym.evaluation.plots.trajectory_figure", lambda *_: 1 / 0)
+    monkeypatch.setattr("amulett_gym.evaluation.motion_plots.trajectory_figure", lambda *_: 1 / 0)
     words = ["--duration", "0.1", "--out", str(tmp_path / "x.csv"), "--plot", str(tmp_path / "x.png")]
     with pytest.raises(ZeroDivisionError):
         simulate(*words, *["--json"] * json_too)

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation import plots
+from amulett_gym.evaluation import motion_plots, plots
 from amulett_gym.evaluation.comparison import summarise
 from amulett_gym.evaluation.episode import record_episode
-from amulett_gym.evaluation.runner import Protocol, evaluate
+from amulett_gym.evaluation.runner import Protocol, evaluate, labels
 from amulett_gym.reporting import style
 
 POLICIES = ["eq6", "constant:10", "eq6-held", "position-only"]
@@ -35,10 +35,10 @@ def figures(results, trajectories):
     pushed = record_episode("eq6", Protocol(profile, suite="hold-push")).trajectory
     summary = summarise(results)
     return {
-        "trajectory": plots.trajectory_figure(trajectories["eq6"], "eq. 6"),
-        "pushed": plots.trajectory_figure(pushed),
-        "together": plots.overlay_figure(trajectories, "steps"),
-        "responses": plots.step_response_figure(trajectories),
+        "trajectory": motion_plots.trajectory_figure(trajectories["eq6"], "eq. 6"),
+        "pushed": motion_plots.trajectory_figure(pushed),
+        "together": motion_plots.overlay_figure(trajectories, "steps"),
+        "responses": motion_plots.step_response_figure(trajectories),
         "schedule": plots.schedule_figure(results.schedules, profile.variable_stiffness),
         "no schedule": plots.schedule_figure({}, profile.variable_stiffness),
         "cost": plots.cost_figure(summary),
@@ -153,7 +153,7 @@ def test_no_global_pyplot_state():
 
 def test_labels_are_short_and_unambiguous():
     names = ["eq6", "constant:5", "runs/a/best", "runs/b", "old/b", "."]
-    assert plots.labels(names) == {
+    assert labels(names) == {
         "eq6": "eq6",
         "constant:5": "constant:5",
         "runs/a/best": "a",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.control.variable_stiffness import scaling_factor
 from amulett_gym.envs.reward import FULL_CONTROL
-from amulett_gym.evaluation import plots
+from amulett_gym.evaluation import motion_plots, plots
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import EFFORT_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Schedule
@@ -333,7 +333,7 @@ def responses_figure(evidence: Evidence, found: Content) -> Figure:
     suite = PAPER_STEP if PAPER_STEP in evidence.description.suites else evidence.description.headline
     protocol = replace(evidence.protocol, suite=suite, duration=4.0 if suite == PAPER_STEP else 10.0)
     paths = _trajectories(evidence, _main(evidence), protocol)
-    return plots.step_response_figure(paths, f"{suite}, held-out", _colours(found))
+    return motion_plots.step_response_figure(paths, f"{suite}, held-out", _colours(found))
 
 
 def worst_figure(evidence: Evidence, found: Content) -> Figure:
@@ -343,7 +343,7 @@ def worst_figure(evidence: Evidence, found: Content) -> Figure:
     protocol = replace(evidence.protocol, seed=item["seed"])
     costs = f"cost {item['learned']:.2f} of the learned policy, {item['by_hand']:.2f} of the best tuned law"
     title = f"{item['family']}, seed {item['seed']}: {costs}"
-    return plots.step_response_figure(_trajectories(evidence, names, protocol), title, _colours(found))
+    return motion_plots.step_response_figure(_trajectories(evidence, names, protocol), title, _colours(found))
 
 
 def _main(evidence: Evidence) -> list[str]:

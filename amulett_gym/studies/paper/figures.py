@@ -244,25 +244,27 @@ def paper_figures(profiles: Mapping[str, Profile], readings: Readings) -> dict[s
 
     Raises AmulettError if a device cannot hold a starting posture.
     """
-    from amulett_gym.evaluation import plots
+    from amulett_gym.evaluation import motion_plots
 
     testbed = profiles["testbed"]
     tracking = partial(
-        plots.tracking_figure, position_margin=PROTOCOL.position_margin_deg, tension_margin=PROTOCOL.tension_margin
+        motion_plots.tracking_figure,
+        position_margin=PROTOCOL.position_margin_deg,
+        tension_margin=PROTOCOL.tension_margin,
     )
     responses = {name: variable_stiffness_step(profiles[name], readings) for name in DEVICES}
     switching = switching_run(testbed, readings)
-    whole = plots.Tracked(switching.trajectory, title="three steps", shows_switches=True)
+    whole = motion_plots.Tracked(switching.trajectory, title="three steps", shows_switches=True)
     worst = replace(whole, span=_around_worst(switching.switches), title="the switch that moves the joint most")
     worst = replace(worst, without=[switch.without for switch in switching.switches])
     return {
         "figure_3_damping": _draw_damping(testbed.damping, readings.damping),
         "figure_5b_force_estimation": _draw_estimation(apply_readings(testbed, readings)),
         "figure_6_scaling_factor": _draw_scaling(testbed.variable_stiffness, readings.eq6),
-        "figure_7_position_only": tracking([plots.Tracked(position_only_steps(testbed, readings))]),
+        "figure_7_position_only": tracking([motion_plots.Tracked(position_only_steps(testbed, readings))]),
         "figure_8_variable_stiffness": tracking(
             [
-                plots.Tracked(responses[name], span, title, true_force=antagonist_force(responses[name]))
+                motion_plots.Tracked(responses[name], span, title, true_force=antagonist_force(responses[name]))
                 for name, span, title in (
                     ("simulation", (START - 0.1, START + 0.9), "(a) simulation"),
                     ("testbed", (0.0, START + HOLD), "(b) testbed"),
@@ -288,11 +290,11 @@ def _draw_damping(damping: Damping, used: str) -> Figure:
 
 
 def _draw_estimation(profile: Profile) -> Figure:
-    from amulett_gym.evaluation import plots
+    from amulett_gym.evaluation import motion_plots
 
     data, sensors = force_estimation(profile), profile.sensors
     below = f"below {sensors.force_floor:g} N: {BELOW_FLOOR[sensors.below_floor]}"
-    return plots.force_estimation_figure(
+    return motion_plots.force_estimation_figure(
         1000.0 * data.deflection, data.force, data.estimate, data.error, sensors.force_floor, below
     )
 

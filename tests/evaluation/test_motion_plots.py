@@ -3,7 +3,7 @@
 import numpy as np
 
 from amulett_gym.evaluation.episode import record_episode
-from amulett_gym.evaluation.plots import step_response_figure
+from amulett_gym.evaluation.motion_plots import step_response_figure
 from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.profile import load_profile
 
