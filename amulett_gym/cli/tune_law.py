@@ -17,7 +17,7 @@ from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder, write_json, write_text
 
 if TYPE_CHECKING:
-    from amulett_gym.evaluation.search.laws import Recipe
+    from amulett_gym.evaluation.search.law_recipe import Recipe
     from amulett_gym.reporting.table import Table
     from amulett_gym.simulation.layout import Control
 
@@ -154,7 +154,7 @@ def _recipes(arguments: argparse.Namespace) -> tuple[list[Recipe], dict[Control,
 
 def read_recipes(config: Mapping[str, Any]) -> list[Recipe]:
     """Return the recipes of a folder's configuration, in which `control` is a loop or a list of them."""
-    from amulett_gym.evaluation.search.laws import Recipe
+    from amulett_gym.evaluation.search.law_recipe import Recipe
 
     controls = config.get("control", "decentralized")
     return [Recipe(**{**config, "control": loop}) for loop in ([controls] if isinstance(controls, str) else controls)]

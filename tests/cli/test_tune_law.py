@@ -14,6 +14,7 @@ import pytest
 import amulett_gym
 from amulett_gym.cli import build_parser, main, tune_law
 from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.evaluation.search import law_recipe, law_search
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.simulation.layout import LOOPS
 
@@ -27,8 +28,8 @@ SHORT = ((1, 2), (2, 1))
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """Let searches be of a tenth of a second."""
-    monkeypatch.setattr(tuning, "STAGES", SHORT)
-    monkeypatch.setattr(tuning, "Recipe", partial(tuning.Recipe, generations=SHORT))
+    monkeypatch.setattr(law_recipe, "STAGES", SHORT)
+    monkeypatch.setattr(law_recipe, "Recipe", partial(law_recipe.Recipe, generations=SHORT))
 
 
 @pytest.fixture
@@ -88,7 +89,7 @@ def test_json_is_the_file(place, capsys):
 
 
 def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(place, capsys, monkeypatch):
-    costs, calls = tuning.mean_costs, []
+    costs, calls = law_search.mean_costs, []
 
     def interrupted(*given):
         calls.append(1)
@@ -96,7 +97,7 @@ def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(pl
             raise KeyboardInterrupt
         return costs(*given)
 
-    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    monkeypatch.setattr(law_search, "mean_costs", interrupted)
     assert main([*SEARCH, "--out", "tuned"]) == 130
     err = capsys.readouterr().err
     words = "amulett tune-law eq6-tuned --control decentralized --suite steps --profile testbed --seeds 3"
@@ -183,7 +184,7 @@ def test_wrong_input_is_refused_before_anything_is_made(words, message, place, c
 
 
 def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch):
-    monkeypatch.setattr(tuning, "GAIN_POPULATION", 5)
+    monkeypatch.setattr(law_recipe, "GAIN_POPULATION", 5)
     words = ["tune-law", "gains", "--control", "equilibrium-point", *SEARCH[2:], "--out", "tuned"]
     assert main([*words, "--profile", "dev.yaml"]) == 0
     out = capsys.readouterr().out
@@ -202,7 +203,7 @@ def test_tuned_gains_are_a_profile_for_other_commands(place, capsys, monkeypatch
 
 
 def test_gains_of_several_loops_are_one_profile(place, capsys, monkeypatch):
-    monkeypatch.setattr(tuning, "GAIN_POPULATION", 5)
+    monkeypatch.setattr(law_recipe, "GAIN_POPULATION", 5)
     monkeypatch.setattr("os.cpu_count", lambda: 1)  # other processes would not have the short recipes
     loops = ["decentralized", "equilibrium-point"]
     words = ["tune-law", "gains", "--control", *loops, *SEARCH[2:], "--out", "tuned"]

@@ -16,7 +16,8 @@ from amulett_gym.envs.reward import FULL_CONTROL
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COST_OF, capped_cost
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Run, Schedule, labels
-from amulett_gym.evaluation.search.laws import Recipe, result_path, tune
+from amulett_gym.evaluation.search.law_recipe import Recipe
+from amulett_gym.evaluation.search.laws import result_path, tune
 from amulett_gym.evaluation.search.optimal import OptimalCosts, optimal_costs
 from amulett_gym.evaluation.search.transcription import load_casadi
 from amulett_gym.laws.contenders import Contender, Own, in_loop, parse_contender, split_loop

@@ -11,9 +11,12 @@ from amulett_gym.envs.prices import prices
 from amulett_gym.envs.reward import FULL_CONTROL, TRACKS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol
+from amulett_gym.evaluation.search import law_search
 from amulett_gym.evaluation.search import laws as tuning
 from amulett_gym.evaluation.search.gains import _parameter, gains_of, group_name, profile_text, shapes_of, shipped_text
-from amulett_gym.evaluation.search.laws import Recipe, mean_costs, profile_path, result_path, tune, tune_all
+from amulett_gym.evaluation.search.law_recipe import Recipe
+from amulett_gym.evaluation.search.law_search import mean_costs
+from amulett_gym.evaluation.search.laws import profile_path, result_path, tune, tune_all
 from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import Sourced
@@ -176,7 +179,7 @@ def test_the_shape_of_the_reference_motion_is_chosen_within_the_budget(tmp_path,
         extra = {"minimum-jerk": 0.3, "critically-damped": 0.1, "first-order": 0.2}[space.reference]
         return extra + space.to_unit(vectors).mean(axis=1)
 
-    monkeypatch.setattr(tuning, "mean_costs", costs)
+    monkeypatch.setattr(law_search, "mean_costs", costs)
     recipe = replace(SMALL, generations=((2, 14), (3, 2)), profile={"name": "mine", "base": "testbed"})
     content = tune(tmp_path, recipe)
     tries = [(shape, 2) for shape in shapes_of("equilibrium-point") for _ in range(2)]
@@ -214,7 +217,7 @@ def test_too_few_generations_for_all_shapes_are_refused():
 
 def test_an_interrupted_choice_of_a_shape_goes_on(tmp_path, monkeypatch):
     first = tune(tmp_path / "whole", SMALL)
-    costs, played = tuning.mean_costs, []
+    costs, played = law_search.mean_costs, []
 
     def interrupted(*given):
         if len(played) == 2:
@@ -222,10 +225,10 @@ def test_an_interrupted_choice_of_a_shape_goes_on(tmp_path, monkeypatch):
         played.append(1)
         return costs(*given)
 
-    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    monkeypatch.setattr(law_search, "mean_costs", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tune(tmp_path / "parts", SMALL)
-    monkeypatch.setattr(tuning, "mean_costs", lambda *given: played.append(1) or costs(*given))
+    monkeypatch.setattr(law_search, "mean_costs", lambda *given: played.append(1) or costs(*given))
     assert tune(tmp_path / "parts", SMALL) == first
     assert len(played) == 4 + 3 + 2  # generations, and what was found on both splits
 

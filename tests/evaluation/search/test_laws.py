@@ -13,8 +13,11 @@ from amulett_gym import fleet as fleets
 from amulett_gym.envs import prices
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import Protocol, evaluate
+from amulett_gym.evaluation.search import law_recipe, law_search
 from amulett_gym.evaluation.search import laws as tuning
-from amulett_gym.evaluation.search.laws import Recipe, at_ends, following, mean_costs, tune
+from amulett_gym.evaluation.search.law_recipe import Recipe
+from amulett_gym.evaluation.search.law_search import following, mean_costs
+from amulett_gym.evaluation.search.laws import at_ends, tune
 from amulett_gym.evaluation.search.trials import Trials, held
 from amulett_gym.laws.parametric import (
     BEST_CONSTANT,
@@ -98,7 +101,7 @@ def test_no_other_splits_than_train_and_validation_are_played(tmp_path, monkeypa
         seen.append(protocol.split)
         return Trials(protocol, *loop, **track)
 
-    monkeypatch.setattr(tuning, "Trials", watched)
+    monkeypatch.setattr(law_recipe, "Trials", watched)
     tune(tmp_path, replace(SMALL, seeds=(1,)))
     assert seen == ["train", "validation"]
 
@@ -106,8 +109,10 @@ def test_no_other_splits_than_train_and_validation_are_played(tmp_path, monkeypa
 def test_a_finished_start_is_not_done_again_and_an_interrupted_study_goes_on(tmp_path, monkeypatch):
     first = tune(tmp_path / "whole", SMALL)
     done = []
-    search = tuning.search
-    monkeypatch.setattr(tuning, "search", lambda recipe, seed, *rest: done.append(seed) or search(recipe, seed, *rest))
+    search = law_search.search
+    monkeypatch.setattr(
+        law_search, "search", lambda recipe, seed, *rest: done.append(seed) or search(recipe, seed, *rest)
+    )
     tune(tmp_path / "parts", replace(SMALL, seeds=(2,)))
     assert tune(tmp_path / "parts", SMALL) == first
     assert tune(tmp_path / "parts", SMALL) == first
@@ -118,7 +123,7 @@ def test_a_finished_start_is_not_done_again_and_an_interrupted_study_goes_on(tmp
 
 def test_an_interrupted_start_goes_on_with_its_generation(tmp_path, monkeypatch):
     first = tune(tmp_path / "whole", SMALL)
-    costs, played = tuning.mean_costs, []
+    costs, played = law_search.mean_costs, []
 
     def interrupted(law, vectors, *rest):
         if len(played) == 4:
@@ -126,11 +131,11 @@ def test_an_interrupted_start_goes_on_with_its_generation(tmp_path, monkeypatch)
         played.append(len(vectors))
         return costs(law, vectors, *rest)
 
-    monkeypatch.setattr(tuning, "mean_costs", interrupted)
+    monkeypatch.setattr(law_search, "mean_costs", interrupted)
     with pytest.raises(KeyboardInterrupt):
         tune(tmp_path / "parts", SMALL)
     played.clear()
-    monkeypatch.setattr(tuning, "mean_costs", lambda *given: played.append(len(given[1])) or costs(*given))
+    monkeypatch.setattr(law_search, "mean_costs", lambda *given: played.append(len(given[1])) or costs(*given))
     begun = []
     assert tune(tmp_path / "parts", SMALL, begin=begun.append) == first
     assert begun == [6 * (2 + 2 + 2 + 4)]

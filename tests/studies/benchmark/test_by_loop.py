@@ -12,7 +12,7 @@ from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import control_cost, control_prices
 from amulett_gym.evaluation.runner import evaluate
-from amulett_gym.evaluation.search import laws as tuning
+from amulett_gym.evaluation.search import law_recipe, law_search
 from amulett_gym.evaluation.search.optimal import OptimalCosts
 from amulett_gym.studies.benchmark.by_loop import BEST, answers, by_loop
 from amulett_gym.studies.benchmark.claims import check_claims
@@ -61,7 +61,7 @@ def done(tmp_path_factory):
     (folder / "doc.md").write_text(f"{MARKS[0]}\n{MARKS[1]}\n")
     words = ["--config", str(folder / "tiny.yaml"), "--out", str(folder / "out"), "--doc", str(folder / "doc.md")]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tuning, "STAGES", STAGES)
+        patch.setattr(law_recipe, "STAGES", STAGES)
         assert main(["benchmark", *words, "--processes", "2"]) == 0
     return folder / "out"
 
@@ -462,13 +462,13 @@ def test_a_budget_that_is_too_small_is_refused_before_anything_begins(tmp_path):
 
 
 def test_finished_laws_and_searches_are_kept(done, monkeypatch):
-    monkeypatch.setattr(tuning, "STAGES", STAGES)
+    monkeypatch.setattr(law_recipe, "STAGES", STAGES)
     before = {path: path.stat().st_mtime_ns for path in done.rglob("*.npz")}
 
     def refuse(*given, **more):
         raise AssertionError("this was done already")
 
-    monkeypatch.setattr(tuning, "search", refuse)
+    monkeypatch.setattr(law_search, "search", refuse)
     monkeypatch.setattr("amulett_gym.evaluation.search.clairvoyant.improve", refuse)
     evidence = run_benchmark(load_benchmark(done.parent / "tiny.yaml"), done, done.parent)
     optimal = OptimalCosts(np.arange(2), np.full(2, 0.05), np.full(2, 0.04), {}, np.array([True, False]))

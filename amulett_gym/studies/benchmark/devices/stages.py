@@ -17,7 +17,8 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COST_OF
 from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Run
 from amulett_gym.evaluation.search.constants import best_constants
-from amulett_gym.evaluation.search.laws import Recipe, result_path, tune
+from amulett_gym.evaluation.search.law_recipe import Recipe
+from amulett_gym.evaluation.search.laws import result_path, tune
 from amulett_gym.laws.contenders import CONSTANT, Contender, parse_contender
 from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.learning import load_learning
