@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
 from amulett_gym.cli.options import add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
+
+T = TypeVar("T")
 
 HELP = "run the benchmark: train missing policies, compare all on all suites, and check the claims; resumes by itself"
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
@@ -38,10 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the stages that are not finished, print claims and ranking, and write the files."""
-    from amulett_gym import ENV_IDS
-    from amulett_gym.cli.own_policies import own_contenders
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks
-    from amulett_gym.laws.copies import copy_policies
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.claims import check_claims
@@ -59,26 +59,14 @@ def run(arguments: argparse.Namespace) -> int:
         description = quick(description)
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
-    profile = load_profile_of(description, recipes)
-    own = own_contenders(arguments.policies, profile, ENV_IDS[0], arguments.trust_pickle, arguments.places)
-    copies = copy_policies(arguments.policies, arguments.places)
+    profile, words = load_profile_of(description, recipes), _words(arguments)
     print_remarks(device_remarks(profile, loops=description.loops or [PAPERS], suite=description.headline))
-    options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
-    words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
-    show = printer(arguments)
-    evidence = run_benchmark(
-        *(description, out, recipes, arguments.runs, own, [*words, "--out", out], copies),
-        say=show,
-        progress=True,
-        processes=arguments.processes,
-    )
-    show("Drawing intervals and figures ...")
+    evidence = _measure(arguments, run_benchmark, description, recipes, profile, words)
     found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
-    figures = write_benchmark(evidence, found, claims, out)
+    figures = write_benchmark(evidence, found, claims, arguments.out)
     if arguments.doc is not None:
         write_document(found, claims, figures, arguments.doc)
-        show(f"Renewed: {arguments.doc}")
     lost = ", and the scenarios with the largest losses" if found["worst"] else ""
     return _print(arguments, judged(found, claims), in_words(found, claims), lost)
 
@@ -94,9 +82,6 @@ def _over_devices(path: str) -> Mapping[str, Any] | None:
 
 def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[str, Any]) -> int:
     """Run a benchmark over devices as `run` does one on a single device."""
-    from amulett_gym import ENV_IDS
-    from amulett_gym.cli.own_policies import own_contenders
-    from amulett_gym.laws.copies import copy_policies
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
     from amulett_gym.studies.benchmark.description import recipe_folder
@@ -118,26 +103,46 @@ def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[st
         description = quick(description, folder)
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
-    device = load_fleets(description, folder)["judge"][0]
+    device, words = load_fleets(description, folder)["judge"][0], _words(arguments)
+    evidence = _measure(arguments, run_devices_benchmark, description, folder, device, words)
+    found = content(evidence, shlex.join(words), machine(), arguments.quick)
+    claims = check_claims(found)
+    figures = write_devices_benchmark(evidence, found, claims, arguments.out)
+    if arguments.doc is not None:
+        write_document(found, claims, figures, arguments.doc)
+    return _print(arguments, judged(found, claims), in_words(found, claims))
+
+
+def _words(arguments: argparse.Namespace) -> list[str]:
+    """Return the words of the command, without its folder."""
+    options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
+    return ["amulett", "benchmark", *command_words(arguments, *options)]
+
+
+def _measure(
+    arguments: argparse.Namespace,
+    stages: Callable[..., T],
+    description: Any,
+    folder: Path,
+    device: Any,
+    words: list[str],
+) -> T:
+    """Return what the function `stages` finds, which runs those of a description; own policies act on `device`."""
+    from amulett_gym import ENV_IDS
+    from amulett_gym.cli.own_policies import own_contenders
+    from amulett_gym.laws.copies import copy_policies
+
     own = own_contenders(arguments.policies, device, ENV_IDS[0], arguments.trust_pickle, arguments.places)
     copies = copy_policies(arguments.policies, arguments.places)
-    options = ("config", "quick", "policies", *(["trust-pickle"] if arguments.policies else []))
-    words, out = ["amulett", "benchmark", *command_words(arguments, *options)], arguments.out
     show = printer(arguments)
-    evidence = run_devices_benchmark(
-        *(description, out, folder, arguments.runs, own, [*words, "--out", out], copies),
+    evidence = stages(
+        *(description, arguments.out, folder, arguments.runs, own, [*words, "--out", arguments.out], copies),
         say=show,
         progress=True,
         processes=arguments.processes,
     )
     show("Drawing intervals and figures ...")
-    found = content(evidence, shlex.join(words), machine(), arguments.quick)
-    claims = check_claims(found)
-    figures = write_devices_benchmark(evidence, found, claims, out)
-    if arguments.doc is not None:
-        write_document(found, claims, figures, arguments.doc)
-        show(f"Renewed: {arguments.doc}")
-    return _print(arguments, judged(found, claims), in_words(found, claims))
+    return evidence
 
 
 def _print(arguments: argparse.Namespace, found: Mapping[str, Any], text: str, more: str = "") -> int:
@@ -148,6 +153,8 @@ def _print(arguments: argparse.Namespace, found: Mapping[str, Any], text: str, m
         print_json(found)
         return 0
     show = printer(arguments)
+    if arguments.doc is not None:
+        show(f"Renewed: {arguments.doc}")
     show(f"\n{text}\n")
     show(f"Written to {arguments.out}: {PAGE}, benchmark.json, tables, figures{more}.")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
@@ -13,7 +13,7 @@ from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
 from amulett_gym.evaluation.metrics import COST_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.reporting.page import fill_page
-from amulett_gym.reporting.table import fill
+from amulett_gym.reporting.table import Table, fill
 from amulett_gym.reporting.words import number, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.by_loop import answers
@@ -86,25 +86,40 @@ def judged(found: Content, claims: list[Claim]) -> Content:
 
 def render(found: Content, claims: Sequence[Claim], figures: Mapping[str, Figure]) -> str:
     """Return the page: one HTML file with inline figures, styles and no script."""
+    return filled(
+        *("studies/benchmark/benchmark.html.j2", found, claims, tables(found, claims), figures, CAPTIONS),
+        verdict=verdict(found, claims),
+        answers=said(found),
+        description=found["description"],
+    )
+
+
+def filled(
+    template: str,
+    found: Content,
+    claims: Sequence[Claim],
+    made: Mapping[str, Table],
+    figures: Mapping[str, Figure],
+    captions: Mapping[str, str],
+    **more: Any,
+) -> str:
+    """Return a page with tables and figures; `more` are further variables of its template."""
     from amulett_gym.reporting.style import figure_svg
 
-    made = tables(found, claims)
     if claims:
         rows = [[*row[:4], _COLOURED[row[4]], row[5]] for row in made["claims"].rows]
-        made["claims"] = replace(made["claims"], rows=rows)
+        made = {**made, "claims": replace(made["claims"], rows=rows)}
     return fill_page(
-        "studies/benchmark/benchmark.html.j2",
+        template,
         found=found,
-        verdict=verdict(found, claims),
         not_met=not_met(claims),
-        answers=said(found),
         titles={name: table.title for name, table in made.items()},
         tables={
             name: table.html("stack" if name == "claims" else "stack lines narrow") for name, table in made.items()
         },
         figures={name: figure_svg(figure, name) for name, figure in figures.items()},
-        captions=CAPTIONS,
-        description=found["description"],
+        captions=captions,
+        **more,
     )
 
 

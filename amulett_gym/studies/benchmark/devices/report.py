@@ -14,7 +14,6 @@ from amulett_gym.evaluation.metrics import COST_OF, METRICS
 from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.laws.parametric import PARAMETRIC
 from amulett_gym.reporting.document import image, marks, update_document
-from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table, csv_text, fill
 from amulett_gym.reporting.words import number, pretty, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
@@ -28,7 +27,7 @@ from amulett_gym.studies.benchmark.devices.description import (
 )
 from amulett_gym.studies.benchmark.devices.results import Content
 from amulett_gym.studies.benchmark.devices.stages import Evidence
-from amulett_gym.studies.benchmark.page import FIGURES, PAGE, RESULTS, not_met
+from amulett_gym.studies.benchmark.page import FIGURES, PAGE, RESULTS, filled, not_met
 from amulett_gym.studies.benchmark.tables import FOLDER as TABLES
 from amulett_gym.studies.benchmark.tables import claims_table
 
@@ -63,22 +62,12 @@ def write_devices_benchmark(
     )
     write_json(folder / RESULTS, judged(found, claims))
     with after_results(f"{RESULTS} and {TABLES} in {folder}"):
-        from amulett_gym.reporting.style import figure_svg, save_figures
+        from amulett_gym.reporting.style import save_figures
 
         figures = draw(found)
         save_figures(figures, folder / FIGURES)
-        page = fill_page(
-            "studies/benchmark/devices/devices.html.j2",
-            found=found,
-            verdict=verdict(found, claims),
-            not_met=not_met(claims),
-            titles={name: table.title for name, table in made.items()},
-            tables={
-                name: table.html("stack" if name == "claims" else "stack lines narrow") for name, table in made.items()
-            },
-            figures={name: figure_svg(figure, name) for name, figure in figures.items()},
-            captions=CAPTIONS,
-        )
+        template = "studies/benchmark/devices/devices.html.j2"
+        page = filled(template, found, claims, made, figures, CAPTIONS, verdict=verdict(found, claims))
         write_text(folder / PAGE, page)
     return figures
 
