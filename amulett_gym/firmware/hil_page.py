@@ -147,7 +147,8 @@ def _figure(found: Comparison) -> Figure:
         reference = float(found.kernel.costs.mean()) or 1.0
         count = len(found.played)
         for k, each in enumerate(found.played):
-            rows = np.searchsorted(families, found.kernel.families) + (k - 0.5 * (count - 1)) * 0.6 / max(count, 2)
+            place = len(families) - 1 - np.searchsorted(families, found.kernel.families)
+            rows = place + (0.5 * (count - 1) - k) * 0.6 / max(count, 2)
             apart = 100.0 * (each.costs - found.kernel.costs) / reference
             colour = (BLUE, ORANGE, GREEN, PURPLE, SKY)[k % 5]
             panel.plot(apart, rows, "o", color=colour, markersize=3.5, alpha=0.7, markeredgewidth=0, label=each.label)
@@ -161,4 +162,5 @@ def _figure(found: Comparison) -> Figure:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %"
+    """Return a share in percent with two digits; what is below 0.001 %, but not 0, is 0.000 %."""
+    return "0.000 %" if 0.0 < abs(share) < 1e-5 else f"{100.0 * share:.2g} %"

@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from amulett_gym.cli import main
@@ -16,6 +17,8 @@ from amulett_gym.firmware import hil, hil_page
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.hil import compare
 from amulett_gym.laws.copies import FOLDER
+from amulett_gym.profile import load_profile
+from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.provenance import read_provenance
 
 
@@ -133,6 +136,26 @@ def test_the_page_has_all_loops_side_by_side(firmware, tmp_path: Path):
     page = (tmp_path / "index.html").read_text()
     for text in ("11,000", "By family", "Cycles and memory", "<svg", "amulett hil &#39;my folder&#39;"):
         assert text in page
+
+
+def test_the_figure_has_each_scenario_in_the_row_of_its_family():
+    families = np.array([1, 3, 1])
+    kernel = hil.Played(hil.KERNEL, np.array([1.0, 2.0, 3.0]), families, 0)
+    played = [hil.Played("host", np.array([1.0, 2.2, 3.0]), families, 0)]
+    about = hil.Protocol(load_profile("testbed"), "mixed", episodes=3)
+    [panel] = hil_page._figure(hil.Comparison(None, about, kernel, played)).axes
+    names = dict(zip(panel.get_yticks(), (label.get_text() for label in panel.get_yticklabels()), strict=True))
+    [dots] = [line for line in panel.get_lines() if line.get_label() == "host"]
+    shown = [(names[round(y)], x) for x, y in zip(dots.get_xdata(), dots.get_ydata(), strict=True)]
+    expected = [(FAMILIES[family], apart) for family, apart in zip(families, (0.0, 10.0, 0.0), strict=True)]
+    assert [name for name, _ in shown] == [name for name, _ in expected]
+    assert [apart for _, apart in shown] == pytest.approx([apart for _, apart in expected])
+
+
+def test_small_differences_are_no_powers_of_ten():
+    assert [hil_page._percent(share) for share in (0.0, 1e-9, -3e-7, 2e-5, -0.0123)] == [
+        *("0 %", "0.000 %", "0.000 %", "0.002 %", "-1.2 %")
+    ]
 
 
 def test_episodes_that_end_before_they_count_differ_by_nothing(firmware):
