@@ -17,7 +17,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.firmware import hil
 from amulett_gym.firmware.control import APART, CYCLES, LOOP_FILES, TABLES
 from amulett_gym.firmware.export import export
-from amulett_gym.firmware.host import FLAGS, read_defines
+from amulett_gym.firmware.host import BAD_SENSOR, FLAGS, read_defines
 from amulett_gym.firmware.measuring import Remote
 from amulett_gym.firmware.readme import begin_record, compare
 from amulett_gym.gains import group_name
@@ -179,3 +179,28 @@ def test_in_the_loop_of_a_host_the_cost_is_the_simulations(firmware, control):
     found = hil.compare(firmware("eq6", control=control).folder, episodes=2, duration=1.0)
     assert found.kernel.costs.min() > 0.0
     assert found.played[0].costs == pytest.approx(found.kernel.costs, rel=1e-12)
+
+
+@pytest.mark.parametrize("real", FLAGS)
+@pytest.mark.parametrize("control", LOOPS)
+def test_a_loop_begins_from_a_reading_alone_and_goes_on_after_one_that_is_unsound(firmware, control, real):
+    made = firmware("constant:10", control=control)
+    controller = made.controller(real)
+    recording = made.record(steps=30, num_devices=1, suite="steps")
+    inputs = controller.inputs({name: values[:, 0] for name, values in recording.readings.items()})
+    commands = recording.begin["command"][0]
+    begin = controller.begin_here(inputs[0], commands)
+    inputs["setpoint"] += begin["angle"] - recording.begin["angle"][0]  # as a board sets it: where the joint is read
+    controller.start(begin)
+    found = controller.run(inputs)
+    # At rest the commands go on from where the drives are, and rise to the law's tension with its ramp.
+    assert np.abs(found["command"][0] - commands).max() < 0.05
+    wanted = np.stack([recording.outputs[name][:, 0] for name in ("biceps", "triceps")], axis=1)
+    assert np.abs(found["command"] - wanted).max() < 0.2
+    inputs["slider"][100] = -1
+    controller.start(begin)
+    disturbed = controller.run(inputs)
+    assert disturbed["status"][100] & BAD_SENSOR and not disturbed["status"][101] & BAD_SENSOR
+    np.testing.assert_array_equal(disturbed["command"][100], disturbed["command"][99])
+    assert np.abs(disturbed["command"] - found["command"]).max() < 0.2
+    controller.close()
