@@ -15,7 +15,7 @@ from amulett_gym.evaluation.runner import YARDSTICK
 from amulett_gym.laws.parametric import PARAMETRIC
 from amulett_gym.reporting.document import image, marks, update_document
 from amulett_gym.reporting.table import Table, csv_text, fill
-from amulett_gym.reporting.words import number, pretty, with_interval
+from amulett_gym.reporting.words import number, pretty, span, with_interval
 from amulett_gym.storage.writing import after_results, write_json, write_text
 from amulett_gym.studies.benchmark.claims import Claim, as_plain
 from amulett_gym.studies.benchmark.devices.description import (
@@ -112,10 +112,11 @@ def verdict(found: Content, claims: Sequence[Claim]) -> str:
         f"6's {cost} on {mine['devices']} held-out devices, in {description['episodes']} held-out scenarios of "
         f"{description['suite']} on each; it is below eq. 6 on {eq6['count']} of them"
     )
-    against = [f"{with_interval(mine['ratio'][law])} of {law}'s" for law in found["laws"] if law != YARDSTICK]
-    against += [f"{with_interval(mine['ratio'][OWN_CONSTANT])} of the best constant's of each device"]
+    against = [f"{_ratio(mine['ratio'][law])} of {law}'s" for law in found["laws"] if law != YARDSTICK]
+    against += [f"{_ratio(mine['ratio'][OWN_CONSTANT])} of the best constant's of each device"]
     if EQ6_WITH_GAINS in mine["ratio"]:
-        against.append(f"{with_interval(mine['ratio'][EQ6_WITH_GAINS])} of that of {label(found, EQ6_WITH_GAINS)}")
+        ratio = _ratio(mine["ratio"][EQ6_WITH_GAINS])
+        against.append(f"{ratio} of eq. 6's with the gains of {found['eq6_gains']}")
     text += f", and has {', '.join(against)}."
     if found.get("quick"):
         return f"{text} This was a quick run, which only shows that everything works. No claim is judged by it."
@@ -149,7 +150,7 @@ def contenders_table(found: Content) -> Table:
                 label(found, name),
                 with_interval(numbers["ratio"][YARDSTICK]),
                 f"{number(worst['ratio_to_eq6'])} ({worst['device']})",
-                *(with_interval(numbers["ratio"].get(other)) for other in others),
+                *(_ratio(numbers["ratio"].get(other)) for other in others),
                 f"{failures['count']} of {failures['total']}",
             ]
         )
@@ -199,7 +200,7 @@ def families_to_laws_table(found: Content) -> Table:
     """Return the learned entry's ratio to the hand-tuned laws by family."""
     laws, best = [law for law in found["laws"] if law != YARDSTICK], label(found, found["best_learned"])
     rows = [
-        [f"{family} ({numbers['scenarios']})", *(with_interval(numbers["ratio_of_learned"][law]) for law in laws)]
+        [f"{family} ({numbers['scenarios']})", *(_ratio(numbers["ratio_of_learned"][law]) for law in laws)]
         for family, numbers in found["families"].items()
     ]
     head = ("", *(f"to {label(found, law)}" for law in laws))
@@ -251,7 +252,8 @@ def seeds_table(found: Content) -> Table:
             continue
         numbers, runs = found["results"][name], found["training"][name]["runs"]
         for k, seed in enumerate(entry["seeds"]):
-            ratios = [number(numbers["seed_ratios"][law][k]) for law in (*found["laws"], OWN_CONSTANT)]
+            each = (numbers["seed_ratios"][law][k] for law in (*found["laws"], OWN_CONSTANT))
+            ratios = [span({"mean": one, "low": None, "high": None}) for one in each]
             rows.append([f"{name}, seed {seed}", *ratios, f"{runs[str(seed)]['seconds']:.0f}"])
     laws = (f"to {label(found, law)}" for law in (*found["laws"], OWN_CONSTANT))
     return Table("By training seed: ratios of costs", ("", *laws, "training [s]"), rows)
@@ -335,6 +337,11 @@ def _colours(found: Content) -> dict[str, str]:
     fixed |= {SPECIALIST: style.ORANGE, ADAPTED: "#F0708A", found["best_learned"]: "#D62718", YARDSTICK: style.BLACK}
     others = cycle((style.BROWN, style.OLIVE, style.INDIGO, style.GREY))
     return {name: fixed.get(name) or next(others) for name in found["entries"]}
+
+
+def _ratio(estimate: Any) -> str:
+    """Return a ratio with its interval, with enough digits to differ from 1; a dash if there is none."""
+    return "-" if estimate is None else span(estimate)
 
 
 def _of(lower: Any) -> str:
