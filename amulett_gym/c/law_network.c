@@ -380,7 +380,7 @@ enum {
 
 /* About how many cycles of an ATmega2560 the next job before the layers takes. */
 static uint16_t cost(void) {
-    if (job < FEATURES_JOB) return NETWORK_COST_ENTRY;
+    if (job < FEATURES_JOB) return NETWORK_COST_ENTRY + (job == 0 ? NETWORK_COST_BEFORE : 0);
     if (job < MEMORY_JOB) {
         uint8_t k = (uint8_t)(job - FEATURES_JOB);
         if (k == 6 || k == 7) return NETWORK_COST_EXP;
@@ -403,7 +403,6 @@ static void work(void) {
 uint8_t law_slice(real *tension) {
     uint16_t left = NETWORK_SLICE;
     uint8_t is_first = 1;
-    if (job == 0) left = left > NETWORK_COST_OBSERVATION ? left - NETWORK_COST_OBSERVATION : 0;
     for (; job < LAYERS_JOB; job++, is_first = 0) {
         const uint16_t next = cost();
         if (next > left && !is_first) return 0;

@@ -38,8 +38,11 @@ FLASH = 32_000
 BYTES: dict[Numbers, int] = {"float": 4, "int16": 2, "int8": 1}
 """Bytes of a weight."""
 
-COSTS: dict[str, int] = {"OBSERVATION": 5200, "QUANTITIES": 8000, "MEANS": 14_000, "END": 1700}
-"""How many cycles an ATmega2560 takes, measured with simavr: before the first job, for the memory, after the layers."""
+COSTS: dict[str, int] = {"OBSERVATION": 5200, "QUANTITIES": 8000, "MEANS": 14_000, "END": 1700, "BYTE": 8}
+"""How many cycles an ATmega2560 takes, measured with simavr: before the first job, for the memory, after the layers.
+
+And for each byte of a history that moves on.
+"""
 
 INPUT_COSTS: dict[Numbers, dict[str, int]] = {
     "float": {"ENTRY": 150, "TANH": 1600, "EXP": 2900, "PRODUCT": 250},
@@ -165,6 +168,7 @@ def jobs(bundle: Bundle, numbers: Numbers) -> list[int]:
     policy, sizes = bundle.policy, bundle.policy.network.layers
     entry, tanh, exp, product = INPUT_COSTS[numbers].values()
     found = [entry] * len(policy.observations)
+    found[0] += _before(bundle, numbers)
     if policy.features:
         found += [tanh] * 6 + [exp] * 2 + [product] * 7 + [tanh] * 6
     if policy.memory:
@@ -172,6 +176,12 @@ def jobs(bundle: Bundle, numbers: Numbers) -> list[int]:
     for size, outputs in pairwise(sizes):
         found += [_neuron_cost(bundle, numbers) + WEIGHT_COSTS[numbers] * row(size, numbers)] * outputs
     return [*found, COSTS["END"]]
+
+
+def _before(bundle: Bundle, numbers: Numbers) -> int:
+    """Return what the first job takes beside an entry: the observation, and a history that moves on."""
+    moved = BYTES[numbers] * bundle.policy.size * (bundle.policy.history - 1)
+    return COSTS["OBSERVATION"] + COSTS["BYTE"] * moved
 
 
 def row(size: int, numbers: Numbers) -> int:
@@ -186,7 +196,7 @@ def _neuron_cost(bundle: Bundle, numbers: Numbers) -> int:
 
 def slices(costs: list[int], most: int = SLICE) -> int:
     """Return in how many slices of at most so many cycles the firmware does the jobs, at least one in each."""
-    count, spent = 1, COSTS["OBSERVATION"] + costs[0]
+    count, spent = 1, costs[0]
     for cost in costs[1:]:
         if spent + cost > most:
             count, spent = count + 1, 0
@@ -247,6 +257,7 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers,
         "NETWORK_LONG": SPANS[1],
         "NETWORK_SLICE": most,
         "NETWORK_TOGETHER": TOGETHER[numbers],
+        "NETWORK_COST_BEFORE": _before(bundle, numbers),
         **{f"NETWORK_COST_{name}": cost for name, cost in (COSTS | INPUT_COSTS[numbers]).items()},
         "NETWORK_COST_NEURON": _neuron_cost(bundle, numbers),
         "NETWORK_COST_WEIGHT": WEIGHT_COSTS[numbers],

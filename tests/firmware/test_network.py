@@ -147,6 +147,16 @@ def test_numbers_are_as_fine_as_the_delay_of_the_training_allows(delay, numbers,
     assert network.choose_numbers(bundle, 200, delay, "float") == "float"
 
 
+def test_a_long_history_takes_time_to_move_on(tmp_path):
+    short, long = (read_bundle(write(tmp_path / str(n), hidden=(4,), history=n)) for n in (1, 100))
+    first, same = network.jobs(short, "int8"), network.jobs(long, "int8")
+    assert same[0] - first[0] == 8 * 13 * 99
+    header = network.weights_header(long, None, "int8").splitlines()
+    assert ["#define", "NETWORK_COST_BEFORE", "15496"] in map(str.split, header)
+    with pytest.raises(AmulettError, match="does not fit"):  # 40,000 cycles in one job
+        network.choose_numbers(long, 4000, 0, "float")
+
+
 def test_weights_beyond_the_near_flash_are_refused(tmp_path):
     bundle = read_bundle(write(tmp_path, hidden=(200, 160)))
     with pytest.raises(AmulettError, match=r"in int8 its weights take 36804 bytes of flash; they may take 32000"):
