@@ -19,6 +19,7 @@ from amulett_gym.identification.from_logs.physics import Seen
 from amulett_gym.identification.from_logs.prior import Prior, prior_of, starts
 from amulett_gym.identification.from_logs.recording import CHANNELS, Recording
 from amulett_gym.profile import Profile
+from amulett_gym.simulation.layout import LANES
 
 Values = NDArray[np.float64]
 
@@ -34,9 +35,12 @@ _STATE = (np.radians(0.5), np.radians(20.0))
 _COARSE, _CELLS = 10.0, 8000
 """Of a start's search: factor of the noise in its first part, where the way to the minimum is smoother, and cells."""
 
+_DRAWS = 8
+"""Blocks of draws of the noise, by which the intervals in closed loop are found."""
+
 _SIGNS = ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))
 _CLEAR = 1.1  # rms of residuals over the noise of the readings, below which a start has found the device
-_STEP = 1e-5  # of a finite difference, in standard deviations of the prior
+_STEP, _STEP_CLOSED = 1e-5, 0.02  # of a finite difference, in standard deviations of the prior; noise switches agonists
 _FAR = 6.0  # bound of the search, in those
 
 
@@ -156,7 +160,7 @@ def fit(
         else:
             _, model, start = found[number // 2 % len(found)]
             prior = prior_of(model.seen, kinds[_kind(model.template)])
-            noise, stride = _first_noise(model), -(-model.measured.size // _CELLS)
+            noise, stride = _noise_at(model, start), -(-model.measured.size // _CELLS)
             coarse = _Search(model, prior, {name: _COARSE * value for name, value in noise.items()}, stride)
             search = _Search(model, prior, noise, stride)
             vector, _ = coarse.run(coarse.vector(start), 3e-3, 20)
@@ -172,7 +176,7 @@ def fit(
     _, search, vector = best
     model = search.model
     for _ in range(2):
-        search = _Search(model, search.prior, search.residual_noise(vector))
+        search = _Search(model, search.prior, search.weighing_noise(vector))
         vector, _ = search.run(vector)
     report("refined with all rows")
     return search.result(vector, tuple(sorted(reached)))
@@ -209,6 +213,19 @@ def _first_noise(model: Model) -> dict[str, float]:
         if part.cells.stop > part.cells.start:
             found.setdefault(part.channel, []).append(rough_noise(model.measured[part.cells]))
     return {channel: float(np.median(values)) for channel, values in found.items()}
+
+
+def _noise_at(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the noise of the readings by channel, in closed loop with what the sensors' noise makes the joint do."""
+    noise, closed = _first_noise(model), ~model.open_cells
+    if closed.any():
+        draws, channels = model.draws(values, 1), model.channel_of()
+        for channel in noise:
+            own = closed & (channels == CHANNELS.index(channel))
+            noise[channel] = (
+                max(noise[channel], float(draws[:, own].std(axis=0).mean())) if own.any() else noise[channel]
+            )
+    return noise
 
 
 def _slider_noise(noise: Mapping[str, float]) -> float:
@@ -275,10 +292,10 @@ class _Search:
         """Return the parameters' coordinates (`Seen.place`)."""
         return np.asarray(self.prior.mean + self.prior.deviation * vector[: self.count])
 
-    def _predict(self, vectors: Values) -> Values:
+    def _predict(self, vectors: Values, noise: bool = True) -> Values:
         devices = [values_at(self.prior.seen, self.place(each)) for each in vectors]
         states = vectors[:, self.count :].reshape(len(vectors), -1, 2) * _STATE
-        return self.model.predict(devices, _slider_noise(self.noise), states)
+        return self.model.predict(devices, _slider_noise(self.noise), states, noise)
 
     def _residuals(self, vector: Values) -> Values:
         data = ((self._predict(vector[None])[0] - self.model.measured) / self.weights)[self.used]
@@ -292,13 +309,14 @@ class _Search:
         before[self.count :, self.count :] = np.eye(states)
         return np.concatenate([slopes, before])
 
-    def _slopes(self, vector: Values) -> Values:
+    def _slopes(self, vector: Values, noise: bool = True) -> Values:
         """Return the derivatives of the weighted residuals; a piece's state moves its own cells alone."""
-        step = np.where(vector[: self.count] + _STEP <= self.high[: self.count], _STEP, -_STEP)
+        size = _STEP if self.model.open_cells.all() or not noise else _STEP_CLOSED
+        step = np.where(vector[: self.count] + size <= self.high[: self.count], size, -size)
         moved = np.zeros((self.count + 3, len(vector)))
         moved[1 : self.count + 1, : self.count] = np.diag(step)
         moved[-2, self.count :: 2] = moved[-1, self.count + 1 :: 2] = _STEP
-        found = self._predict(vector + moved)
+        found = self._predict(vector + moved, noise)
         apart = (found[1:] - found[0]) / self.weights
         slopes = np.zeros((apart.shape[1], len(vector)))
         slopes[:, : self.count] = (apart[: self.count] / step[:, None]).T
@@ -313,6 +331,37 @@ class _Search:
         apart = self._predict(vector[None])[0] - self.model.measured
         channels = self.model.channel_of()
         return {CHANNELS[k]: max(float(np.sqrt(np.mean(apart[channels == k] ** 2))), 1e-9) for k in np.unique(channels)}
+
+    def weighing_noise(self, vector: Values) -> dict[str, float]:
+        """Return `residual_noise`, in closed loop of rows that do not count as one."""
+        noise = self.residual_noise(vector)
+        if self.model.open_cells.all():
+            return noise
+        tests = self._whiteness(self._predict(vector[None])[0])
+        return {channel: value * np.sqrt(tests[channel].time) for channel, value in noise.items()}
+
+    def _whiteness(self, predicted: Values) -> dict[str, Whiteness]:
+        apart, parts = predicted - self.model.measured, self.model.parts
+        return {name: whiteness([apart[part.cells] for part in parts if part.channel == name]) for name in self.noise}
+
+    def covariance_by_draws(self, vector: Values) -> Values:
+        """Return the covariance of the parameters with the spread of the scores over draws of the noise in closed loop.
+
+        It is that of the estimator, to first order: what other draws and other devices of the prior would have given.
+        The derivatives are those without noise: those of a few draws have noise, which would pass for information.
+        """
+        slopes, states = self._slopes(vector, False), np.eye(len(vector) - self.count)
+        prior = np.zeros((len(vector), len(vector)))
+        prior[: self.count, : self.count] = self.root.T @ self.root
+        prior[self.count :, self.count :] = states
+        draws = self.model.draws(values_at(self.prior.seen, self.place(vector)), _DRAWS) / self.weights
+        scores = (draws - draws.mean(axis=0)) @ slopes
+        spread = (1.0 + 1.0 / LANES) * scores.T @ scores / (len(draws) - 1)
+        open_loop = slopes[self.model.open_cells]
+        inverse = np.linalg.inv(slopes.T @ slopes + prior)
+        whole = inverse @ (spread + open_loop.T @ open_loop + prior) @ inverse
+        scale = np.diag(self.prior.deviation)
+        return np.asarray(scale @ whole[: self.count, : self.count] @ scale)
 
     def information(self, vector: Values, times: Mapping[str, float]) -> Values:
         """Return the inverse covariance of the parameters by the logs, whatever the states are.
@@ -330,13 +379,13 @@ class _Search:
     def result(self, vector: Values, reached: tuple[float, ...]) -> Fit:
         """Return the fit at the vector of the minimum."""
         predicted = self._predict(vector[None])[0]
-        apart = predicted - self.model.measured
-        tests = {}
-        for channel in self.noise:
-            own = [apart[part.cells] for part in self.model.parts if part.channel == channel]
-            tests[channel] = whiteness(own)
-        information = self.information(vector, {name: test.time for name, test in tests.items()})
-        covariance = np.linalg.inv(information + np.linalg.inv(self.prior.covariance))
+        tests, before = self._whiteness(predicted), np.linalg.inv(self.prior.covariance)
+        if self.model.open_cells.all():
+            information = self.information(vector, {name: test.time for name, test in tests.items()})
+            covariance = np.linalg.inv(information + before)
+        else:
+            covariance = self.covariance_by_draws(vector)
+            information = np.linalg.inv(covariance) - before
         place, noise = self.place(vector), self.residual_noise(vector)
         return Fit(self.model, self.prior, place, covariance, information, predicted, noise, tests, reached)
 

@@ -1,4 +1,8 @@
-"""What a device with given parameters would have measured in the recordings: readings without noise."""
+"""What a device with given parameters would have measured in the recordings: readings without noise.
+
+In closed loop the sensors' noise moves the joint: its readings there are the mean over devices with noise of their own,
+one in each lane of a block.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from amulett_gym.identification.from_logs.noise import rough_noise
 from amulett_gym.identification.from_logs.physics import NUISANCES, PARAMETERS, Seen, device, physics_of
 from amulett_gym.identification.from_logs.recording import (
     CHANNELS,
@@ -30,6 +35,7 @@ from amulett_gym.tasks.scenario import empty_rows
 
 Values = NDArray[np.float64]
 
+_KEYS = np.uint64(0x6669742D6C6F6773) + np.arange(LANES, dtype=np.uint64)  # of the noise; no log's seed by chance
 _DEVICES = 16  # simulated at once: bounds the memory
 _ABOVE_FLOOR = 1.1  # estimated forces below so many floors are not compared: their noise is clipped
 
@@ -67,7 +73,8 @@ class Model:
     """
 
     def __init__(self, template: Profile, recordings: Sequence[Recording], whole: bool = False) -> None:
-        self.template = _exact(template)
+        self.template = _with_noise(template, 0.0, 0.0)
+        self.noisy = _noisy(template, recordings)
         self.period = template.loop.control_period
         self.blocks = blocks_of(cut(recordings, self.period, whole))
         self.pieces = tuple(piece for block in self.blocks for piece in block)
@@ -109,8 +116,40 @@ class Model:
         """Return the device with the given values, with exact sensors."""
         return device(self.template, values)
 
+    @property
+    def open_cells(self) -> NDArray[np.bool_]:
+        """Whether each cell is of a recording with commands."""
+        found = np.empty(self.measured.size, dtype=bool)
+        for part in self.parts:
+            found[part.cells] = self.piece_of(part).recording.open_loop
+        return found
+
+    def draws(self, values: Mapping[str, float], count: int) -> Values:
+        """Return readings in closed loop with `count` times `LANES` other draws of the noise; 0 in open loop.
+
+        They have the shape (draws, cells).
+        """
+        found = np.zeros((count * LANES, self.measured.size))
+        for block, pieces in enumerate(self.blocks):
+            if not pieces[0].recording.open_loop:
+                inputs, profile = inputs_of(pieces, self.template), device(self.noisy, values)
+                keys = _KEYS + np.arange(LANES, (count + 1) * LANES, LANES, dtype=np.uint64)[:, None]
+                outputs = self._replay_setpoints([profile] * count, [inputs] * count, keys)
+                for part in self.parts:
+                    if part.block == block:
+                        signals = (
+                            outputs[..., CHANNELS.index(part.channel)].transpose(0, 2, 1).reshape(count * LANES, -1)
+                        )
+                        for draw, signal in enumerate(signals):
+                            found[draw, part.cells] = at_rows(pieces[0], signal, self.period)[part.known]
+        return found
+
     def predict(
-        self, devices: Sequence[Mapping[str, float]], slider_noise: float = 0.0, states: Values | None = None
+        self,
+        devices: Sequence[Mapping[str, float]],
+        slider_noise: float = 0.0,
+        states: Values | None = None,
+        noise: bool = True,
     ) -> Values:
         """Return the readings that devices with these values would give, shape (devices, cells).
 
@@ -123,13 +162,17 @@ class Model:
             than 0 in the mean.
         states : ndarray, shape (devices, pieces, 2), optional
             Added to angle [rad] and velocity [rad/s] at each piece's begin; 0 if None.
+        noise : bool
+            Whether the sensors have noise in closed loop.
         """
         if states is None:
             states = np.zeros((len(devices), len(self.pieces), 2))
         chunks = [slice(k, k + _DEVICES) for k in range(0, len(devices), _DEVICES)]
-        return np.concatenate([self._predict(devices[each], slider_noise, states[each]) for each in chunks])
+        return np.concatenate([self._predict(devices[each], slider_noise, states[each], noise) for each in chunks])
 
-    def _predict(self, devices: Sequence[Mapping[str, float]], slider_noise: float, states: Values) -> Values:
+    def _predict(
+        self, devices: Sequence[Mapping[str, float]], slider_noise: float, states: Values, noise: bool
+    ) -> Values:
         profiles = [self.profile(values) for values in devices]
         found = np.empty((len(devices), self.measured.size))
         first = 0
@@ -138,13 +181,19 @@ class Model:
             offsets = np.zeros((len(devices), LANES, 2))
             offsets[:, : len(pieces)] = states[:, first : first + len(pieces)]
             first += len(pieces)
-            outputs = self._replay(profiles, devices, inputs, offsets)
+            closed = not pieces[0].recording.open_loop
+            if closed:
+                own = [device(self.noisy, values) for values in devices] if noise else profiles
+                keys = np.tile(_KEYS, (len(devices), 1))
+                outputs = self._replay_setpoints(own, inputs, keys).mean(axis=2, keepdims=True)
+            else:
+                outputs = self._replay_commands(profiles, devices, inputs, offsets)
             for part in self.parts:
                 if part.block == block:
                     piece, channel = pieces[part.lane], CHANNELS.index(part.channel)
                     for k, values in enumerate(devices):
                         signal = at_rows(piece, outputs[k, :, part.lane, channel], self.period)[part.known]
-                        found[k, part.cells] = self._read(part.channel, signal, values, slider_noise)
+                        found[k, part.cells] = self._read(part.channel, signal, values, 0.0 if closed else slider_noise)
         return found
 
     def _read(self, channel: str, signal: Values, values: Mapping[str, float], slider_noise: float) -> Values:
@@ -159,29 +208,43 @@ class Model:
         density = np.exp(-0.5 * place * place) / np.sqrt(2.0 * np.pi)
         return np.asarray(biased * ndtr(place) + slider_noise * density)
 
-    def _replay(
+    def _replay_setpoints(
+        self, profiles: Sequence[Profile], inputs: Sequence[Inputs], keys: NDArray[np.uint64]
+    ) -> Values:
+        """Return the outputs of devices in their loop, with a key of the noise for each lane."""
+        simulation = _simulation(profiles)
+        rows = np.concatenate([_scenarios(each, profile) for each, profile in zip(inputs, profiles, strict=True)])
+        rows["noise_key"] = keys.ravel()
+        start_in_balance(simulation, rows)
+        first, second = np.stack([each.first for each in inputs]), np.stack([each.second for each in inputs])
+        return replay_setpoints(simulation, first, second, np.arange(len(profiles)))
+
+    def _replay_commands(
         self,
         profiles: Sequence[Profile],
         devices: Sequence[Mapping[str, float]],
         inputs: Sequence[Inputs],
         offsets: Values,
     ) -> Values:
-        simulation = Simulation(profiles, LANES * len(profiles))
-        simulation.assign(np.arange(len(profiles)), np.arange(len(profiles)))
+        """Return the outputs of devices whose drives get the logged commands."""
+        simulation = _simulation(profiles)
         first = np.stack([each.first for each in inputs])
         second = np.stack([each.second for each in inputs])
         rows = np.concatenate([_scenarios(each, profile) for each, profile in zip(inputs, profiles, strict=True)])
-        chosen = np.arange(len(profiles))
-        if not inputs[0].pieces[0].recording.open_loop:
-            start_in_balance(simulation, rows)
-            return replay_setpoints(simulation, first, second, chosen)
         first += np.array([values.get("zero_biceps", 0.0) for values in devices])[:, None, None]
         second += np.array([values.get("zero_triceps", 0.0) for values in devices])[:, None, None]
         angle, velocity = (np.stack(each) for each in zip(*((own.angle, own.velocity) for own in inputs), strict=True))
         angle[:, -1] += offsets[:, :, 0]
         velocity[:, -1] += offsets[:, :, 1]
         start_at_commands(simulation, rows, angle[:, 0].ravel(), first[:, 0].ravel(), second[:, 0].ravel())
-        return replay_commands(simulation, first, second, chosen, (angle, velocity))
+        return replay_commands(simulation, first, second, np.arange(len(profiles)), (angle, velocity))
+
+
+def _simulation(profiles: Sequence[Profile]) -> Simulation:
+    """Return a simulation with a block of each device."""
+    simulation = Simulation(profiles, LANES * len(profiles))
+    simulation.assign(np.arange(len(profiles)), np.arange(len(profiles)))
+    return simulation
 
 
 def _scenarios(inputs: Inputs, profile: Profile) -> NDArray[np.void]:
@@ -199,6 +262,25 @@ def _scenarios(inputs: Inputs, profile: Profile) -> NDArray[np.void]:
     return rows
 
 
-def _exact(profile: Profile) -> Profile:
-    exact = {"encoder_bits": 0, "encoder_noise_deg": 0.0, "potentiometer_bits": 0, "potentiometer_noise": 0.0}
-    return profile.model_copy(update={"sensors": profile.sensors.model_copy(update=exact)})
+def _noisy(template: Profile, recordings: Sequence[Recording]) -> Profile:
+    """Return a profile with the sensors' noise as the logs in closed loop show it, where they have a row per tick.
+
+    Elsewhere it is that of the template, with its rounding as noise too.
+    """
+    sensors, period = template.sensors, template.loop.control_period
+    step = 2.0 * np.pi / 2**sensors.encoder_bits if sensors.encoder_bits else 0.0
+    angle = float(np.hypot(np.radians(sensors.encoder_noise_deg), step / np.sqrt(12.0)))
+    slider = sensors.potentiometer_noise
+    for recording in recordings:
+        if not recording.open_loop and np.median(np.diff(recording.columns["time"])) < 1.5 * period:
+            known = {name: values[np.isfinite(values)] for name, values in recording.columns.items()}
+            angle = rough_noise(known["angle"])
+            slider = float(np.mean([rough_noise(known[name]) for name in SLIDERS if name in known] or [slider]))
+    return _with_noise(template, angle, slider)
+
+
+def _with_noise(profile: Profile, angle: float, slider: float) -> Profile:
+    """Return a profile whose sensors have noise [rad], [m], and do not round."""
+    noise = {"encoder_noise_deg": float(np.degrees(angle)), "potentiometer_noise": slider}
+    sensors = profile.sensors.model_copy(update={"encoder_bits": 0, "potentiometer_bits": 0, **noise})
+    return profile.model_copy(update={"sensors": sensors})

@@ -186,13 +186,10 @@ class Inputs:
 
 
 def blocks_of(pieces: Sequence[Piece]) -> list[tuple[Piece, ...]]:
-    """Return the pieces in blocks of at most `LANES`, all in open loop or all in closed loop, long ones first."""
-    found = []
-    for kind in (True, False):
-        own = [each for each in pieces if each.recording.open_loop is kind]
-        own.sort(key=lambda each: each.start - each.end)
-        found += [tuple(own[k : k + LANES]) for k in range(0, len(own), LANES)]
-    return found
+    """Return the pieces in blocks: of at most `LANES` in open loop, long ones first, and of one in closed loop."""
+    own = sorted((each for each in pieces if each.recording.open_loop), key=lambda each: each.start - each.end)
+    found = [tuple(own[k : k + LANES]) for k in range(0, len(own), LANES)]
+    return found + [(each,) for each in pieces if not each.recording.open_loop]
 
 
 def inputs_of(pieces: tuple[Piece, ...], profile: Profile, delay: float = 0.0) -> Inputs:

@@ -12,9 +12,11 @@ from amulett_gym.identification.from_logs.fit import Fit, fit
 from amulett_gym.identification.from_logs.model import Model
 from amulett_gym.identification.from_logs.physics import physics_of
 from amulett_gym.identification.from_logs.profile import draw_fleet, profile_content
-from amulett_gym.identification.from_logs.result import undetermined
+from amulett_gym.identification.from_logs.result import channel_rms, undetermined
 from amulett_gym.identification.from_logs.sensors import bits_of, encoder, sliders
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation.layout import LANES
+from tests.identification.from_logs.conftest import simulate_log
 
 
 @pytest.fixture(scope="module")
@@ -96,14 +98,55 @@ def test_a_fleet_is_drawn_from_the_posterior(found, base):
     assert draw_fleet(found, base, "mine", 2, seed=0)[1] != draw_fleet(found, base, "mine", 2, seed=1)[1]
 
 
-def test_forces_and_setpoints_do_where_commands_and_sliders_are_missing(base, fleet, log, hidden):
-    names = ("time", "setpoint", "angle", "force_biceps", "force_triceps", "tension_setpoint")
-    closed = replace(log, columns={name: log.columns[name] for name in names}, end=6.0)
-    model = Model(hidden, [closed])
+@pytest.fixture(scope="module")
+def quiet(hidden):
+    """Return the hidden device with a fifth of its noise: at the coarse period the loop makes a degree of it."""
+    noise = {"encoder_noise_deg": 0.005, "encoder_bits": 0, "potentiometer_noise": 4e-5}
+    return hidden.model_copy(update={"sensors": hidden.sensors.model_copy(update=noise)})
+
+
+@pytest.fixture(scope="module")
+def closed(quiet):
+    log = simulate_log(quiet)
+    return replace(log, columns={name: values for name, values in log.columns.items() if "command" not in name})
+
+
+def test_forces_and_setpoints_do_where_commands_and_sliders_are_missing(closed, quiet, fleet):
+    columns = {name: values for name, values in closed.columns.items() if "slider" not in name}
+    model = Model(quiet, [replace(closed, columns=columns, end=6.0)])
     assert {part.channel for part in model.parts} == {"angle", "force_biceps", "force_triceps"}
     assert "command_delay" not in {each.name for each in model.seen}
-    apart = model.predict([physics_of(hidden), physics_of(fleet[0])]) - model.measured
-    angles = model.channel_of() == 0
-    own, other = np.sqrt(np.mean(apart[:, angles] ** 2, axis=1))
-    assert own < np.radians(1.0)
+    apart = model.predict([physics_of(quiet), physics_of(fleet[0])]) - model.measured
+    own, other = np.sqrt(np.mean(apart[:, model.channel_of() == 0] ** 2, axis=1))
+    assert own < np.radians(0.5)
     assert own < 0.8 * other
+
+
+def test_in_closed_loop_draws_of_the_noise_differ_as_logs_do(quiet, closed):
+    model, values = Model(quiet, [closed]), physics_of(quiet)
+    draws, predicted, angles = model.draws(values, 2), model.predict([values])[0], model.channel_of() == 0
+    assert len(draws) == 2 * LANES
+    *others, own = (np.sqrt(np.mean((each - predicted)[angles] ** 2)) for each in (*draws, model.measured))
+    assert 0.5 * min(others) < own < 1.5 * max(others)
+    assert not model.open_cells.any()
+
+
+def test_commands_need_no_draws(hidden, log):
+    assert not Model(hidden, [log]).draws(physics_of(hidden), 1).any()
+
+
+def test_a_fit_in_closed_loop_predicts_and_does_not_claim_too_much(base, fleet, quiet, closed):
+    found = fit(base, [replace(closed, end=13.0)], fleet, tried=1)
+    held, truth = [replace(closed, begin=13.0)], physics_of(quiet)
+    ours, theirs = (
+        channel_rms(model, model.predict([values])[0] - model.measured)["angle"]
+        for model, values in (
+            (Model(found.model.template, held, whole=True), found.values),
+            (Model(quiet, held, whole=True), truth),
+        )
+    )
+    assert ours < 1.5 * theirs
+    deviations = np.sqrt(np.diag(found.covariance))
+    places = [each.place(truth.get(each.name, 0.0)) for each in found.prior.seen]
+    assert (np.abs(places - found.place) < 4.0 * deviations).all()
+    assert {"radius_ratio", "lag"} <= {each.seen.name for each in found.estimates if each.determined}
