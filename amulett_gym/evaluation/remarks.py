@@ -79,12 +79,18 @@ def _remarks_on_costs(profile: Profile, suite: str) -> list[str]:
 
 
 def loop_remarks(contenders: Iterable[Contender]) -> list[str]:
-    """Return in which loop contenders act that do so by themselves: bundles and tuned laws of a loop, without `loop/`.
+    """Return in which loop contenders act that do so by themselves, and which act late.
 
-    The remarks are sentences without a full stop.
+    These are bundles and tuned laws of a loop, without `loop/`, and contenders with an `action_delay`. The remarks are
+    sentences without a full stop.
     """
+    contenders = list(contenders)
+    delays = [(each.name, each.env_keywords.get("action_delay")) for each in contenders]
     loops = [(each.name, each.env_keywords.get("control")) for each in contenders if not split_loop(each.name)[0]]
-    return [f"{name} acts in its own loop, {loop}, as {loop}/{name} would" for name, loop in loops if loop in LOOPS]
+    return [
+        *(f"{name} acts in its own loop, {loop}, as {loop}/{name} would" for name, loop in loops if loop in LOOPS),
+        *(f"{name} acts late, with an action_delay of {delay} control ticks" for name, delay in delays if delay),
+    ]
 
 
 def start_remarks(start: str, devices: Sequence[Profile], control: str) -> list[str]:

@@ -106,6 +106,7 @@ def test_a_bundle_acts_with_the_delay_that_it_was_trained_with(tmp_path):
     name = str(make_bundle(tmp_path / "mine", keywords={"action_delay": 3}))
     assert parse_contender(name).env_keywords["action_delay"] == 3
     results = evaluate([name], "paper-step", episodes=1, duration=0.2)
+    assert "mine acts late, with an action_delay of 3 control ticks" in results.remarks
     episode = record_episode(name, results.protocol)
     assert episode.metrics["cost"] == results.values[name]["cost"][0]
     tension = episode.trajectory["tension_setpoint"]
