@@ -20,6 +20,7 @@ from amulett_gym.evaluation.statistics import draw_weights, ratio_of_sums
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.description import Description, read_description
 from amulett_gym.firmware.env import HardwareEnv
+from amulett_gym.firmware.loops import check_transport
 from amulett_gym.laws.contenders import Contender, parse_contender
 from amulett_gym.profile import load_profile
 
@@ -155,6 +156,8 @@ def compare(
         If a name is unknown, the folder is no firmware, the law cannot be read any more, or a board fails.
     """
     found = read_description(folder)
+    for transport in transports:
+        check_transport(transport)
     profile = load_profile(found.keywords["profile"])
     protocol = Protocol(profile, suite, split, episodes=episodes, seed=seed, duration=duration)
     contender = parse_contender(found.contender)

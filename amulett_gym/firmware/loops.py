@@ -16,7 +16,9 @@ from amulett_gym.firmware.chip import Chip, Measurement
 from amulett_gym.firmware.host import Controller, Real, firmware_id, record_types
 from amulett_gym.firmware.ports import SerialPort
 from amulett_gym.firmware.protocol import BoardError, Report
-from amulett_gym.firmware.toolchain import build_hex
+from amulett_gym.firmware.toolchain import build_hex, check_avr_compiler
+
+SERIAL = "serial:"
 
 TRANSPORTS = ("host", "host-float", "chip", "serial:PORT")
 """Where a firmware can run; the host computes in 64 bits, as the simulation does, or in 32 bits, as the chip does."""
@@ -169,17 +171,29 @@ def open_loop(folder: Path, transport: str) -> FirmwareLoop:
     AmulettError
         If the transport is unknown, a compiler is missing, or no board answers.
     """
+    check_transport(transport)
     if transport in ("host", "host-float"):
         return HostLoop(folder, "double" if transport == "host" else "float")
-    kind, _, path = transport.partition(":")
     if transport == "chip":
         build = Path(tempfile.mkdtemp(prefix="amulett-firmware-"))
         try:
             return BoardLoop(Board(Chip(build_hex(folder, build))), folder)
         finally:
             shutil.rmtree(build, ignore_errors=True)
-    if kind == "serial" and path:
-        return BoardLoop(Board(SerialPort(path)), folder)
-    if kind == "serial":
+    return BoardLoop(Board(SerialPort(transport.removeprefix(SERIAL))), folder)
+
+
+def check_transport(transport: str) -> None:
+    """Refuse a transport that is unknown or, of the chip, has no compiler, before the work of others.
+
+    Raises
+    ------
+    AmulettError
+        As `open_loop` raises it.
+    """
+    if transport == SERIAL:
         raise AmulettError("transport 'serial:' names no port; give it, for example serial:/dev/ttyACM0")
-    raise unknown("transport", transport, TRANSPORTS)
+    if transport == "chip":
+        check_avr_compiler()
+    elif transport not in TRANSPORTS and not transport.startswith(SERIAL):
+        raise unknown("transport", transport, TRANSPORTS)

@@ -44,6 +44,12 @@ SOURCES = ("controller.c", "law.c", "protocol.c", "board.c")
 """C files of a folder that run on the chip and on the host; beside these, `mega.c` and `simulated_board.c`."""
 
 
+def check_avr_compiler() -> None:
+    """Raise a ToolMissing if there is no compiler for the ATmega2560."""
+    if shutil.which("avr-gcc") is None or shutil.which("avr-objcopy") is None:
+        raise ToolMissing(f"there is no avr-gcc, which compiles for the ATmega2560; install it: {INSTALL}")
+
+
 def build_hex(folder: Path, out: Path) -> Path:
     """Compile an exported folder for the ATmega2560; return the path of ``firmware.hex`` in the folder `out`.
 
@@ -52,8 +58,7 @@ def build_hex(folder: Path, out: Path) -> Path:
     AmulettError
         If the compiler is missing, or refuses.
     """
-    if shutil.which("avr-gcc") is None or shutil.which("avr-objcopy") is None:
-        raise ToolMissing(f"there is no avr-gcc, which compiles for the ATmega2560; install it: {INSTALL}")
+    check_avr_compiler()
     out.mkdir(parents=True, exist_ok=True)
     elf, hex_file = out / "firmware.elf", out / "firmware.hex"
     _run(["avr-gcc", *AVR_FLAGS, "-Wl,--gc-sections", *_sources(folder, "mega.c"), "-o", str(elf), "-lm"], folder)

@@ -71,6 +71,16 @@ def played(firmware, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "hil"
 
 
+def test_a_wrong_transport_is_refused_before_anything_runs(firmware, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(hil, "play_alone", None)
+    for wrong, message in (("chips", "did you mean 'chip'"), ("serial:", "names no port"), ("serial", "unknown")):
+        with pytest.raises(AmulettError, match=message):
+            compare(firmware("eq6").folder, ["host", wrong], episodes=1)
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(AmulettError, match="there is no avr-gcc"):
+        compare(firmware("eq6").folder, ["host", "chip"], episodes=1)
+
+
 def test_json_alone_is_printed(firmware, capsys: pytest.CaptureFixture[str]):
     assert main([*HIL, str(firmware("eq6").folder), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
