@@ -98,7 +98,8 @@ def run(arguments: argparse.Namespace) -> int:
     if other := [name for name in _OF_FLEET if getattr(arguments, name) not in (None, False)]:
         raise AmulettError(f"--{other[0].replace('_', '-')} is for a sample of devices; add --fleet")
     from amulett_gym.studies.paper.reproduction import Readings
-    from amulett_gym.studies.paper.study import STUDY_MARKS, Recipe, in_words, stage_count, study
+    from amulett_gym.studies.paper.study import STUDY_MARKS, Recipe, stage_count, study
+    from amulett_gym.studies.paper.study_words import in_words
 
     recipe = Recipe(**_given(arguments, "seeds", *_COUNTS))
     total = stage_count(recipe)

@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Reproduce, print the tables, and write the files."""
     from amulett_gym.reporting.document import check_document
+    from amulett_gym.studies.paper.own_study import read_study
     from amulett_gym.studies.paper.report import (
         MARKS,
         REPRODUCTION_MARKS,
@@ -43,7 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
         write_pictures,
     )
     from amulett_gym.studies.paper.results import PARTS, content, gather
-    from amulett_gym.studies.paper.study import read_study
 
     out = arguments.out
     study = None if arguments.study is None else read_study(arguments.study)
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _describe(arguments: argparse.Namespace) -> None:
     """Write what `amulett rerun` needs: the command, and a copy of the study."""
     from amulett_gym.storage.provenance import write_provenance
-    from amulett_gym.studies.paper.study import copy_study
+    from amulett_gym.studies.paper.own_study import copy_study
 
     out, study = arguments.out, arguments.study
     if study is not None:

@@ -17,10 +17,11 @@ from amulett_gym.model.plant import inertia
 from amulett_gym.reporting import style
 from amulett_gym.storage.writing import output_folder
 from amulett_gym.studies.paper import results
+from amulett_gym.studies.paper.own_study import read_study
 from amulett_gym.studies.paper.report import MARKS, REPRODUCTION_MARKS, in_words, write_numbers, write_pictures
 from amulett_gym.studies.paper.results import STATUS, Evidence, gather
 from amulett_gym.studies.paper.results import content as numbers
-from amulett_gym.studies.paper.study import profile_text, read_study, shipped
+from amulett_gym.studies.paper.study import profile_text, shipped
 from amulett_gym.studies.paper.tables import DEVICES
 
 BEGIN, END = MARKS

@@ -39,7 +39,8 @@ from amulett_gym.storage.provenance import Provenance, read_provenance, versions
 from amulett_gym.storage.reading import read_arrays, read_json, read_text
 from amulett_gym.storage.safe_yaml import parse_yaml
 from amulett_gym.storage.writing import write_json
-from amulett_gym.studies.paper.study import OwnStudy, profile_text, read_study, shipped
+from amulett_gym.studies.paper.own_study import OwnStudy, read_study
+from amulett_gym.studies.paper.study import profile_text, shipped
 from amulett_gym.studies.paper.tables import DEVICES
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
 

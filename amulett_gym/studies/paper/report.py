@@ -41,7 +41,7 @@ from amulett_gym.studies.paper.results import (
     springs_table,
     status,
 )
-from amulett_gym.studies.paper.study import spread_table
+from amulett_gym.studies.paper.study_words import spread_table
 from amulett_gym.studies.paper.tables import PROTOCOL
 
 if TYPE_CHECKING:

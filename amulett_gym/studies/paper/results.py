@@ -24,6 +24,8 @@ from amulett_gym.studies.paper.claims import (
 )
 from amulett_gym.studies.paper.figures import remarks
 from amulett_gym.studies.paper.motion import REST, ForceRise, Sensitivity, force_rise_times, observe, vary
+from amulett_gym.studies.paper.objective import WEIGHTS
+from amulett_gym.studies.paper.own_study import OwnStudy
 from amulett_gym.studies.paper.reproduction import (
     BOUNDS,
     MEASUREMENT_TIME,
@@ -37,7 +39,7 @@ from amulett_gym.studies.paper.reproduction import (
     our_drive,
     reproduce,
 )
-from amulett_gym.studies.paper.study import WEIGHTS, OwnStudy, cross_check, shipped, spring_laws
+from amulett_gym.studies.paper.study import cross_check, shipped, spring_laws
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, DRIVES, PROTOCOL, published
 from amulett_gym.tasks.suites import START
 
@@ -104,7 +106,7 @@ def gather(study: OwnStudy | None = None, report: Callable[[str], None] = lambda
     Parameters
     ----------
     study : OwnStudy, optional
-        Devices instead of the shipped ones (`study.read_study`).
+        Devices instead of the shipped ones (`own_study.read_study`).
     report : callable
         Called with the name of each of the `PARTS` when it is done.
 

@@ -32,22 +32,12 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.storage.provenance import write_provenance
 from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import write_json, write_text
+from amulett_gym.studies.paper.objective import SIMULATED, WEIGHTS, cost, reproduced, residual
 from amulett_gym.studies.paper.reproduction import Readings
-from amulett_gym.studies.paper.study import (
-    EQUAL,
-    SIMULATED,
-    WEIGHTS,
-    Report,
-    cost,
-    refuse_other_recipe,
-    reproduced,
-    residual,
-    run_stages,
-    shipped,
-)
+from amulett_gym.studies.paper.stages import Report, begin_stages
+from amulett_gym.studies.paper.study import EQUAL, shipped
 from amulett_gym.studies.paper.tables import TABLES_2_TO_5
 from amulett_gym.tasks.suites import episode_keys, suite_names
 from amulett_gym.tasks.suites import sample as sample_suite
@@ -118,17 +108,7 @@ def sample(
         too few sets are within the bound.
     """
     folder = Path(folder)
-    if not overwrite:
-        refuse_other_recipe(folder / RECIPE, recipe)
-    write_json(folder / RECIPE, asdict(recipe))
-    write_provenance(folder, "identify", asdict(recipe), recipe.seeds, command)
-    stages: dict[str, Any] = {}
-
-    def run(calls: Mapping[str, Mapping[str, Any]], work: Any = None) -> None:
-        for name, result in run_stages(folder / "stages", calls, readings, processes, work):
-            stages[name] = result
-            report(name, result)
-
+    stages, run = begin_stages(folder, RECIPE, recipe, readings, processes, report, overwrite, command)
     run(_starts(recipe))
     starts = {name: stages[name] for name in _starts(recipe)}
     limit = min(start["cost"] for start in starts.values()) + recipe.bound

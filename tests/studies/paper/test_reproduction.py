@@ -20,6 +20,7 @@ from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
 from amulett_gym.studies.paper import results
 from amulett_gym.studies.paper.figures import CAPTIONS, undamped_below
+from amulett_gym.studies.paper.objective import WEIGHTS, cost, residual
 from amulett_gym.studies.paper.report import MARKS, block, in_words
 from amulett_gym.studies.paper.reproduction import (
     ALTERNATIVES,
@@ -38,7 +39,6 @@ from amulett_gym.studies.paper.reproduction import (
     step_response,
 )
 from amulett_gym.studies.paper.results import Evidence, content, gather
-from amulett_gym.studies.paper.study import WEIGHTS, cost, residual
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5, published
 from amulett_gym.tasks.suites import START
 

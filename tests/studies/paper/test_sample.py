@@ -15,8 +15,8 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import fleet_names, load_fleet
 from amulett_gym.identification.parameters import LOOP, UNSEEN, devices, pack, resized, searched
 from amulett_gym.profile import load_profile
+from amulett_gym.studies.paper import objective, stages, study
 from amulett_gym.studies.paper import sample as module
-from amulett_gym.studies.paper import study
 from amulett_gym.studies.paper.reproduction import Readings
 from amulett_gym.studies.paper.sample import FLEETS, Recipe, profile_content, sample
 from amulett_gym.studies.paper.sample_page import MARKS, block, draw, in_words
@@ -37,7 +37,7 @@ def finished(tmp_path_factory):
     patch.setattr(eq6_costs, "EPISODES", 2)
     patch.setattr(eq6_costs, "_known", {})
     patch.setattr(module, "SCENARIOS", 2)
-    patch.setattr(module, "run_stages", lambda *arguments: _run(*arguments))
+    patch.setattr("amulett_gym.studies.paper.stages.run_stages", lambda *arguments: _run(*arguments))
     folder = tmp_path_factory.mktemp("sample")
     try:
         content = sample(folder, SMALL, Readings(), command=["amulett", "identify"])
@@ -50,12 +50,12 @@ def _run(folder, calls, readings, processes, work=None):
     """Do the stages here, with a start that is near the shipped set."""
     middle = pack(physics())
     population = np.clip(middle + np.random.default_rng(0).normal(0.0, 0.003, (20, middle.size)), 0.0, 1.0)
-    start = {"cost": study.objective(readings, loop=False)(middle), "explained": 33, "parameters": physics()}
+    start = {"cost": objective.objective(readings, loop=False)(middle), "explained": 33, "parameters": physics()}
     for name, call in calls.items():
         if name.startswith("start-"):
             yield name, {**start, "population": [middle.tolist(), *population.tolist()]}
         else:
-            yield name, (work or study._do_stage)(call, vars(readings))
+            yield name, (work or stages._do_stage)(call, vars(readings))
 
 
 def test_a_sample_has_the_devices_that_were_asked_for_in_three_fleets(finished):
@@ -81,9 +81,9 @@ def test_each_device_explains_the_tables_within_the_bound(finished):
     for device in content["devices"]:
         found = devices(device["parameters"])
         assert found["testbed"].loop == load_profile("testbed").loop
-        rows = study.reproduced(device["parameters"], Readings(), 1, study.SIMULATED)
-        weights = [study.WEIGHTS[row.cell.metric] for row in rows]
-        assert study.cost([study.residual(row) for row in rows], weights) == pytest.approx(device["cost"])
+        rows = objective.reproduced(device["parameters"], Readings(), 1, objective.SIMULATED)
+        weights = [objective.WEIGHTS[row.cell.metric] for row in rows]
+        assert objective.cost([objective.residual(row) for row in rows], weights) == pytest.approx(device["cost"])
         assert device["cost"] <= limit
         assert 25 <= device["explained"] <= content["of"] == 40
     refused = content["refused"]
@@ -116,7 +116,7 @@ def test_another_recipe_does_not_replace_a_sample_unasked(finished):
 
 
 def test_too_few_sets_are_an_error_that_says_what_helps(finished, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "run_stages", _run)
+    monkeypatch.setattr("amulett_gym.studies.paper.stages.run_stages", _run)
     monkeypatch.setattr(module, "PASSES", 1)
     with pytest.raises(AmulettError, match=r"only \d+ of 40 devices .* more walkers"):
         sample(tmp_path, replace(SMALL, devices=(20, 10, 10)), Readings())
@@ -125,7 +125,7 @@ def test_too_few_sets_are_an_error_that_says_what_helps(finished, tmp_path, monk
 def test_another_joint_pulley_changes_no_row_but_the_torques():
     parameters = physics()
     wide = resized(parameters, 0.048)
-    rows, others = (study.reproduced(each, Readings(), 2, study.SIMULATED) for each in (parameters, wide))
+    rows, others = (objective.reproduced(each, Readings(), 2, objective.SIMULATED) for each in (parameters, wide))
     for row, other in zip(rows, others, strict=True):
         if row.cell.metric in ("rise_time", "position_ise") and row.ours is not None:
             assert other.ours == pytest.approx(row.ours, rel=2e-2), row.cell
@@ -157,7 +157,7 @@ def test_a_start_has_a_law_of_the_spring_and_none_walks_from_beyond_the_bound(tm
             start = {"cost": cost, "explained": 30, "parameters": physics(), "population": [[own] * 13] * 12}
             yield name, [] if name.startswith("walk-") else start if work is None else {"devices": []}
 
-    monkeypatch.setattr(module, "run_stages", stages)
+    monkeypatch.setattr("amulett_gym.studies.paper.stages.run_stages", stages)
     with pytest.raises(AmulettError, match="only 0 of 6"):
         sample(tmp_path, replace(SMALL, seeds=(1, 2), spring_laws=(0.7,)), STALL)
     assert calls["start-spring-0.7"]["fixed"] == {"length_ratio": 0.7} and "fixed" not in calls["start-2"]
@@ -170,7 +170,7 @@ def test_the_weights_arm_is_at_the_same_inertia_and_seen_by_no_row():
     other = {**parameters, "mass_arm": 0.18}
     one, two = (devices(each)["testbed"].plant.masses[0] for each in (parameters, other))
     assert two.mass * two.arm**2 == pytest.approx(one.mass * one.arm**2, rel=1e-4)
-    rows, others = (study.reproduced(each, Readings(), 1, study.SIMULATED) for each in (parameters, other))
+    rows, others = (objective.reproduced(each, Readings(), 1, objective.SIMULATED) for each in (parameters, other))
     assert [row.ours for row in rows] == pytest.approx([row.ours for row in others], rel=5e-3)
 
 
@@ -202,9 +202,9 @@ def test_physics_alone_is_searched_with_the_testbeds_loop():
     free = searched("stall", loop=False)
     assert not {item.name for item in free} & set(LOOP) and free[-1].name == "stall_torque"
     call = {"seed": 1, "generations": 0, "population": 5, "loop": False}
-    found = study._do_stage(call, vars(STALL))
+    found = stages._do_stage(call, vars(STALL))
     assert list(found["parameters"]) == [item.name for item in free]
-    assert study._inputs(call, STALL) != study._inputs({**call, "loop": True}, STALL)
+    assert stages._inputs(call, STALL) != stages._inputs({**call, "loop": True}, STALL)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,18 @@ from amulett_gym.identification.parameters import PARAMETERS, devices, pack, sam
 from amulett_gym.identification.search import search
 from amulett_gym.profile import load_profile
 from amulett_gym.studies.paper import reproduction, study
+from amulett_gym.studies.paper.objective import (
+    OUT_OF_REACH,
+    SIMULATED,
+    cost,
+    most_explained,
+    objective,
+    reproduced,
+    residual,
+)
 from amulett_gym.studies.paper.reproduction import Readings
-from amulett_gym.studies.paper.study import EQUAL, cost, most_explained, objective, reproduced, residual
+from amulett_gym.studies.paper.stages import _do_stage
+from amulett_gym.studies.paper.study import EQUAL
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES
 
 ROOT = Path(__file__).parents[3]
@@ -47,8 +57,8 @@ def test_what_no_device_can_be_costs_most_and_is_not_simulated(monkeypatch):
     names = [free.name for free in PARAMETERS]
     corner = np.full(len(names), 0.5)
     corner[names.index("testbed.lag")], corner[names.index("testbed.control_period")] = 0.0, 1.0
-    most = cost([study.OUT_OF_REACH] * 40)
-    monkeypatch.setattr(study, "reproduced", lambda *_: pytest.fail("simulated"))
+    most = cost([OUT_OF_REACH] * 40)
+    monkeypatch.setattr("amulett_gym.studies.paper.objective.reproduced", lambda *_: pytest.fail("simulated"))
     assert objective(Readings())(corner) == most
 
 
@@ -57,19 +67,17 @@ def test_a_fit_of_another_end_of_the_springs_curve_has_its_own_parameter(end):
     """From candidates of the end that was taken, as a study has them."""
     begin = np.random.default_rng(0).uniform(size=(5, len(PARAMETERS))).tolist()
     call = {"seed": 1, "generations": 1, "population": begin, "reading": {"spring_end": end}}
-    found = study._do_stage(call, asdict(Readings()))
+    found = _do_stage(call, asdict(Readings()))
     assert list(found["parameters"]) == [free.name for free in searched(end)]
     assert found["cost"] == objective(Readings(spring_end=end))(pack(found["parameters"]))
-    back = study._do_stage(
-        call | {"population": found["population"], "reading": {}, "generations": 0}, asdict(Readings())
-    )
+    back = _do_stage(call | {"population": found["population"], "reading": {}, "generations": 0}, asdict(Readings()))
     assert list(back["parameters"]) == [free.name for free in PARAMETERS]
 
 
 def test_stalling_drives_explain_about_as_many_rows_as_a_held_force(parameters):
     """The held force is what an ideal drive with a stall torque does, and nearly what the testbed's drives do."""
     held, stalled = (
-        reproduced({**parameters, "stall_torque": 0.3}, Readings(spring_end=end), 2, study.SIMULATED)
+        reproduced({**parameters, "stall_torque": 0.3}, Readings(spring_end=end), 2, SIMULATED)
         for end in ("held", "stall")
     )
     assert abs(sum(row.explained for row in held) - sum(row.explained for row in stalled)) <= 2
@@ -122,9 +130,7 @@ def test_scaling_all_lengths_and_the_inertia_changes_no_row(parameters):
 
 
 def test_a_row_within_its_bound_has_a_residual_below_one(content):
-    rows = reproduced(
-        {entry["name"]: entry["value"] for entry in content["spread"]}, Readings(), duration=study.SIMULATED
-    )
+    rows = reproduced({entry["name"]: entry["value"] for entry in content["spread"]}, Readings(), duration=SIMULATED)
     for row in rows:
         assert row.explained or abs(residual(row)) > 0.8, row.cell
         assert abs(residual(row)) > 1.0 or row.explained, row.cell
@@ -139,7 +145,7 @@ def test_a_row_out_of_reach_cannot_dominate_the_cost():
 def test_the_search_comes_back_to_known_parameters(monkeypatch, parameters):
     """A twin experiment: tables that a known set has made are explained by that set, and the search goes there."""
     parameters = unpack(pack(parameters))  # what is written has its digits rounded
-    truth = reproduced(parameters, Readings(), 1, study.SIMULATED)
+    truth = reproduced(parameters, Readings(), 1, SIMULATED)
     cells = tuple(replace(row.cell, value=row.ours) for row in truth)
     monkeypatch.setattr(reproduction, "TABLES_2_TO_5", cells)
     assert objective(Readings())(pack(parameters)) == 0.0
@@ -182,9 +188,12 @@ def test_the_chosen_set_explains_most(parameters):
 def test_rows_count_before_cost_and_cost_among_as_many_rows(monkeypatch, parameters):
     # cost, rows explained
     made_up = {0.001: (5.0, 30), 0.002: (7.0, 33), 0.003: (6.0, 33), 0.004: (9.0, 29)}
-    monkeypatch.setattr(study, "objective", lambda readings: lambda vector: made_up[key(vector)][0])
     monkeypatch.setattr(
-        study, "reproduced", lambda member, *rest, **keywords: [Explained(True)] * made_up[member["inertia"]][1]
+        "amulett_gym.studies.paper.objective.objective", lambda readings: lambda vector: made_up[key(vector)][0]
+    )
+    monkeypatch.setattr(
+        "amulett_gym.studies.paper.objective.reproduced",
+        lambda member, *rest, **keywords: [Explained(True)] * made_up[member["inertia"]][1],
     )
 
     def key(vector):
@@ -272,7 +281,7 @@ def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
     while process.poll() is None and not (stages.is_dir() and any(stages.glob("start-*.json"))):
         time.sleep(0.02)
     os.killpg(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=60)  # waits for every process that holds the pipe
+    _, stderr = process.communicate(timeout=600)  # waits for every process that holds the pipe
     assert process.returncode == 130
     assert "Traceback" not in stderr
     kept = {path.name: path.read_text() for path in stages.iterdir()}
@@ -316,7 +325,7 @@ def test_the_shipped_profiles_are_what_was_identified(content, parameters):
 
 def test_the_shipped_parameters_cost_what_the_study_says(content, parameters):
     assert objective(Readings())(pack(parameters)) == pytest.approx(content["cost"], rel=1e-6)
-    rows = reproduced(parameters, Readings(), duration=study.SIMULATED)
+    rows = reproduced(parameters, Readings(), duration=SIMULATED)
     assert sum(row.explained for row in rows) == content["explained"]
     least = content["ensemble"]["least_cost"]
     assert least <= min(start["cost"] for start in content["starts"])
