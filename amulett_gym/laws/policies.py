@@ -65,19 +65,27 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     OtherLoopWarning
         If a bundle was trained in another control loop, or in one with other settings (`laws.training.other_loop`).
     """
-    policy = named_policy(name_or_folder, env)
-    if not callable(name_or_folder):
-        _warn_of_other_loop(str(name_or_folder), env.unwrapped.episodes)
+    policy, bundle = _policy_and_bundle(name_or_folder, env)
+    if bundle is not None:
+        episodes = env.unwrapped.episodes
+        if differences := other_loop(bundle.env, episodes.profiles, episodes.settings.control):
+            text = f"policy '{name_or_folder}' was trained {'; '.join(differences)}"
+            warnings.warn(text, OtherLoopWarning, stacklevel=2)
     return policy
 
 
 def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Policy:
     """Return a policy as `load_policy` does, without a warning."""
-    base = env.unwrapped
+    return _policy_and_bundle(name_or_folder, env)[0]
+
+
+def _policy_and_bundle(name_or_folder: str | Path | Callable[..., Any], env: Any) -> tuple[Policy, Bundle | None]:
+    """Return a policy, and the bundle that it was read from, if it was."""
+    base, bundle = env.unwrapped, None
     if not hasattr(base, "tension_range"):
         raise AmulettError(f"a policy needs an AMULETT environment (Amulett/Scaling-v0, ...); this is {env}")
     if callable(name_or_folder):
-        return own_policy(name_or_folder, env)
+        return own_policy(name_or_folder, env), None
     loop, name = split_loop(str(name_or_folder))
     tension_range, control = base.tension_range, base.episodes.settings.control
     if loop and loop != control:
@@ -100,17 +108,9 @@ def named_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> P
     elif name in EQ6_HELD:
         act = _eq6(_profile_for(name, base), tension_range, EQ6_HELD[name])
     else:
-        act = _from_bundle(read_bundle(bundle_folder(name)), base)
-    return _for_one_or_many(act, base.episodes.observation_size)
-
-
-def _warn_of_other_loop(name: str, episodes: Any) -> None:
-    _, law = split_loop(name)
-    if is_law(law):
-        return
-    differences = other_loop(read_bundle(bundle_folder(law)).env, episodes.profiles, episodes.settings.control)
-    if differences:
-        warnings.warn(f"policy '{name}' was trained {'; '.join(differences)}", OtherLoopWarning, stacklevel=3)
+        bundle = read_bundle(bundle_folder(name))
+        act = _from_bundle(bundle, base)
+    return _for_one_or_many(act, base.episodes.observation_size), bundle
 
 
 def is_law(name: str) -> bool:

@@ -11,8 +11,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from amulett_gym.errors import AmulettError
 from amulett_gym.logs.log import COLUMNS, REQUIRED
 from amulett_gym.settings import Group, describe, find_config, to_plain
+from amulett_gym.storage.header import Form, Wanted
 from amulett_gym.storage.safe_yaml import read_yaml
-from amulett_gym.storage.table import Form, Wanted
 from amulett_gym.storage.units import check_unit, plain_unit
 
 

@@ -14,8 +14,9 @@ from amulett_gym.logs.check import conspicuous, one_per_stamp
 from amulett_gym.logs.log import COLUMNS, REQUIRED, Log
 from amulett_gym.logs.mapping import Mapping, load_mapping
 from amulett_gym.settings import find_config
+from amulett_gym.storage.header import Found, find_columns, others
 from amulett_gym.storage.reading import read_arrays
-from amulett_gym.storage.table import Found, Table, find_columns, others, parse_table, read_table_text
+from amulett_gym.storage.table import Table, parse_table, read_table_text
 from amulett_gym.storage.units import split_unit, to_si
 
 MOST_BYTES = 400_000_000

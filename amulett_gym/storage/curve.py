@@ -9,8 +9,9 @@ from pydantic import Field, ValidationError, ValidationInfo, model_serializer, m
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.settings import Group, describe
+from amulett_gym.storage.header import Wanted
 from amulett_gym.storage.hysteresis import mean_of_branches
-from amulett_gym.storage.table import Wanted, parse_table, read_table_text
+from amulett_gym.storage.table import parse_table, read_table_text
 from amulett_gym.storage.units import to_si
 
 COLUMNS = ("deflection_m", "force_N", "spring_deflection_m")
