@@ -313,6 +313,8 @@ def test_with_a_critic_it_learns_alone_for_a_shorter_time(tmp_path):
     config = load_train_config(None, [], start=str(start))
     assert (config.network.critic_hidden, config.ppo.privileged_critic) == ([12, 6], False)
     assert (config.ppo.gamma, config.ppo.reward_scale, config.ppo.critic_steps) == (0.98, 5.0, CRITIC_STEPS)
+    # Alone in the first rollout only; each rollout is used once.
+    assert (config.num_envs * config.ppo.n_steps, config.ppo.n_epochs) == (CRITIC_STEPS, 1)
     own = load_train_config(None, ["ppo.gamma=0.98", "ppo.critic_steps=1000"], start=str(start))
     assert own.ppo.critic_steps == 1000
     long = ADAPTATION["ppo"]["critic_steps"]
