@@ -16,6 +16,7 @@ Values = NDArray[np.float64]
 
 _ABOVE = 3.0  # standard deviations from 0 at which a slider's noise is not clipped
 _DOUBT = 0.02  # of the noise: it is not quite normal, and not quite independent of the rounding
+_MEDIAN = 2.1  # factor of the standard deviation of a noise by the median of third differences, by simulation
 _MOST_BITS = 24
 
 
@@ -57,6 +58,8 @@ def _sensor(fit: Fit, channels: tuple[str, ...]) -> Sensor:
         for channel in {part.channel for part in parts}
     ]
     step = min(steps)
+    if not all(fit.model.piece_of(part).recording.open_loop for part in parts):  # residuals are the joint's motion too
+        return _by_differences(fit, channels, step, measured.size)
     apart = measured - predicted
     if channels == SLIDERS:
         clear = apart[predicted > _ABOVE * np.median(np.abs(apart)) / 0.6745]
@@ -65,4 +68,13 @@ def _sensor(fit: Fit, channels: tuple[str, ...]) -> Sensor:
     noise = math.sqrt(max(total - step**2 / 12.0, 1e-4 * total))
     rows = apart.size / max(fit.whiteness[channel].time for channel in channels if channel in fit.whiteness)
     share = (QUANTILE / math.sqrt(2.0 * rows)) * total / noise**2 + _DOUBT
+    return Sensor(noise, noise / (1.0 + share), noise * (1.0 + share), step)
+
+
+def _by_differences(fit: Fit, channels: tuple[str, ...], step: float, rows: int) -> Sensor:
+    """Return the noise that the model's simulations in closed loop have, which is that of the readings' differences."""
+    sensors = fit.model.noisy.sensors
+    total = sensors.potentiometer_noise if channels == SLIDERS else math.radians(sensors.encoder_noise_deg)
+    noise = math.sqrt(max(total**2 - step**2 / 12.0, 1e-4 * total**2))
+    share = (_MEDIAN * QUANTILE / math.sqrt(2.0 * rows)) * (total / noise) ** 2 + _DOUBT
     return Sensor(noise, noise / (1.0 + share), noise * (1.0 + share), step)

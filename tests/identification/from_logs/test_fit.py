@@ -150,3 +150,7 @@ def test_a_fit_in_closed_loop_predicts_and_does_not_claim_too_much(base, fleet, 
     places = [each.place(truth.get(each.name, 0.0)) for each in found.prior.seen]
     assert (np.abs(places - found.place) < 4.0 * deviations).all()
     assert {"radius_ratio", "lag"} <= {each.seen.name for each in found.estimates if each.determined}
+    sensors = quiet.sensors  # not the residuals, which the moving joint makes larger
+    assert np.degrees(encoder(found).noise) == pytest.approx(sensors.encoder_noise_deg, rel=0.3)
+    assert sliders(found).noise == pytest.approx(sensors.potentiometer_noise, rel=0.3)
+    assert found.noise["angle"] > 3.0 * encoder(found).noise
