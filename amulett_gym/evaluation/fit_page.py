@@ -43,6 +43,8 @@ def parameter_table(found: Mapping[str, Any], of_recording: bool = False) -> Tab
         "Determined by: log, if the interval is at most half as wide as that of the prior, which is what is known of "
         "plausible devices."
     )
+    if any(each["loop"] == "closed" for each in found["logs"]):
+        note += " A log without the drives' commands tells less than its intervals say: take them as a first guess."
     head = ("parameter", "value", "90 % interval", "determined by", "prior interval")
     return Table("The recording" if of_recording else "The device", head, rows, "" if of_recording else note, (0, 3))
 

@@ -22,8 +22,14 @@ def parameter(value, low, high, **changes):
     ],
 )
 def test_a_value_has_the_digits_that_its_interval_allows(found, shown):
-    (row,) = parameter_table({"parameters": [found]}).rows
+    (row,) = parameter_table({"parameters": [found], "logs": []}).rows
     assert row[1:3] == shown
+
+
+@pytest.mark.parametrize(("loop", "noted"), [("open", False), ("closed", True)])
+def test_intervals_of_a_log_without_commands_are_called_a_first_guess(loop, noted):
+    table = parameter_table({"parameters": [parameter(1.0, 0.5, 2.0)], "logs": [{"loop": loop}]})
+    assert ("first guess" in table.note) is noted
 
 
 def test_a_direction_is_a_sentence():
