@@ -200,6 +200,7 @@ def _adaptation(evidence: Evidence) -> Content:
         found[device] = {
             "start": float(start.mean()),
             "seconds": outcome(run)["seconds"],
+            "best_steps": outcome(run)["best_steps"],
             **{
                 name: float(evidence.values(name, devices=[device]).mean())
                 for name in (ADAPTED, OWN_CONSTANT, YARDSTICK, SPECIALIST)

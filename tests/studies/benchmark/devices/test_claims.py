@@ -24,7 +24,8 @@ def found():
     }
     laws = ["eq6", "best-constant", "eq6-tuned", "parametric"]
     adapted = {
-        f"held-out-0{k}": {"start": 1.0, "adapted": 0.9, "own-constant": 0.95, "seconds": 60.0} for k in range(8)
+        f"held-out-0{k}": {"start": 1.0, "adapted": 0.9, "own-constant": 0.95, "seconds": 60.0, "best_steps": 1000}
+        for k in range(8)
     }
     for k in (2, 5):
         adapted[f"held-out-0{k}"]["adapted"] = 0.97
@@ -79,6 +80,7 @@ def test_eq6_with_other_gains_is_reported(found):
         (("results", "robust", "ratio", "specialist"), estimate(1.06), "a specialist"),
         (("families", "track", "ratio_of_learned", "parametric"), estimate(1.03), "no family"),
         (("adaptation", "held-out-01", "adapted"), 0.96, "adapted within 60 s"),
+        (("adaptation", "held-out-01", "best_steps"), 0, "adapted within 60 s"),
         (("training", "robust", "runs", "3", "seconds"), 901.0, "15 minutes"),
     ],
 )
