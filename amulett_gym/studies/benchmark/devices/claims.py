@@ -103,7 +103,7 @@ def _on_adaptation(found: Content) -> list[Claim]:
         return []
     # Where no trained policy was better on the validation scenarios, the start's is kept, up to rounding.
     below = [one for one in adapted.values() if one["best_steps"] > 0 and one[ADAPTED] < one["start"]]
-    won = [one for one in below if one[ADAPTED] < one[OWN_CONSTANT]]
+    won = [one for one in below if one[ADAPTED] < one[OWN_CONSTANT] and one["seconds"] <= ADAPTATION_SECONDS]
     least, longest = math.ceil(ADAPTED_DEVICES * len(adapted)), max(one["seconds"] for one in adapted.values())
     text = (
         f"adapted within {ADAPTATION_SECONDS:.0f} s, lower cost than the policy it started from and than the best "

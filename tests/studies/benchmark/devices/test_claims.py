@@ -81,6 +81,7 @@ def test_eq6_with_other_gains_is_reported(found):
         (("families", "track", "ratio_of_learned", "parametric"), estimate(1.03), "no family"),
         (("adaptation", "held-out-01", "adapted"), 0.96, "adapted within 60 s"),
         (("adaptation", "held-out-01", "best_steps"), 0, "adapted within 60 s"),
+        (("adaptation", "held-out-01", "seconds"), 61.0, "adapted within 60 s"),
         (("training", "robust", "runs", "3", "seconds"), 901.0, "15 minutes"),
     ],
 )
