@@ -183,6 +183,7 @@ static inline pair run_loop(Parameters p, Gains g, States s, Memory q) {
     prepare(p, g, s, q);
     if (q->begins) {
         q->begins = 0;
+        q->last_setpoint -= q->setpoint_jump; /* the motion begins in the next tick: it is no jump back then */
         return (pair){s->command_biceps[0], s->command_triceps[0]};
     }
     begin_motion(p, g, q);

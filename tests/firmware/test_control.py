@@ -85,6 +85,23 @@ def test_in_float_the_commands_are_near(firmware, control):
     assert 0.0 < found["command"] < APART and found["tension"] < 1e-5
 
 
+@pytest.mark.parametrize("jump", [0.2, 0.5])
+@pytest.mark.parametrize("control", LOOPS)
+def test_in_float_a_jump_in_the_first_tick_is_no_jump_back_in_the_next(firmware, control, jump):
+    made = firmware("constant:10", control=control)
+    recording = made.record(steps=30, num_devices=1, suite="steps")
+    found = {}
+    for real in FLAGS:
+        with closing(made.controller(real)) as controller:
+            inputs = controller.inputs({name: values[:, 0] for name, values in recording.readings.items()})[:12]
+            inputs["jump"], inputs["jump"][0] = 0.0, jump
+            inputs["setpoint"] = inputs["setpoint"][0] + jump
+            controller.start(begin_record(controller, recording, 0))
+            found[real] = controller.run(inputs)["command"]
+    # The float build begins the same motion one tick later.
+    np.testing.assert_allclose(found["float"][1:], found["double"][:-1], atol=0.02)
+
+
 def test_only_the_files_of_the_loop_are_in_a_folder(tmp_path):
     folder = tmp_path / "firmware"
     found = {}
