@@ -102,6 +102,7 @@ INLINE void want(Parameters p, Gains g, States s, Memory q) {
 /* The jerk of what is left of the setpoint's jumps [rad/s3]. */
 INLINE real remaining_jerk(Parameters p, Gains g, Memory q) {
     const real duration = g->reference_time;
+    if (is_zero(q->jump)) return 0; /* also when the count of ticks begins anew */
     if (g->reference_shape != MINIMUM_JERK) {
         motion left = remaining_offset(p, g, q);
         if (g->reference_shape == FIRST_ORDER) return -TIME_CONSTANTS / duration * left.acceleration;
