@@ -201,9 +201,8 @@ static void obey(uint8_t kind, const uint8_t *content, uint8_t count) {
         real goal;
         if (count != sizeof(real)) refuse(FAULT_GARBLED);
         else if (mode != MODE_RUN) refuse(FAULT_ORDER);
-        else if (!is_finite(source)) refuse(FAULT_VALUE);
-        else {
-            take(&goal, sizeof goal);
+        else if (take(&goal, sizeof goal), !is_within(goal, SETPOINT_MOST)) refuse(FAULT_VALUE);
+        else { /* the controller will follow it: the next jump begins here */
             input.jump += goal - input.setpoint;
             input.setpoint = goal;
             input.flags |= CONTROLLER_MOVE_BEGINS;

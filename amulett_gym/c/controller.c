@@ -105,8 +105,6 @@ static uint32_t since_move;  /* control ticks since the setpoint began to move *
 static uint16_t phase;       /* control ticks since the agent period began */
 static uint8_t first, thinking, status;
 
-static uint8_t is_within(real value, real most) { return value >= -most && value <= most; } /* NaN is not */
-
 static uint8_t is_sound(const controller_input *input) {
     return input->encoder >= -(encoder_count)ENCODER_MOST && input->encoder <= (encoder_count)ENCODER_MOST &&
            input->slider[0] >= 0 && input->slider[0] <= (slider_count)SLIDER_MOST && input->slider[1] >= 0 &&

@@ -28,6 +28,8 @@ typedef real slider_count;
 typedef int32_t slider_count;
 #endif
 
+static inline uint8_t is_within(real value, real most) { return value >= -most && value <= most; } /* NaN is not */
+
 enum { BICEPS_STRING = 0, TRICEPS_STRING = 1 };
 
 enum {                           /* flags of an input */

@@ -27,7 +27,7 @@ typedef enum {
     FAULT_FULL = 3,     /* the receive buffer was full: bytes are lost */
     FAULT_ORDER = 4,    /* not what has to come now: no START before, or a sequence number was skipped */
     FAULT_KIND = 5,     /* an unknown kind */
-    FAULT_VALUE = 6,    /* a number that is not finite, or an agonist that is none */
+    FAULT_VALUE = 6,    /* a number that is not finite, a goal beyond SETPOINT_MOST, or an agonist that is none */
     FAULT_SENSORS = 7   /* a RUN, but the board's own sensors do not answer or its drives have no limit */
 } protocol_fault;
 

@@ -44,7 +44,7 @@ FAULTS = {
     3: "its receive buffer was full, so bytes are lost",
     4: "the request does not fit what it is doing: an episode has to be started first, and no request may be skipped",
     5: "it does not know this kind of request",
-    6: "a number is not finite, or the agonist is none",
+    6: "a number is not finite, a goal is beyond the joint's limits, or the agonist is none",
     7: "its own sensors do not answer, or its drives have no limit",
 }
 """Codes of an ERROR, and what they mean."""

@@ -266,11 +266,12 @@ def test_in_lock_step_the_drives_get_no_pulses(board: Board, chip: Chip):
     assert chip.pulses() is None
 
 
-def test_a_setpoint_that_is_not_finite_is_refused(running: Board, chip: Chip):
+@pytest.mark.parametrize("setpoint", [math.nan, math.inf, 100.5, -100.5])
+def test_a_setpoint_that_cannot_be_followed_is_refused(running: Board, chip: Chip, setpoint: float):
     chip.wait(0.01)
     before = running.read().commands
-    with pytest.raises(BoardError, match="a number is not finite"):
-        running.follow(math.nan)
+    with pytest.raises(BoardError, match="a number is not finite, a goal is beyond the joint's limits"):
+        running.follow(setpoint)
     chip.wait(0.01)
     assert running.read().commands == before
 
