@@ -15,6 +15,10 @@ class AmulettError(ValueError):
     """Wrong input: a configuration, a name, a file or an action that cannot be used."""
 
 
+class ToolMissing(AmulettError):
+    """A compiler or the simulated microcontroller is not installed; the message says how to install it."""
+
+
 class OtherLoopWarning(UserWarning):
     """A policy acts in another control loop, or in one with other settings, than that which it was trained for."""
 

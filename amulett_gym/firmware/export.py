@@ -10,6 +10,7 @@ from pathlib import Path
 
 from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.settings import Settings
+from amulett_gym.errors import ToolMissing
 from amulett_gym.firmware.control import APART, LOOP_FILES, TABLES, check_cycles, loop_tables, loop_texts
 from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, slider_readings, tables_header
@@ -19,7 +20,7 @@ from amulett_gym.firmware.measuring import OnChip, check_fits, measure
 from amulett_gym.firmware.network import Numbers
 from amulett_gym.firmware.readme import README, compare, needs, readme
 from amulett_gym.firmware.recording import Recording, record
-from amulett_gym.firmware.toolchain import BOARD_FILES, ToolMissing
+from amulett_gym.firmware.toolchain import BOARD_FILES
 from amulett_gym.firmware.vectors import vectors_header
 from amulett_gym.laws.contenders import Contender
 from amulett_gym.laws.copies import NO_COPIES, Copies, copy_policies
@@ -100,7 +101,7 @@ def export(
             files[README] = readme(*about, needed, checked, loop)
             files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
-        copies.write(folder)
+            copies.write(folder)  # while the old files are still there: a manifest names its copies
     if late:
         note(late)
     return files

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, ToolMissing
 from amulett_gym.storage.reading import user_path
 
 Real = Literal["double", "float"]
@@ -134,7 +134,7 @@ def compile_controller(folder: Path, library: Path, real: Real = "double") -> No
     """Compile a firmware folder's controller as a shared library (errors as `Controller`)."""
     compiler = find_compiler()
     if compiler is None:
-        raise AmulettError(NO_COMPILER.replace("tick in C", "firmware"))
+        raise ToolMissing(NO_COMPILER.replace("tick in C", "firmware"))
     sources = [str(folder / name) for name in SOURCES]
     flags = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", *FLAGS[real])
     command = [compiler, *flags, *sources, "-o", str(library), "-lm"]
@@ -157,5 +157,8 @@ def read_defines(header: str) -> dict[str, float]:
 
 
 def firmware_id(header: str) -> int:
-    """Return the identity of a firmware's sources from the text of its ``device.h``."""
-    return int(read_defines(header)["FIRMWARE_ID"])
+    """Return the identity of a firmware's sources from the text of its ``device.h``; AmulettError without one."""
+    numbers = read_defines(header)
+    if "FIRMWARE_ID" not in numbers:
+        raise AmulettError("the folder's device.h has no FIRMWARE_ID; export the firmware again")
+    return int(numbers["FIRMWARE_ID"])

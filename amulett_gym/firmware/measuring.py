@@ -66,7 +66,7 @@ def measure(folder: Path, recording: Recording) -> OnChip:
     Raises
     ------
     AmulettError
-        If a tool is missing (`toolchain.ToolMissing`), a compiler refuses, or it does not fit the ATmega2560.
+        If a tool is missing (`errors.ToolMissing`), a compiler refuses, or it does not fit the ATmega2560.
     """
     with closing(Controller(folder, "float")) as layout, closing(open_loop(folder, "chip")) as loop:
         apart = compare(Remote(loop, layout), recording)

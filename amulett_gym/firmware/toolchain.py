@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, ToolMissing
 from amulett_gym.firmware.host import FLAGS, Real
 
 BOARD_FILES = (
@@ -19,10 +19,6 @@ BOARD_FILES = (
 
 INSTALL = "apt-get install -y gcc-avr avr-libc simavr libsimavr-dev libelf-dev"
 """The command that installs on Debian what the simulated chip needs."""
-
-
-class ToolMissing(AmulettError):
-    """A compiler or the simulator is not installed; the message says how to install it."""
 
 
 FREQUENCY = 16_000_000

@@ -72,7 +72,7 @@ class Found(NamedTuple):
 def others(headers: Sequence[str], found: Mapping[str, Found]) -> list[str]:
     """Return the headers of the columns that were not found, those without a header left out."""
     taken = {each.place for each in found.values()}
-    return [header.strip() for k, header in enumerate(headers) if k not in taken and header.strip()]
+    return [header for k, header in enumerate(_bare(headers)) if k not in taken and header]
 
 
 def find_columns(
@@ -103,13 +103,13 @@ def find_columns(
         if not places:
             if isinstance(name, int):
                 raise AmulettError(f"{where} has no column {name}; it has {len(headers)} columns")
-            there = _printable(shorten(", ".join(header.strip() for header in headers), 200))
+            there = shorten(", ".join(_bare(headers)), 200)
             raise AmulettError(f"{where} has no column '{name}'{nearest(name, _bare(headers))} (there are: {there})")
         if len(places) > 1:
             same = ", ".join(repr(header) for header in dict.fromkeys(headers[place].strip() for place in places))
             which = f"names the column '{name}' {len(places)} times"
             raise AmulettError(f"{where} {which}" + (f": {same}" if "," in same else ""))
-        header, unit = headers[places[0]].strip(), ""
+        header, unit = _printable(headers[places[0]].strip()), ""
         if each.quantity is not None:
             below = units[places[0]] if places[0] < len(units) else ""
             unit = plain_unit(each.unit or split_unit(header)[1] or below.strip().strip("[]()"))
@@ -211,7 +211,8 @@ def _printable(text: str) -> str:
 
 
 def _bare(headers: Sequence[str]) -> list[str]:
-    return [header.strip() for header in headers]
+    """Return headers as they are shown."""
+    return [_printable(header.strip()) for header in headers]
 
 
 def split_line(line: str, separator: str) -> list[str]:

@@ -26,7 +26,7 @@ class Mean:
     columns : list of ndarray, shape (points,)
         Deflection [m], force [N] and the others, means of both directions.
     rows : list of int
-        The row that each point is nearest to.
+        For each point, the row of the first branch up at or after it.
     up, down : int
         Number of branches.
     work, loss : float
@@ -44,10 +44,9 @@ class Mean:
         """Return what was done, and the loss."""
         branches = f"{self.up} branch{'es' * (self.up > 1)} up and {self.down} down"
         low, high = 1e3 * self.columns[0][[0, -1]]
-        return (
-            f"{MEAN} {branches}, {low:.4g} to {high:.4g} mm; hysteresis takes {self.loss:.3g} J of {self.work:.3g} J, "
-            f"{100.0 * self.loss / self.work:.3g} %, which is not simulated"
-        )
+        taken = f"{self.loss:.3g} J of {self.work:.3g} J, {100.0 * self.loss / self.work:.3g} %"
+        found = f"hysteresis takes {taken}, which is not simulated" if self.loss > 0.0 else "no hysteresis is measured"
+        return f"{MEAN} {branches}, {low:.4g} to {high:.4g} mm; {found}"
 
 
 def mean_of_branches(columns: list[list[float]], rows: list[int], name: str) -> Mean | None:
@@ -79,6 +78,8 @@ def mean_of_branches(columns: list[list[float]], rows: list[int], name: str) -> 
         if cover < _LEAST_COVER:
             turn = first if first > 0 else last
             k = turn + 1
+            if last < steps.size and steps[last] == 0.0:  # it stands still
+                k = last + 1
             raise ValueError(
                 f"row {rows[k]}, column '{name}': it has to rise from row to row; {deflection[k]} follows "
                 f"{deflection[k - 1]}. Of a loop, each branch has to cover {100 * _LEAST_COVER:g} % of the range, the "
@@ -102,7 +103,8 @@ def mean_of_branches(columns: list[list[float]], rows: list[int], name: str) -> 
             "order in which they were recorded?"
         )
     means = [grid, *(0.5 * (rise + fall) for rise, fall in zip(up, down, strict=True))]
-    places = np.abs(deflection[:, None] - grid).argmin(axis=0)
+    first, last = next(branch for branch in branches if steps[branch[0]] > 0)
+    places = first + np.minimum(np.searchsorted(deflection[first : last + 1], grid), last - first)
     return Mean(means, [rows[k] for k in places], len(rising), len(falling), work, work - returned)
 
 

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 import amulett_gym
+from amulett_gym.errors import ToolMissing
 from amulett_gym.firmware.loops import FirmwareLoop, open_loop
-from amulett_gym.firmware.toolchain import BOARD_FILES, ToolMissing, build_chip, build_hex
+from amulett_gym.firmware.toolchain import BOARD_FILES, build_chip, build_hex
 
 STUB = Path(__file__).with_name("stub")
 BEGIN = [1.0, -1.0, *[0.5] * 12]

@@ -11,14 +11,13 @@ from helpers import device, keep_network
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, ToolMissing
 from amulett_gym.firmware import export as export_module
 from amulett_gym.firmware.description import firmware_content, read_description
 from amulett_gym.firmware.device import device_header
 from amulett_gym.firmware.export import export
-from amulett_gym.firmware.host import FLAGS, SOURCES
+from amulett_gym.firmware.host import FLAGS, SOURCES, firmware_id
 from amulett_gym.firmware.laws import PARAMETRIC_SLICES, choose
-from amulett_gym.firmware.toolchain import ToolMissing
 from amulett_gym.profile import load_profile
 
 ZEROS = [(np.zeros((1, 13), "f4"), np.zeros(1, "f4"))]  # a network's layers
@@ -147,3 +146,20 @@ def test_a_hostile_name_of_a_profile_stays_text(tmp_path):
     assert {name for name, content in files.items() if "passwd" in content} <= {"README.md", "manifest.json"}
     assert json.loads(files["manifest.json"])["profile"]["name"] == name  # data, not text of a source
     assert "<script>" not in files["README.md"] and "`x`" not in files["README.md"]
+
+
+def test_a_folder_is_written_without_a_c_compiler(tmp_path, monkeypatch):
+    from amulett_gym.firmware import host, measuring
+
+    monkeypatch.setattr(export_module, "measure", measuring.measure)
+    for module in (export_module, host):
+        monkeypatch.setattr(module, "find_compiler", lambda: None)
+    export("eq6", "testbed", None, tmp_path / "firmware")
+    readme = (tmp_path / "firmware" / "README.md").read_text()
+    assert "Not measured: no C compiler found" in readme
+    assert "Nothing: there was no C compiler" in readme
+
+
+def test_a_header_without_the_firmware_s_identity_is_refused():
+    with pytest.raises(AmulettError, match=r"device.h has no FIRMWARE_ID; export the firmware again"):
+        firmware_id("#define CONTROL_PERIOD 0.0025\n")

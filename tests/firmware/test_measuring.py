@@ -11,13 +11,13 @@ from firmware.boards import hex_or_skip
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, ToolMissing
 from amulett_gym.firmware import export as export_module
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.export import export
 from amulett_gym.firmware.measuring import check_fits
 from amulett_gym.firmware.readme import MEASURED, needs
-from amulett_gym.firmware.toolchain import INSTALL, ToolMissing
+from amulett_gym.firmware.toolchain import INSTALL
 
 FOUND = Measurement(cycles=1, ticks=50, last=1, most=31_000, mean=9_000.0, flash=20_000, static=800, stack=400)
 

@@ -87,6 +87,7 @@ BAD = {
     "nothing": ("", "log .*: it is empty"),
     "empty rows": ("\n \n", "it is empty"),
     "a terminal's commands": ("\x1b[2J,a\0\n0,1\n", r"row 1 has no column 'time' \(there are: \\x1b\[2J, a\\x00\)"),
+    "a terminal's commands in a unit": ("time [s],setpoint [deg],angle [\x1b[2J]\n0,1,2\n", r"'angle \[\\x1b\[2J\]'"),
     "an unknown unit below": ("time,setpoint,angle\ns,Grad,counts\n0,1,2\n", "column 'setpoint' has the unit 'Grad'"),
     "a header only": (HEADER + "\n", "it has no rows of numbers"),
     "no angle": ("time [s],setpoint [deg],angel [deg]\n0,1,2\n", r"row 1 has no column 'angle'; did you mean 'angel "),

@@ -2,13 +2,16 @@
 
 import json
 import re
+import tracemalloc
 
+import numpy as np
 import pytest
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.storage import curve as curves
 from amulett_gym.storage.curve import MOST_BYTES, Curve, read_curve, read_measurement
+from amulett_gym.storage.hysteresis import mean_of_branches
 from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 
 BAD_CURVES = {
@@ -193,3 +196,30 @@ def test_what_is_no_loop_is_refused(branches, message):
 def test_curve_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(AmulettError, match=r"cannot read measured spring curve '.*none\.csv': No such file"):
         read_curve(tmp_path / "none.csv")
+
+
+def test_a_long_loop_needs_memory_for_its_rows_only():
+    rows = 20_000
+    up = np.linspace(0.0, 0.01, rows)
+    deflection = [*up, *up[::-1][1:]]
+    force = [*(2000.0 * up), *(1900.0 * up[::-1][1:])]
+    tracemalloc.start()
+    mean = mean_of_branches([deflection, force], list(range(1, len(deflection) + 1)), "deflection_m")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert mean.rows == list(range(1, rows + 1))
+    assert most < 100 * 8 * rows
+
+
+def test_unloading_that_returns_all_work_has_no_loss_to_report():
+    up = np.linspace(0.0, 0.01, 20)
+    deflection = [*up, *up[::-1][1:]]
+    force = [*(2000.0 * up), *(2010.0 * up[::-1][1:])]
+    mean = mean_of_branches([deflection, force], list(range(1, len(deflection) + 1)), "deflection_m")
+    assert mean.in_words().endswith("no hysteresis is measured")
+
+
+def test_the_row_that_stands_still_is_named():
+    deflection = [0.0, 0.005, 0.01, 0.007, 0.007, 0.003, 0.0]
+    with pytest.raises(ValueError, match=r"^row 5, column 'deflection_m': .* 0.007 follows 0.007"):
+        mean_of_branches([deflection, deflection], list(range(1, 8)), "deflection_m")
