@@ -1,6 +1,6 @@
 /* The law: from an observation at the begin of an agent period to the tension setpoint at its end.
 
-   It is computed in slices, one in each of the period's first LAW_DELAY + 1 control ticks. */
+   It is computed in slices, at most one in each of the period's first LAW_DELAY + 1 control ticks. */
 
 #ifndef LAW_H
 #define LAW_H
