@@ -62,9 +62,8 @@ static real tanh_of(real x) {
 #ifdef CONTROLLER_DOUBLE
     return tanh(x);
 #else
-    /* Lines over cells of 1/64 up to 8. */
-    real scaled = magnitude(x) * 64;
-    if (!(scaled < 512)) return x < 0 ? -1 : 1;
+    real scaled = magnitude(x) * (NETWORK_TANH_CELLS / (real)NETWORK_TANH_END); /* lines over equal cells */
+    if (!(scaled < NETWORK_TANH_CELLS)) return x < 0 ? -1 : 1;
     uint16_t cell = (uint16_t)scaled;
     real here = read_real(tanh_table + cell), next = read_real(tanh_table + cell + 1);
     real y = here + (scaled - cell) * (next - here);
@@ -256,6 +255,9 @@ static void fire(uint16_t count) {
 
 /* The sum of products; on an AVR by its instructions, since the compiler's code takes twice to three times as long. */
 #if defined __AVR__ && NETWORK_BITS == 8
+#if NETWORK_TOGETHER != 4
+#error "dot takes four weights at a time"
+#endif
 #define TWO_PRODUCTS               \
     "lpm %[b], Z+ \n\t"            \
     "ld %[a], X+ \n\t"             \

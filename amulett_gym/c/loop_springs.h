@@ -38,10 +38,6 @@ INLINE real decay_at(Parameters p, Gains g, real preload) {
 
 #else /* straight lines between more knots: an AVR takes a third of the time, and digits are lost in 32 bits anyway */
 
-#define FORCE_LINES 512 /* each with force and slope */
-#define POSITION_LINES 1024
-#define DECAY_LINES 256
-
 /* Split a position into a line and the share of the way along it. */
 INLINE real along(real position, integer lines, integer *line) {
     real scaled = least(greatest(position, 0), 1) * lines;

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.firmware.numbers import array, initialiser
+from amulett_gym.firmware.numbers import array, defines, initialiser
 from amulett_gym.firmware.toolchain import FREQUENCY
 from amulett_gym.model.damping import decay_rate
 from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve
@@ -38,8 +38,8 @@ APART = 0.1
 """A command of the 32-bit build may differ by this [rad] in a tick: where a motion of the reference begins or ends."""
 
 CYCLES: Mapping[Control, int] = {
-    "decentralized": 10_900,
-    "position-only": 10_900,
+    "decentralized": 11_300,
+    "position-only": 11_300,
     "equilibrium-point": 22_600,
     "co-rotation": 24_900,
     "torque-stiffness": 61_900,
@@ -59,7 +59,7 @@ _BY_FORCE: tuple[Control, ...] = ("feedback-linearisation", "torque")  # they es
 _BY_SLOPE: tuple[Control, ...] = ("feedforward-feedback",)  # it estimates the joint stiffness
 
 FORCE_LINES, POSITION_LINES, DECAY_LINES = 512, 1024, 256
-"""Lines of the 32-bit build's tables, as in ``loop_springs.h``: off by 2e-5 N and 3e-7 for the shipped springs."""
+"""Lines of the 32-bit build's tables: off by 2e-5 N and 3e-7 for the shipped springs."""
 
 _DECAYS = "#ifdef CONTROLLER_DOUBLE\n#define DECAYS\n#else\n#define DECAYS .decay_table = decay_table,\n#endif\n\n"
 
@@ -105,8 +105,9 @@ def loop_numbers(profile: Profile, control: Control) -> str:
     slopes = ""
     if control in _BY_SLOPE:
         slopes = "#ifdef FORCES\n#define SLOPES\n#else\n#define SLOPES .slope_table = slope_table,\n#endif\n\n"
+    lines = {"FORCE_LINES": FORCE_LINES, "POSITION_LINES": POSITION_LINES, "DECAY_LINES": DECAY_LINES}
     return (
-        f"#define LOOP {int(record['loop'])}\n\n{_DECAYS}{slopes}"
+        f"{defines({'LOOP': int(record['loop']), **lines})}\n{_DECAYS}{slopes}"
         f"#define GAINS \\\n    DECAYS {'SLOPES ' * bool(slopes)}{content}\n\n"
     )
 

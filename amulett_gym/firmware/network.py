@@ -32,7 +32,7 @@ SUM_DIGITS: dict[Numbers, int] = {"int16": 31, "int8": 23}
 SLICE = 18_000
 """Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the paper's loop."""
 
-FLASH = 32_000
+MOST_WEIGHT_BYTES = 32_000
 """Bytes that weights may take: all tables have to be in the first 64 kB of flash. Activations then have room, too."""
 
 BYTES: dict[Numbers, int] = {"float": 4, "int16": 2, "int8": 1}
@@ -236,12 +236,17 @@ def _too_much(bundle: Bundle, ticks: int, numbers: Numbers, most: int) -> str:
             f"{most}, one of them {max(costs)} or more; an agent period has {ticks} control ticks"
         )
     flash = sum((BYTES[numbers] * row(size, numbers) + 4) * outputs for size, outputs in pairwise(sizes))
-    return f"its weights take {flash} bytes of flash; they may take {FLASH}" if flash > FLASH else ""
+    return (
+        f"its weights take {flash} bytes of flash; they may take {MOST_WEIGHT_BYTES}"
+        if flash > MOST_WEIGHT_BYTES
+        else ""
+    )
 
 
 def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers, most: int = SLICE) -> str:
     """Return ``weights.h``; `most` are the cycles that a slice may take."""
     policy, network = bundle.policy, bundle.policy.network
+    costs = {name: COSTS[name] for name in ("QUANTITIES", "MEANS", "END")} | INPUT_COSTS[numbers]
     values: dict[str, float | int] = {
         "NETWORK_BITS": {"float": 0, "int16": 16, "int8": 8}[numbers],
         "NETWORK_FEATURES": int(bool(policy.features)),
@@ -257,8 +262,10 @@ def weights_header(bundle: Bundle, layers: list[Layer] | None, numbers: Numbers,
         "NETWORK_LONG": SPANS[1],
         "NETWORK_SLICE": most,
         "NETWORK_TOGETHER": TOGETHER[numbers],
+        "NETWORK_TANH_CELLS": _CELLS,
+        "NETWORK_TANH_END": _END,
         "NETWORK_COST_BEFORE": _before(bundle, numbers),
-        **{f"NETWORK_COST_{name}": cost for name, cost in (COSTS | INPUT_COSTS[numbers]).items()},
+        **{f"NETWORK_COST_{name}": cost for name, cost in costs.items()},
         "NETWORK_COST_NEURON": _neuron_cost(bundle, numbers),
         "NETWORK_COST_WEIGHT": WEIGHT_COSTS[numbers],
         "LAW_ERROR_DEG": math.degrees(OBSERVATION_SCALES["position_error"]),

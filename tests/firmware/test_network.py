@@ -1,16 +1,20 @@
 """A policy's network as firmware: the bundle's in double, and whole numbers that are near it."""
 
+import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import keep_network
 
+import amulett_gym
 from amulett_gym.envs.action import action_to_tension
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware import network
 from amulett_gym.firmware.export import export
+from amulett_gym.firmware.host import read_defines
 from amulett_gym.firmware.laws import choose
 from amulett_gym.firmware.readme import begin_record, compare
 from amulett_gym.laws.bundle import read_bundle
@@ -155,6 +159,14 @@ def test_a_long_history_takes_time_to_move_on(tmp_path):
     assert ["#define", "NETWORK_COST_BEFORE", "15496"] in map(str.split, header)
     with pytest.raises(AmulettError, match="does not fit"):  # 40,000 cycles in one job
         network.choose_numbers(long, 4000, 0, "float")
+
+
+def test_c_uses_all_numbers_of_the_header(tmp_path):
+    bundle = read_bundle(write(tmp_path, hidden=(4,)))
+    layers = network.quantised(bundle, np.zeros((1, 13)), "int8")
+    names = read_defines(network.weights_header(bundle, layers, "int8")).keys()
+    text = (Path(amulett_gym.__file__).parent / "c" / "law_network.c").read_text()
+    assert "NETWORK_TANH_CELLS" in names and not [name for name in names if not re.search(rf"\b{name}\b", text)]
 
 
 def test_weights_beyond_the_near_flash_are_refused(tmp_path):
