@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_least, check_seconds, command_words
+from amulett_gym.cli.options import add_json, add_options, check_file, check_least, check_seconds, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
@@ -22,6 +22,7 @@ EXAMPLES = """  amulett hil firmware --suite mixed
   amulett hil firmware --transport host chip --episodes 10 --out runs/hil
   amulett hil firmware --transport chip --readme
   amulett hil firmware --transport serial:/dev/ttyACM0 --episodes 5
+  amulett hil firmware --episodes 1 --duration 60 --suite steps --log steps.csv
 """
 
 _OPTIONS = ("suite", "split", "episodes", "seed", "duration")
@@ -44,6 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first scenario (default: 0)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="length of one [s] (default: 10)")
     parser.add_argument("--out", metavar="DIR", help="folder for hil.json and a page, index.html")
+    log = "what the device logs in the first scenario, with the last transport (see docs/logs.md); .csv or .npz"
+    parser.add_argument("--log", metavar="FILE", help=log)
     readme = "write memory and cycles, which the transport chip measures, into the firmware's README.md"
     parser.add_argument("--readme", action="store_true", help=readme)
     add_json(parser, "the content of hil.json")
@@ -51,12 +54,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Play, print the table, and write the files; return 1 if a device failed or the strings were let go."""
+    from amulett_gym.firmware.hil import log_first
     from amulett_gym.firmware.hil_page import chip_table, table, write_needs
     from amulett_gym.firmware.readme import MEASURED, README
+    from amulett_gym.logs.writer import write_log
     from amulett_gym.reporting.document import check_document
 
     check_least(arguments, episodes=1, seed=0)
     check_seconds(arguments, "duration")
+    check_file("log", arguments.log, (".csv", ".npz"))
     if arguments.readme:
         if "chip" not in arguments.transport:
             raise AmulettError("--readme writes what the simulated chip measures; add chip to --transport")
@@ -77,6 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
         show(f"\n{chip.text()}", wrap=False)
     if arguments.out is not None:
         show(f"Written: {arguments.out}/hil.json, {arguments.out}/index.html")
+    if arguments.log is not None:
+        write_log(arguments.log, log_first(found.description, found.protocol, config["transport"][-1]))
+        show(f"Written: {arguments.log}")
     if arguments.readme:
         write_needs(found)
         show(f"Written: {arguments.folder}/{README}")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.profile import Profile
@@ -90,3 +93,12 @@ def command_words(arguments: argparse.Namespace, *names: str) -> list[str]:
             values = value if isinstance(value, list) else [] if value is True else [value]
             words += [f"--{name}", *map(str, values)]
     return words
+
+
+def check_file(option: str, path: str | None, suffixes: Sequence[str]) -> None:
+    """Raise an AmulettError if a file to write does not end in one of these suffixes, or cannot be written."""
+    if path is None:
+        return
+    if Path(path).suffix.lower() not in suffixes:
+        raise AmulettError(f"--{option} '{path}' has to end in {' or '.join(suffixes)}")
+    check_writable(path)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_device, add_json, add_options, check_seconds, chosen_device
+from amulett_gym.cli.options import add_device, add_json, add_options, check_file, check_seconds, chosen_device
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.episode import Episode
@@ -46,15 +44,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate, print the metrics, and write the files."""
     check_seconds(arguments, "duration")
     files = (("out", (".csv",)), ("log", (".csv", ".npz")), ("plot", (".png", ".svg")))
-    for option, suffixes in files:
-        path = getattr(arguments, option)
-        if path is not None and Path(path).suffix.lower() not in suffixes:
-            raise AmulettError(f"--{option} '{path}' has to end in {' or '.join(suffixes)}")
     if arguments.log is not None and len(set(arguments.law)) > 1:
         raise AmulettError(f"--log is for one law; --law names {len(set(arguments.law))}")
-    for option, _ in files:
-        if getattr(arguments, option) is not None:
-            check_writable(getattr(arguments, option))
+    for option, suffixes in files:
+        check_file(option, getattr(arguments, option), suffixes)
 
     from amulett_gym.evaluation.episode import record_episode
     from amulett_gym.evaluation.remarks import device_remarks, loop_remarks, print_remarks

@@ -38,8 +38,8 @@ APART = 0.1
 """A command of the 32-bit build may differ by this [rad] in a tick: where a motion of the reference begins or ends."""
 
 CYCLES: Mapping[Control, int] = {
-    "decentralized": 11_300,
-    "position-only": 11_300,
+    "decentralized": 11_400,
+    "position-only": 11_400,
     "equilibrium-point": 22_600,
     "co-rotation": 24_900,
     "torque-stiffness": 61_900,

@@ -22,7 +22,10 @@ from amulett_gym.firmware.description import Description, read_description
 from amulett_gym.firmware.env import HardwareEnv
 from amulett_gym.firmware.loops import check_transport
 from amulett_gym.laws.contenders import Contender, parse_contender
+from amulett_gym.logs.log import Log
+from amulett_gym.logs.simulated import log_of
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation.trajectory import record
 
 KERNEL = "simulation"
 """Name of the simulation's own loop in tables."""
@@ -206,6 +209,18 @@ def play(
         costs = derive(raw, charges, *tables)["cost"]
         failures = int((charges > 0.0).sum())
         return Played(transport, costs, families, failures, let_go, env.loop.retries, env.loop.measure())
+    finally:
+        env.close()
+
+
+def log_first(found: Description, protocol: Protocol, transport: str) -> Log:
+    """Return what the device logs in a protocol's first scenario with a firmware in the loop."""
+    keywords = {"suite": protocol.suite, "split": protocol.split}
+    env = HardwareEnv(found.folder, transport, **keywords)
+    try:
+        env.reset(seed=protocol.seed)
+        ticks = agent_steps(found, protocol.duration) * env.settings.ticks(env.profile)
+        return log_of(record(env.episodes.simulation, ticks, tick=env.episodes.tick))
     finally:
         env.close()
 

@@ -84,7 +84,11 @@ class Trajectory:
 
 
 def record(
-    simulation: Simulation, ticks: int, device: int = 0, before_tick: Callable[[int], None] | None = None
+    simulation: Simulation,
+    ticks: int,
+    device: int = 0,
+    before_tick: Callable[[int], None] | None = None,
+    tick: Callable[[], object] | None = None,
 ) -> Trajectory:
     """Return the trajectory of one device over a number of control ticks, ``ticks + 1`` rows.
 
@@ -95,6 +99,8 @@ def record(
     ticks, device : int
     before_tick : callable, optional
         Called with 0, 1, ... before each tick, e.g. to command a tension at the caller's own rate.
+    tick : callable, optional
+        Called for each tick instead of ``simulation.advance(1)``, if the control loop is elsewhere.
 
     Raises
     ------
@@ -110,7 +116,10 @@ def record(
         if row > 0:
             if before_tick is not None:
                 before_tick(row - 1)
-            simulation.advance(1)
+            if tick is None:
+                simulation.advance(1)
+            else:
+                tick()
         for name, view in live.items():
             signals[name][row] = view
     signals["joint_stiffness"] = recorded_stiffness(

@@ -17,6 +17,7 @@ from amulett_gym.firmware import hil, hil_page
 from amulett_gym.firmware.chip import Measurement
 from amulett_gym.firmware.hil import compare
 from amulett_gym.laws.copies import FOLDER
+from amulett_gym.logs import read_log
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.provenance import read_provenance
@@ -41,6 +42,23 @@ def test_the_simulation_has_the_firmwares_delay_and_is_shown_without_it(firmware
     assert interval is not None and interval[0] <= found.difference(found.own)[0] <= interval[1]
     assert list(found.content()["results"]) == ["simulation", "simulation, action_delay 0", "host"]
     assert "action_delay 0" in hil_page.table(found).text()
+
+
+def test_a_firmware_s_log_is_that_of_the_simulated_device(firmware, tmp_path: Path):
+    folder, written = str(firmware("eq6").folder), tmp_path / "steps.npz"
+    words = ["hil", folder, "--suite", "steps", "--seed", "3", "--episodes", "1", "--duration", "2", "--log"]
+    assert main([*words, str(written)]) == 0
+    simulated = tmp_path / "simulated.npz"
+    assert main(["simulate", "--law", "eq6", "--seed", "3", "--duration", "2", "--log", str(simulated)]) == 0
+    log, expected = read_log(written), read_log(simulated)
+    assert list(log.columns) == list(expected.columns)
+    for name, values in expected.columns.items():
+        np.testing.assert_array_equal(log[name], values)
+
+
+def test_a_log_of_another_kind_is_refused_before_the_run(firmware, capsys: pytest.CaptureFixture[str]):
+    assert main(["hil", str(firmware("eq6").folder), "--log", "steps.txt"]) == 2
+    assert "--log 'steps.txt' has to end in .csv or .npz" in capsys.readouterr().err
 
 
 def test_the_command_prints_and_writes(firmware, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
