@@ -123,7 +123,7 @@ def validate(path: str | Path) -> Found:
         "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
     content = (parse_json if is_json else parse_yaml)(read_text(path, "file", MAX_BYTES), f"file '{path}'")
-    if isinstance(content, list):
+    if isinstance(content, list) or (isinstance(content, dict) and "loops_of" in content):
         fleet = parse_fleet(content, path)
         return Found(
             f"a fleet of {len(fleet)} device{'s' * (len(fleet) > 1)}", path.stem, {one.name: one for one in fleet}

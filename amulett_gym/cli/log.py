@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json
+from amulett_gym.cli.options import add_json, check_file
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
-from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.logs import Log
@@ -22,13 +21,12 @@ EXAMPLES = """  amulett log check configs/logs/steps.csv
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    actions = parser.add_subparsers(metavar="check", dest="action", required=True)
-    check = actions.add_parser("check", help="read a file and say what it was taken for", description=HELP)
-    check.add_argument("file", metavar="FILE", help="CSV (comma, semicolon or tab) or .npz")
-    check.add_argument("--mapping", metavar="FILE.yaml", help="names, units, signs and offsets of the log's columns")
-    check.add_argument("--curve", action="store_true", help="the file is a measured force-deflection curve")
-    check.add_argument("--out", metavar="FILE", help="write the log in the units of docs/logs.md (.csv or .npz)")
-    add_json(check, "columns and notes")
+    parser.add_argument("action", choices=("check",), help="check: read a file and say what it was taken for")
+    parser.add_argument("file", metavar="FILE", help="CSV (comma, semicolon or tab) or .npz")
+    parser.add_argument("--mapping", metavar="FILE.yaml", help="names, units, signs and offsets of the log's columns")
+    parser.add_argument("--curve", action="store_true", help="the file is a measured force-deflection curve")
+    parser.add_argument("--out", metavar="FILE", help="write the log in the units of docs/logs.md (.csv or .npz)")
+    add_json(parser, "columns and notes")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,14 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
         if given := [name for name in ("mapping", "out") if getattr(arguments, name) is not None]:
             raise AmulettError(f"--{given[0]} is for logs; leave it out with --curve")
         return _check_curve(arguments)
-    from pathlib import Path
-
     from amulett_gym.logs import read_log, write_log
 
-    if arguments.out is not None:
-        if Path(arguments.out).suffix.lower() not in (".csv", ".npz"):
-            raise AmulettError(f"--out '{arguments.out}' has to end in .csv or .npz")
-        check_writable(arguments.out)
+    check_file("out", arguments.out, (".csv", ".npz"))
     log = read_log(arguments.file, arguments.mapping)
     _print(arguments, f"{arguments.file}: a log of {len(log)} rows", "column", _columns(log), log.notes)
     if arguments.out is not None:
