@@ -70,8 +70,7 @@ class EnvSettings(Group):
     )
     agent_period: float = Field(0.02, gt=0, le=10, description="time from action to action [s]")
     action_delay: ActionDelay = Field(
-        0,
-        description="from an agent step's begin to that of its action's ramp [control ticks]",
+        0, description="from an agent step's begin to that of its action's ramp [control ticks]"
     )
     follow_time: float = Field(
         0.05,
