@@ -148,6 +148,11 @@ def _file_content(path: Path) -> Any:
     return parse(read_text(path, "fleet", MAX_BYTES), f"fleet '{path}'")
 
 
+def is_fleet(content: Any) -> bool:
+    """Return whether a file's content is a fleet, and not one device or something else."""
+    return isinstance(content, list) or (isinstance(content, dict) and "loops_of" in content)
+
+
 def parse_fleet(content: Any, path: Path) -> tuple[Profile, ...]:
     """Return the profiles of a fleet that a file at `path` holds; errors as of `load_fleet`."""
     what = f"fleet '{path}'"

@@ -97,7 +97,7 @@ def validate(path: str | Path) -> Found:
         path = bundle_folder(name)
     if path.is_dir():
         return _validate_folder(path)
-    from amulett_gym.fleet import MAX_BYTES, parse_fleet
+    from amulett_gym.fleet import MAX_BYTES, is_fleet, parse_fleet
     from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, parse_profile
     from amulett_gym.storage.reading import parse_json, read_text
@@ -123,7 +123,7 @@ def validate(path: str | Path) -> Found:
         "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
     content = (parse_json if is_json else parse_yaml)(read_text(path, "file", MAX_BYTES), f"file '{path}'")
-    if isinstance(content, list) or (isinstance(content, dict) and "loops_of" in content):
+    if is_fleet(content):
         fleet = parse_fleet(content, path)
         return Found(
             f"a fleet of {len(fleet)} device{'s' * (len(fleet) > 1)}", path.stem, {one.name: one for one in fleet}
