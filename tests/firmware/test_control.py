@@ -7,7 +7,7 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from firmware.boards import chip_or_skip
+from firmware.boards import chip_or_skip, on_host_and_chip
 from firmware.test_network import write
 from helpers import device, keep_network
 
@@ -155,13 +155,7 @@ FITTING = [control for control in LOOPS if CYCLES[control] < 32_000]
 def test_the_chip_computes_as_the_host_does_and_in_time(firmware, control):
     made = firmware("eq6", control=control)
     recording = made.record(steps=8, num_devices=1, suite="mixed", split="shifted")
-    with closing(made.controller("float")) as host, closing(chip_or_skip(made.folder)) as loop:
-        chip, begin = Remote(loop, host), begin_record(host, recording, 0)
-        inputs = host.inputs({key: values[:, 0] for key, values in recording.readings.items()})
-        host.start(begin)
-        chip.start(begin)
-        expected, found = host.run(inputs), chip.run(inputs)
-        measured = loop.measure()
+    expected, found, measured = on_host_and_chip(made, recording)
     np.testing.assert_allclose(found["command"], expected["command"], atol=2e-5)
     assert np.ptp(expected["command"]) > 1e-3
     assert 0.7 * CYCLES[control] < measured.most <= CYCLES[control]

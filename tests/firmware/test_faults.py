@@ -102,7 +102,7 @@ def test_a_silent_host_finds_slack_strings(place, board: Board):
 
 
 def test_whatever_a_sample_holds_the_commands_are_numbers(place):
-    """Random bits in the place of readings, setpoint, jump and flags, within their frames."""
+    """Random bits instead of readings, setpoint, jump and flags, within their frames."""
     board, begin, reading = place
     random, moved = np.random.default_rng(3), 0
     for k in range(150):

@@ -6,15 +6,13 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from firmware.boards import chip_or_skip, skipping
+from firmware.boards import on_host_and_chip, skipping
 from firmware.test_network import write
 
 from amulett_gym.firmware.board import Board
 from amulett_gym.firmware.chip import Chip
 from amulett_gym.firmware.export import text
 from amulett_gym.firmware.host import firmware_id
-from amulett_gym.firmware.measuring import Remote
-from amulett_gym.firmware.readme import begin_record
 from amulett_gym.firmware.toolchain import AVR_FLAGS, build_chip, check_avr_compiler
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY
@@ -48,17 +46,11 @@ def test_the_chip_computes_as_the_host_does_and_in_time(firmware, law, tmp_path)
     name = str(write(tmp_path / "policy", **NETWORKS[law])) if law in NETWORKS else law
     made = firmware(name, numbers=numbers, suite="track" if law in SAMPLED else "steps")
     recording = made.record(steps=10, num_devices=1)
-    with closing(made.controller("float")) as host, closing(chip_or_skip(made.folder)) as loop:
-        chip, begin = Remote(loop, host), begin_record(host, recording, 0)
-        inputs = host.inputs({key: values[:, 0] for key, values in recording.readings.items()})
-        host.start(begin)
-        chip.start(begin)
-        expected, found = host.run(inputs), chip.run(inputs)
-        measured = loop.measure()
+    expected, found, measured = on_host_and_chip(made, recording)
     np.testing.assert_allclose(found["command"], expected["command"], atol=2e-5)
     np.testing.assert_allclose(found["tension_setpoint"], expected["tension_setpoint"], atol=2e-4)
     assert law == "eq6" or np.ptp(expected["tension_setpoint"]) > 0.5
-    assert (measured.ticks, measured.most < MOST_CYCLES, measured.memory < MOST_MEMORY) == (inputs.size, True, True)
+    assert (measured.ticks, measured.most < MOST_CYCLES, measured.memory < MOST_MEMORY) == (found.size, True, True)
 
 
 def test_all_files_of_a_folder_make_the_arduino_sketch(firmware, tmp_path):
