@@ -81,7 +81,7 @@ class FirmwareEpisodes(Episodes):
         close_step(parameters, constants, scenarios, states, report)
 
     def _compile(self) -> None:
-        """Take a step without the firmware, since a real board would take the time of the compiler for silence."""
+        """Take a step without the firmware, so that nothing is compiled in an episode: a real board would time out."""
         state, loop, self.loop = self.get_state(), self.loop, _Resting()
         try:
             misses_tick(self.simulation.scenarios, self.simulation.states, 0)

@@ -33,7 +33,7 @@ SLICE = 18_000
 """Cycles that a slice of the law may take: what a control tick of 2.5 ms at 16 MHz has left beside the paper's loop."""
 
 MOST_WEIGHT_BYTES = 32_000
-"""Bytes that weights may take: all tables have to be in the first 64 kB of flash. Activations then have room, too."""
+"""Bytes that weights may take: all tables have to be in the first 64 kB of flash."""
 
 BYTES: dict[Numbers, int] = {"float": 4, "int16": 2, "int8": 1}
 """Bytes of a weight."""

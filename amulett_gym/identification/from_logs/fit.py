@@ -333,7 +333,7 @@ class _Search:
         return {CHANNELS[k]: max(float(np.sqrt(np.mean(apart[channels == k] ** 2))), 1e-9) for k in np.unique(channels)}
 
     def weighing_noise(self, vector: Values) -> dict[str, float]:
-        """Return `residual_noise`, in closed loop of rows that do not count as one."""
+        """Return `residual_noise`, in closed loop raised for correlated rows."""
         noise = self.residual_noise(vector)
         if self.model.open_cells.all():
             return noise
