@@ -23,6 +23,7 @@ from pydantic import (
 )
 
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.fitting import Fitting
 from amulett_gym.gains import Loops, group_name
 from amulett_gym.settings import Group, Sourced, describe, find_config, merge, to_plain
 from amulett_gym.storage.curve import Curve, is_csv, read_curve, read_measurement
@@ -50,7 +51,7 @@ def least_lag(control_period: float, substeps: int) -> float:
     return control_period / substeps / STABLE_STEP
 
 
-class WithOptions(Sourced):
+class WithOptions(Group):
     """A group with options that came later: null ones are left out of its content, so that older hashes stay."""
 
     OPTIONS: ClassVar[tuple[str, ...]] = ()
@@ -88,7 +89,7 @@ class Plant(Sourced):
         return self
 
 
-class Spring(WithOptions):
+class Spring(WithOptions, Sourced):
     """The non-linear spring assembly in each string (Figure 5a)."""
 
     OPTIONS: ClassVar[tuple[str, ...]] = ("beyond", "stop_stiffness")
@@ -180,7 +181,7 @@ class Damping(Sourced):
     )
 
 
-class Drives(WithOptions):
+class Drives(WithOptions, Sourced):
     """Both motors."""
 
     OPTIONS: ClassVar[tuple[str, ...]] = ("stall_torque",)
@@ -294,8 +295,10 @@ class VariableStiffness(Sourced):
         return self
 
 
-class Profile(Group):
+class Profile(WithOptions):
     """A device with its control loop: everything that the simulation needs in addition to a scenario."""
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ("wearer",)
 
     name: str = Field(min_length=1, max_length=200, description="name of the device in reports")
     base: str | None = Field(default=None, description="shipped profile whose values apply where none is given")
@@ -313,6 +316,9 @@ class Profile(Group):
     loop: Loop = Field(description="controllers")
     loops: Loops = Field(default=Loops(), description="gains of the other loops of `amulett_gym.control`")
     variable_stiffness: VariableStiffness = Field(description="parameters of eq. 6")
+    wearer: Fitting | None = Field(
+        default=None, description="how the device is worn, in Amulett/Worn-v0 only; null: the defaults"
+    )
 
     @field_validator("divisors_of")
     @classmethod

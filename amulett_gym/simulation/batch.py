@@ -18,6 +18,7 @@ from amulett_gym.simulation.layout import (
     DRIVES,
     LANES,
     LOOPS,
+    STATE_NAMES,
     Control,
     Loop,
     Paths,
@@ -170,6 +171,10 @@ class Simulation:
         for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
             own[block, :, lane] = new[..., 0]
         words(self.states, LANES)[0][block, :, lane] = 0
+        self._settle(devices)
+
+    def _settle(self, devices: NDArray[np.int64]) -> None:
+        """Set the given devices' states, which are zero, to rest."""
         blocks = self.which, self.scenarios, self.states
         kernel.settle(self.parameters, *blocks, self.paths, self.loop, devices)
 
@@ -211,6 +216,11 @@ class Simulation:
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
         return self.states[name].reshape(-1)[: self.num_devices].copy()
+
+    def live(self, device: int) -> dict[str, NDArray[Any]]:
+        """Return views of one device's whole state, arrays of shape () by the names of `layout.STATE_NAMES`."""
+        block, lane = divmod(device, LANES)
+        return {name: self.states[name][block, lane, ...] for name in STATE_NAMES}
 
     def read_scenarios(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
         """Return a copy of the given devices' scenarios, `SCENARIO` records of shape (len(devices),)."""

@@ -71,34 +71,34 @@ _BELOW_FLOOR = {"clamp": CLAMP, "hold": HOLD, "ignore": IGNORE}
 _AGONIST = {"switching": 0.0, "biceps": 1.0, "triceps": -1.0}
 
 
-def _fields(names: str, kind: str = "f8", *shape: int) -> list[tuple[Any, ...]]:
+def fields(names: str, kind: str = "f8", *shape: int) -> list[tuple[Any, ...]]:
     """Return record fields of one type and shape."""
     return [(name, kind, shape) if shape else (name, kind) for name in names.split()]
 
 
 PARAMETERS = record(
-    _fields("drive_radius joint_radius angle_limit velocity_limit")
-    + _fields("force_table spring_table estimate_table", "f8", CELLS, 4)
-    + _fields("inverse_max_deflection max_spring_deflection damping_a damping_b damping_c damping_d")
-    + _fields("damping_by_mean", "i8")
-    + _fields("extended", "i8")  # whether the next two lines matter: springs go on beyond their table, or drives stall
-    + _fields("beyond_slope beyond_free_length beyond_width beyond_slider")  # `model.spring.Continuation`
-    + _fields("stall_torque")
-    + _fields("inverse_lag rate_limit command_limit")
-    + _fields("encoder_resolution encoder_noise slider_resolution slider_travel slider_noise slider_end")
-    + _fields("force_filter force_floor")
-    + _fields("below_floor", "i8")
-    + _fields("control_period")
-    + _fields("substeps", "i8")
-    + _fields("position_kp position_ki position_kd position_filter")
-    + _fields("position_on_error", "i8")
-    + _fields("tension_kp tension_ki tension_kd tension_filter")
-    + _fields("tension_on_error tension_loop", "i8")
-    + _fields("antagonist_share position_only_offset fixed_agonist")
-    + _fields("switch_filter switch_hysteresis tie_width tie_error velocity_filter")
-    + _fields("nominal_tension minimum_tension error_offset")
-    + _fields("law", "i8")  # source of the tension setpoint: one of `TENSION_LAWS`
-    + _fields("margin")  # of rise and settling time
+    fields("drive_radius joint_radius angle_limit velocity_limit")
+    + fields("force_table spring_table estimate_table", "f8", CELLS, 4)
+    + fields("inverse_max_deflection max_spring_deflection damping_a damping_b damping_c damping_d")
+    + fields("damping_by_mean", "i8")
+    + fields("extended", "i8")  # whether the next two lines matter: springs go on beyond their table, or drives stall
+    + fields("beyond_slope beyond_free_length beyond_width beyond_slider")  # `model.spring.Continuation`
+    + fields("stall_torque")
+    + fields("inverse_lag rate_limit command_limit")
+    + fields("encoder_resolution encoder_noise slider_resolution slider_travel slider_noise slider_end")
+    + fields("force_filter force_floor")
+    + fields("below_floor", "i8")
+    + fields("control_period")
+    + fields("substeps", "i8")
+    + fields("position_kp position_ki position_kd position_filter")
+    + fields("position_on_error", "i8")
+    + fields("tension_kp tension_ki tension_kd tension_filter")
+    + fields("tension_on_error tension_loop", "i8")
+    + fields("antagonist_share position_only_offset fixed_agonist")
+    + fields("switch_filter switch_hysteresis tie_width tie_error velocity_filter")
+    + fields("nominal_tension minimum_tension error_offset")
+    + fields("law", "i8")  # source of the tension setpoint: one of `TENSION_LAWS`
+    + fields("margin")  # of rise and settling time
 )
 """What the kernel reads of a profile and the control mode."""
 
@@ -113,12 +113,12 @@ _REFERENCES = {
 }
 
 LOOP_PARAMETERS = record(
-    _fields("loop reference_shape", "i8")  # index into `LOOPS`, their number for `DRIVES`; one of `_REFERENCES`
-    + _fields("position_table", "f8", CELLS, 4)
-    + _fields("slope_table", "f8", CELLS, 4)
-    + _fields("max_force floor_position drive_share highest_factor drive_step inertia weight")
-    + _fields("torque_kp torque_ki torque_kd")
-    + _fields(" ".join(_GAINS))
+    fields("loop reference_shape", "i8")  # index into `LOOPS`, their number for `DRIVES`; one of `_REFERENCES`
+    + fields("position_table", "f8", CELLS, 4)
+    + fields("slope_table", "f8", CELLS, 4)
+    + fields("max_force floor_position drive_share highest_factor drive_step inertia weight")
+    + fields("torque_kp torque_ki torque_kd")
+    + fields(" ".join(_GAINS))
 )
 """What the kernel reads of a loop that is not the paper's.
 
@@ -150,43 +150,43 @@ def _record(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     return record(sorted(fields, key=lambda field: -np.dtype(field[1]).itemsize))
 
 
-def _block(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+def block(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
     """Return the record of a block of devices, lanes innermost."""
     return _record([(name, kind, (*(shape[0] if shape else ()), LANES)) for name, kind, *shape in fields])
 
 
 _SCENARIO_FIELDS = [
-    *_fields("initial_angle initial_tension"),
+    *fields("initial_angle initial_tension"),
     # the arm with its load; inertia, static torque and friction follow from the others (`load_arm`)
-    *_fields("orientation", "i1"),
-    *_fields("payload_mass payload_arm inertia static_torque friction"),
+    *fields("orientation", "i1"),
+    *fields("payload_mass payload_arm inertia static_torque friction"),
     # the setpoint
-    *_fields("move_count", "i1"),
-    *_fields("move_time", "f4", MAX_MOVES),
-    *_fields("move_angle", "f8", MAX_MOVES),
-    *_fields("move_duration", "f4", MAX_MOVES),
-    *_fields("wave_amplitude wave_frequency wave_chirp"),
-    *_fields("wave_time wave_duration", "f4"),
+    *fields("move_count", "i1"),
+    *fields("move_time", "f4", MAX_MOVES),
+    *fields("move_angle", "f8", MAX_MOVES),
+    *fields("move_duration", "f4", MAX_MOVES),
+    *fields("wave_amplitude wave_frequency wave_chirp"),
+    *fields("wave_time wave_duration", "f4"),
     # the disturbances; a push with an inverse rise [1/s] of 0 is a pulse
-    *_fields("push_count", "i1"),
-    *_fields("push_time push_duration push_torque push_inverse_rise", "f4", MAX_PUSHES),
-    *_fields("shake_rms shake_bandwidth shake_time shake_duration", "f4"),
-    *_fields("obstacle_angle"),
-    *_fields("obstacle_side", "i1"),
-    *_fields("obstacle_stiffness obstacle_damping", "f4"),
+    *fields("push_count", "i1"),
+    *fields("push_time push_duration push_torque push_inverse_rise", "f4", MAX_PUSHES),
+    *fields("shake_rms shake_bandwidth shake_time shake_duration", "f4"),
+    *fields("obstacle_angle"),
+    *fields("obstacle_side", "i1"),
+    *fields("obstacle_stiffness obstacle_damping", "f4"),
     # the device's differences from its profile
-    *_fields(" ".join(f"{name}_factor" for name in DEVICE_FACTORS), "f4"),
-    *_fields("encoder_bias"),
-    *_fields("slider_bias_biceps slider_bias_triceps late_probability", "f4"),
-    *_fields("measure_from", "f4"),
-    *_fields("family", "i1"),  # for the reward; the simulation does not read it
-    *_fields("noise_key", "u8"),
+    *fields(" ".join(f"{name}_factor" for name in DEVICE_FACTORS), "f4"),
+    *fields("encoder_bias"),
+    *fields("slider_bias_biceps slider_bias_triceps late_probability", "f4"),
+    *fields("measure_from", "f4"),
+    *fields("family", "i1"),  # for the reward; the simulation does not read it
+    *fields("noise_key", "u8"),
 ]
 
 SCENARIO = _record(_SCENARIO_FIELDS)
 """One device's packed scenario."""
 
-_METRIC_FIELDS = _fields(
+_METRIC_FIELDS = fields(
     "position_ise tension_ise tension_ise_estimated isav_biceps isav_triceps isav_kick effort_biceps effort_triceps "
     "iav_biceps iav_triceps contact_ise contact_peak push_deflection overshoot rise_sum rise_count settling_sum "
     "settling_count resting_stiffness_sum resting_time step_count switch_count drive_effort drive_work"
@@ -194,24 +194,24 @@ _METRIC_FIELDS = _fields(
 METRICS = tuple(name for name, *_ in _METRIC_FIELDS)
 
 _STATE_FIELDS = [
-    *_fields("tick failure", "i8"),
+    *fields("tick failure", "i8"),
     # true values
-    *_fields("angle velocity drive_biceps drive_triceps force_biceps force_triceps push_torque contact_torque"),
-    *_fields("shake_inner shake_outer"),
+    *fields("angle velocity drive_biceps drive_triceps force_biceps force_triceps push_torque contact_torque"),
+    *fields("shake_inner shake_outer"),
     # what the microcontroller knows
-    *_fields("setpoint setpoint_wave previous_setpoint setpoint_jump measured_angle measured_velocity"),
-    *_fields("measured_biceps measured_triceps measured_difference estimate_biceps estimate_triceps"),
-    *_fields("untrusted_biceps untrusted_triceps", "i8"),
+    *fields("setpoint setpoint_wave previous_setpoint setpoint_jump measured_angle measured_velocity"),
+    *fields("measured_biceps measured_triceps measured_difference estimate_biceps estimate_triceps"),
+    *fields("untrusted_biceps untrusted_triceps", "i8"),
     # the loop's memory; an agent's tension setpoint moves by `tension_rate` [N] a tick
-    *_fields("tension_command tension_rate tension_setpoint stiffness_setpoint agonist"),
-    *_fields("position_output position_integral position_derivative position_signal kick_derivative"),
-    *_fields("tension_output tension_integral tension_derivative tension_signal"),
-    *_fields("offset_biceps offset_triceps command_biceps command_triceps"),
+    *fields("tension_command tension_rate tension_setpoint stiffness_setpoint agonist"),
+    *fields("position_output position_integral position_derivative position_signal kick_derivative"),
+    *fields("tension_output tension_integral tension_derivative tension_signal"),
+    *fields("offset_biceps offset_triceps command_biceps command_triceps"),
     # the setpoint's move or part of its path, and the step in progress
-    *_fields("move", "i8"),
-    *_fields("step_start step_target step_direction"),
-    *_fields("risen", "i8"),
-    *_fields("inside_since"),
+    *fields("move", "i8"),
+    *fields("step_start step_target step_direction"),
+    *fields("risen", "i8"),
+    *fields("inside_since"),
     *_METRIC_FIELDS,
 ]
 
@@ -230,32 +230,32 @@ ON_PATH = -1
 Paths = tuple[NDArray[np.void], NDArray[np.void]]
 """Parts and places."""
 
-STATE_BLOCK = _block(_STATE_FIELDS)
-SCENARIO_BLOCK = _block(_SCENARIO_FIELDS)
-PLACE_BLOCK = _block([("first", "i8"), ("count", "i8")])
-LOOP_BLOCK = _block(
+STATE_BLOCK = block(_STATE_FIELDS)
+SCENARIO_BLOCK = block(_SCENARIO_FIELDS)
+PLACE_BLOCK = block([("first", "i8"), ("count", "i8")])
+LOOP_BLOCK = block(
     # the reference motion, and the offset of the setpoint that is left of the last jump, as it was at `jump_time`
-    _fields("reference reference_rate reference_acceleration setpoint_acceleration")
-    + _fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
+    fields("reference reference_rate reference_acceleration setpoint_acceleration")
+    + fields("last_setpoint last_rate last_time jump_time jump_offset jump_rate jump_acceleration")
     # what the loop knows of joint and drives
-    + _fields("velocity last_angle model_biceps model_triceps")
-    + _fields("integral stiffness_integral stiffness_reference stiffness_error")
-    + _fields("elapsed load torque tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
-    + _fields("correction_biceps correction_triceps saturated_biceps saturated_triceps")
-    + _fields("observed_angle observed_velocity observed_acceleration disturbance")
+    + fields("velocity last_angle model_biceps model_triceps")
+    + fields("integral stiffness_integral stiffness_reference stiffness_error")
+    + fields("elapsed load torque tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
+    + fields("correction_biceps correction_triceps saturated_biceps saturated_triceps")
+    + fields("observed_angle observed_velocity observed_acceleration disturbance")
     # mean drive angle asked for by the agent, which moves by `mean_rate` [rad] a tick
-    + _fields("mean_command mean_rate")
+    + fields("mean_command mean_rate")
     # what the loop wants, and what is added to it, so that it starts at rest
-    + _fields("biceps triceps trim_biceps trim_triceps")
+    + fields("biceps triceps trim_biceps trim_triceps")
 )
 """The memory of loops that are not the paper's."""
 
 Loop = tuple[NDArray[np.void], NDArray[np.void]]
 """`LOOP_PARAMETERS` of each profile, and blocks of `LOOP_BLOCK`."""
 
-MOTION_BLOCK = _block(
-    _fields("counting push angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
-    + _fields("angle_sum velocity_sum biceps_sum triceps_sum")
+MOTION_BLOCK = block(
+    fields("counting push angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
+    + fields("angle_sum velocity_sum biceps_sum triceps_sum")
 )
 """A block's motion within a tick: 1 if the tick counts in the metrics, else 0; the push [N m]; joint and drives, with
 their last evaluated and their summed rates of change."""

@@ -176,7 +176,7 @@ def replay_motion(
     rows = [(*state, *forces(state), 0.0, contact(state[0], state[1]))]
     for tick in range(len(trajectory) - 1):
         commands = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
-        push = _push(scenario, tick, period)
+        push = push_torque(scenario, tick, period)
         if scenario["shake_rms"] > 0.0:
             push = float(trajectory["push_torque"][tick + 1])
         if lag == 0.0:
@@ -346,7 +346,7 @@ def _leader(profile: Profile, leader: str, difference: float, error: float) -> s
     return leader
 
 
-def _push(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> float:
+def push_torque(scenario: NDArray[np.void] | np.void, tick: int, period: float) -> float:
     """Return the sum of the pushes [N m] that act in a tick: begun at its start and not yet over."""
     total = 0.0
     for push in range(int(scenario["push_count"])):

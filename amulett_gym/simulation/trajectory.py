@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.kernel import recorded_stiffness
-from amulett_gym.simulation.layout import LANES, STATE_NAMES
+from amulett_gym.simulation.layout import LANES
 from amulett_gym.storage.writing import atomic_path
 
 _TO_DEGREES = float(np.degrees(1.0))
@@ -63,8 +63,8 @@ class Trajectory:
     control_period : float
         Time between two rows [s].
     signals : mapping of str to ndarray, shape (ticks + 1,)
-        By the names of `layout.STATE_NAMES`, in SI units and radians, and ``joint_stiffness`` [N m/rad], that of the
-        strings about the joint. Agonist: +1 biceps, -1 triceps.
+        By the names of `layout.STATE_NAMES`, with a wearer also of `worn_layout.WORN_NAMES`, in SI units and radians,
+        and ``joint_stiffness`` [N m/rad], that of the strings about the joint. Agonist: +1 biceps, -1 triceps.
     """
 
     profile: str
@@ -110,7 +110,7 @@ def record(
     if not 0 <= device < simulation.num_devices:
         raise AmulettError(f"device is {device}; it has to be 0 to {simulation.num_devices - 1}")
     block, lane = divmod(device, LANES)
-    live = {name: simulation.states[name][block, lane, ...] for name in STATE_NAMES}
+    live = simulation.live(device)
     signals = {name: np.empty(ticks + 1, dtype=view.dtype) for name, view in live.items()}
     for row in range(ticks + 1):
         if row > 0:

@@ -1,0 +1,102 @@
+"""The wearer's forearm: two muscles about the elbow, a passive joint, a reflex with delay, tremor.
+
+Flexion is positive. Both muscles are Kawato's (Katayama and Kawato, 1993), lumped about the elbow: stiffness and
+damping rise with the activation a, and a shifts the angle at which the muscle is at rest ::
+
+    torque = K_f (r a_f - q) - K_e (r a_e + q) - (B_f + B_e) q',   K = k (1 + g a),  B = b (1 + g a)
+
+with the joint angle q. Co-contraction, a_f = a_e, gives stiffness without torque.
+"""
+
+from __future__ import annotations
+
+from amulett_gym.jit.compiled import compiled
+
+STIFFNESS = 1.5
+"""k of one muscle without activation [N m/rad]: 810.8 N/m (Katayama and Kawato, 1993), with lever arms of 25 mm (its
+mono-articular muscle) and 35 mm (its bi-articular one), 810.8 (0.025^2 + 0.035^2)."""
+
+DAMPING = 0.1
+"""b of one muscle without activation [N m s/rad]: 54.1 N s/m with the same lever arms."""
+
+ACTIVE_SHARE = 2.0
+"""g [1]: 1621.6 N/m over 810.8 N/m; full activation triples stiffness and damping."""
+
+SHIFT = 0.87
+"""r [rad]: the change of a muscle's rest length with full activation over its lever arm, 21.8 mm over 25 mm. assumed"""
+
+ON_TIME = 0.025
+OFF_TIME = 0.045
+"""Time constants of the activation, rising and falling [s] (as coded publicly after Winters)."""
+
+PASSIVE_DAMPING = 0.5
+"""Of the relaxed elbow [N m s/rad] (MyoHub/myo_sim, myoelbow_assets.xml)."""
+
+FULL_TORQUE = STIFFNESS * (1.0 + ACTIVE_SHARE) * SHIFT
+"""Torque of one fully active muscle at q = 0 and a strength of 1 [N m]."""
+
+_MASS_SHARE, _CENTRE_SHARE, _GYRATION_SHARE, _LENGTH_SHARE = 0.022, 0.682, 0.827, 0.146
+"""Forearm with hand: mass over that of the body; centre of mass and radius of gyration about the elbow over the length
+of the forearm, elbow to wrist; that length over the body height (Winter, 2009, Table 4.1 and Figure 4.1)."""
+
+
+def forearm(mass: float, height: float) -> tuple[float, float, float]:
+    """Return mass [kg], centre of mass from the elbow [m] and inertia about the elbow [kg m2] of forearm with hand.
+
+    From body mass [kg] and height [m]. 70 kg and 1.75 m give 1.54 kg, 0.174 m and 0.0688 kg m2.
+    """
+    length, own = _LENGTH_SHARE * height, _MASS_SHARE * mass
+    return own, _CENTRE_SHARE * length, own * (_GYRATION_SHARE * length) ** 2
+
+
+@compiled
+def activation_rate(activation: float, excitation: float) -> float:
+    """Return the rate of a muscle's activation [1/s]: a first-order lag of its excitation, both in [0, 1]."""
+    return (excitation - activation) / (ON_TIME if excitation > activation else OFF_TIME)
+
+
+@compiled
+def muscle_torque(flexor: float, extensor: float, angle: float, velocity: float, strength: float) -> float:
+    """Return the torque of both muscles [N m].
+
+    Parameters
+    ----------
+    flexor, extensor : float
+        Activations a_f, a_e in [0, 1].
+    angle, velocity : float
+        Of the elbow, from the angle at which both muscles without activation are in balance [rad], [rad/s].
+    strength : float
+        Factor of stiffness, damping and torque [1].
+    """
+    pull = STIFFNESS * (1.0 + ACTIVE_SHARE * flexor) * (SHIFT * flexor - angle)
+    push = STIFFNESS * (1.0 + ACTIVE_SHARE * extensor) * (SHIFT * extensor + angle)
+    return strength * (pull - push) - muscle_damping(flexor, extensor, strength) * velocity
+
+
+@compiled
+def muscle_stiffness(flexor: float, extensor: float, strength: float) -> float:
+    """Return the stiffness of both muscles about the elbow [N m/rad], minus the derivative of `muscle_torque`."""
+    return strength * STIFFNESS * (2.0 + ACTIVE_SHARE * (flexor + extensor))
+
+
+@compiled
+def muscle_damping(flexor: float, extensor: float, strength: float) -> float:
+    """Return the damping of both muscles about the elbow [N m s/rad]."""
+    return strength * DAMPING * (2.0 + ACTIVE_SHARE * (flexor + extensor))
+
+
+@compiled
+def excitations(torque: float, co_contraction: float, strength: float) -> tuple[float, float]:
+    """Return both muscles' excitations in [0, 1] for a torque [N m] at q = 0, about a co-contraction in [0, 1].
+
+    With a_f = c + d and a_e = c - d the torque is 2 k r d (1 + 2 g c): linear in d, until one of them is 0 or 1.
+    """
+    half = torque / (2.0 * strength * STIFFNESS * SHIFT * (1.0 + 2.0 * ACTIVE_SHARE * co_contraction))
+    return min(max(co_contraction + half, 0.0), 1.0), min(max(co_contraction - half, 0.0), 1.0)
+
+
+
+@compiled
+def hold_torque(angle: float, co_contraction: float, strength: float) -> float:
+    """Return the torque [N m] at q = 0 whose `excitations` balance the muscles at an angle q [rad] instead."""
+    return muscle_stiffness(co_contraction, co_contraction, strength) * angle

@@ -1,0 +1,108 @@
+"""A batch of devices with a wearer in each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.profile import Profile
+from amulett_gym.simulation import worn
+from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.layout import LANES, Control, words, zeros
+from amulett_gym.simulation.worn_layout import PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
+
+
+class WornSimulation(Simulation):
+    """Devices, each on a wearer's arm; parameters as of `Simulation`.
+
+    Attributes
+    ----------
+    worn : worn_layout.Worn
+        How each profile is worn, blocks of wearers, blocks of their state.
+    """
+
+    def __init__(
+        self,
+        profile: Profile | Sequence[Profile],
+        num_devices: int = 1,
+        control: Control = "decentralized",
+        tension_law: str = "agent",
+    ) -> None:
+        super().__init__(profile, num_devices, control, tension_law)
+        fittings = np.concatenate([pack_fitting(each) for each in self.profiles])
+        blocks = self.states.size
+        self.worn: Worn = fittings, zeros(blocks, PERSON_BLOCK), zeros(blocks, WORN_BLOCK)
+
+    def reset(
+        self,
+        scenarios: NDArray[np.void],
+        devices: NDArray[np.int64] | None = None,
+        paths: Sequence[NDArray[np.void]] | None = None,
+        wearers: NDArray[np.void] | None = None,
+    ) -> None:
+        """Reset devices and wearers to rest in their initial posture; see `Simulation.reset`.
+
+        Parameters
+        ----------
+        scenarios, devices, paths
+            As of `Simulation.reset`.
+        wearers : ndarray of `worn_layout.PERSON`, optional
+            One for each of the devices; None: those of the last reset.
+        """
+        devices = np.arange(self.num_devices) if devices is None else devices
+        block, lane = np.divmod(devices, LANES)
+        if wearers is not None:
+            for own, new in zip(words(self.worn[1], LANES), words(np.ascontiguousarray(wearers), 1), strict=True):
+                own[block, :, lane] = new[..., 0]
+        super().reset(scenarios, devices, paths)
+
+    def _settle(self, devices: NDArray[np.int64]) -> None:
+        block, lane = np.divmod(devices, LANES)
+        for words_of in words(self.worn[2], LANES):
+            words_of[block, :, lane] = 0
+        blocks = self.which, self.scenarios, self.states
+        worn.settle_worn(self.parameters, *blocks, self.paths, self.loop, self.worn, devices)
+
+    def assist(self, assistance: ArrayLike) -> None:
+        """Set each device's assistance in [0, 1], scalar or shape (num_devices,), until the next call.
+
+        Raises
+        ------
+        AmulettError
+            If it is out of its range.
+        """
+        if not ((np.asarray(assistance) >= 0.0) & (np.asarray(assistance) <= 1.0)).all():
+            raise AmulettError(f"the assistance is {assistance!r}; allowed is [0, 1]")
+        block, lane = np.divmod(np.arange(self.num_devices), LANES)
+        self.worn[2]["assistance"][block, lane] = assistance
+        self.worn[2]["assistance_step"][block, lane] = 0.0
+
+    def advance(self, ticks: int) -> None:
+        """Simulate a number of control ticks, of each device's own control period."""
+        blocks = self.which, self.scenarios, self.states
+        worn.advance(self.parameters, *blocks, self.paths, self.loop, self.worn, self.num_devices, ticks)
+
+    def live(self, device: int) -> dict[str, NDArray[Any]]:
+        """Return views of the whole state of one device and its wearer; see `Simulation.live`."""
+        block, lane = divmod(device, LANES)
+        return super().live(device) | {name: self.worn[2][name][block, lane, ...] for name in WORN_NAMES}
+
+    def read_worn(self, name: str) -> NDArray[Any]:
+        """Return a copy of one quantity of the wearers (see `worn_layout.WORN_NAMES`), shape (num_devices,)."""
+        return self.worn[2][name].reshape(-1)[: self.num_devices].copy()
+
+    def get_state(self) -> dict[str, Any]:
+        """Return a snapshot of all data that an episode changes."""
+        return super().get_state() | {"wearers": self.worn[1].copy(), "worn": self.worn[2].copy()}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restore a snapshot of `get_state`; AmulettError if it is of another simulation or without wearers."""
+        if "worn" not in state:
+            raise AmulettError("the snapshot has no wearers; it is of a device that is not worn")
+        super().set_state(state)
+        self.worn[1][...] = state["wearers"]
+        self.worn[2][...] = state["worn"]
