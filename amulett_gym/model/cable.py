@@ -36,4 +36,4 @@ def next_loss(loss: float, bend: float, moved: float, presliding: float) -> floa
         Way in which the difference to the loss of sliding falls to 37 % [m].
     """
     end = sliding_loss(bend, moved > 0.0)
-    return end + (loss - end) * math.exp(-abs(moved) / presliding)
+    return loss + (end - loss) * (1.0 - math.exp(-abs(moved) / presliding))

@@ -1,4 +1,4 @@
-"""The cuff between the exoskeleton's joint and the wearer's forearm: a spring and a damper, with slack if it is loose."""
+"""The cuff between the exoskeleton's joint and the wearer's forearm: a spring and a damper, loose ones with slack."""
 
 from __future__ import annotations
 

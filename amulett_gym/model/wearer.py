@@ -10,6 +10,8 @@ with the joint angle q. Co-contraction, a_f = a_e, gives stiffness without torqu
 
 from __future__ import annotations
 
+import math
+
 from amulett_gym.jit.compiled import compiled
 
 STIFFNESS = 1.5
@@ -86,17 +88,21 @@ def muscle_damping(flexor: float, extensor: float, strength: float) -> float:
 
 
 @compiled
-def excitations(torque: float, co_contraction: float, strength: float) -> tuple[float, float]:
-    """Return both muscles' excitations in [0, 1] for a torque [N m] at q = 0, about a co-contraction in [0, 1].
+def excitations(torque: float, angle: float, co_contraction: float, strength: float) -> tuple[float, float]:
+    """Return both muscles' excitations in [0, 1] for a torque [N m] at an angle [rad]: the inverse of `muscle_torque`.
 
-    With a_f = c + d and a_e = c - d the torque is 2 k r d (1 + 2 g c): linear in d, until one of them is 0 or 1.
+    They differ from the co-contraction, in [0, 1], by as much up and down; if the antagonist would fall below 0, it is
+    0. A torque beyond that of a fully active muscle is not reached.
     """
-    half = torque / (2.0 * strength * STIFFNESS * SHIFT * (1.0 + 2.0 * ACTIVE_SHARE * co_contraction))
-    return min(max(co_contraction + half, 0.0), 1.0), min(max(co_contraction - half, 0.0), 1.0)
-
-
-
-@compiled
-def hold_torque(angle: float, co_contraction: float, strength: float) -> float:
-    """Return the torque [N m] at q = 0 whose `excitations` balance the muscles at an angle q [rad] instead."""
-    return muscle_stiffness(co_contraction, co_contraction, strength) * angle
+    wanted = torque / (strength * STIFFNESS)
+    apart = wanted + 2.0 * (1.0 + ACTIVE_SHARE * co_contraction) * angle
+    half = apart / (2.0 * SHIFT * (1.0 + 2.0 * ACTIVE_SHARE * co_contraction))
+    # One muscle alone, of the side to which it pulls: a quadratic equation.
+    side = 1.0 if half >= 0.0 else -1.0
+    linear = SHIFT - ACTIVE_SHARE * side * angle
+    root = math.sqrt(max(linear * linear + 4.0 * ACTIVE_SHARE * SHIFT * side * (wanted + 2.0 * angle), 0.0))
+    alone = min(max((root - linear) / (2.0 * ACTIVE_SHARE * SHIFT), 0.0), 1.0)
+    both = abs(half) <= co_contraction
+    flexor = co_contraction + half if both else (alone if half > 0.0 else 0.0)
+    extensor = co_contraction - half if both else (0.0 if half > 0.0 else alone)
+    return min(max(flexor, 0.0), 1.0), min(max(extensor, 0.0), 1.0)

@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from amulett_gym.fitting import Fitting
 from amulett_gym.profile import Profile
@@ -24,7 +25,11 @@ CABLES = ("loss_biceps", "loss_triceps")
 
 
 def replay_worn(
-    profile: Profile, scenario: NDArray[np.void] | np.void, wearer: Wearer, trajectory: Trajectory, tolerance: float = 1e-10
+    profile: Profile,
+    scenario: NDArray[np.void] | np.void,
+    wearer: Wearer,
+    trajectory: Trajectory,
+    tolerance: float = 1e-10,
 ) -> dict[str, NDArray[np.float64]]:
     """Return the expected motion of device and arm under the recorded commands of both drives.
 
@@ -70,14 +75,20 @@ def replay_worn(
         torque = fitting.cuff.stiffness * (gap - math.copysign(play, gap)) + fitting.cuff.damping * closing
         return max(torque, 0.0) if gap > 0 else min(torque, 0.0)
 
-    def derivative(_: float, state: NDArray[np.float64], drives: tuple[float, float], wanted: tuple[float, float],
-                   outer: float) -> list[float]:
+    def derivative(
+        _: float, state: NDArray[np.float64], drives: tuple[float, float], wanted: tuple[float, float], outer: float
+    ) -> list[float]:
         joint, rate, biceps, triceps, elbow, elbow_rate, flexor, extensor, *lost = state
         pulls = force(biceps * to_drive - joint * to_joint), force(joint * to_joint - triceps * to_drive)
-        turns = [max(min((drives[0] - biceps) / lag, fastest), -fastest), max(min((drives[1] - triceps) / lag, fastest), -fastest)]
+        turns = [
+            max(min((drives[0] - biceps) / lag, fastest), -fastest),
+            max(min((drives[1] - triceps) / lag, fastest), -fastest),
+        ]
         at_joint, lost_rates = pulls, []
         if cabled:
-            slides = (to_drive * turns[0], -to_drive * turns[1]) if before_spring else (to_joint * rate, -to_joint * rate)
+            slides = (
+                (to_drive * turns[0], -to_drive * turns[1]) if before_spring else (to_joint * rate, -to_joint * rate)
+            )
             for bent, loss, speed in zip(bend, lost, slides, strict=True):
                 sliding = 1 - math.exp(-math.copysign(bent, speed))
                 lost_rates.append(abs(speed) / fitting.cable.presliding * (sliding - loss))
@@ -102,16 +113,21 @@ def replay_worn(
         errors.append((intended[0] - state[4], intended[1] - state[5]))
         late = errors[max(tick - delay, 0)]
         habit = wearer.co_contraction
-        stiff, slow = 2 * (k0 + g * habit), 0.5 + 2 * (b0 + h * habit)
-        torque = stiff * intended[0] + hand_weight * math.sin(intended[0])
+        slow = 0.5 + 2 * (b0 + h * habit)
+        torque = hand_weight * math.sin(intended[0])
         torque += wearer.anticipation * (inertia * intended[2] + slow * intended[1])
         torque += wearer.feedback_stiffness * late[0] + wearer.feedback_damping * late[1]
-        half = torque / (2 * 0.87 * (k0 + 2 * g * habit))
-        wanted = min(max(habit + half, 0.0), 1.0), min(max(habit - half, 0.0), 1.0)
+        wanted = _activations(torque, intended[0], habit, k0, g)
         drives = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
         outer = push_torque(scenario, tick, period) + float(trajectory["tremor"][tick + 1])
         solution = solve_ivp(
-            derivative, (0.0, period), state, "DOP853", args=(drives, wanted, outer), rtol=tolerance, atol=1e-12,
+            derivative,
+            (0.0, period),
+            state,
+            "DOP853",
+            args=(drives, wanted, outer),
+            rtol=tolerance,
+            atol=1e-12,
             max_step=period / 4,
         )
         if not solution.success:
@@ -119,3 +135,22 @@ def replay_worn(
         state = solution.y[:, -1]
         rows.append([*state, cuff(state)])
     return dict(zip((*names, "cuff_torque"), np.array(rows).T, strict=True))
+
+
+def _activations(torque: float, angle: float, habit: float, k0: float, g: float) -> tuple[float, float]:
+    """Return the activations about a habitual co-contraction that give a torque at an angle, by bisection."""
+
+    def pair(lead: float) -> tuple[float, float]:
+        if abs(lead) <= habit:
+            return min(habit + lead, 1.0), min(habit - lead, 1.0)
+        alone = min(habit + abs(lead), 1.0)
+        return (alone, 0.0) if lead > 0 else (0.0, alone)
+
+    def given(lead: float) -> float:
+        flexor, extensor = pair(lead)
+        return (k0 + g * flexor) * (0.87 * flexor - angle) - (k0 + g * extensor) * (0.87 * extensor + angle)
+
+    low, high = habit - 1.0, 1.0 - habit
+    if given(high) <= torque or given(low) >= torque:
+        return pair(high if given(high) <= torque else low)
+    return pair(float(brentq(lambda lead: given(lead) - torque, low, high, xtol=1e-15)))

@@ -20,14 +20,7 @@ from amulett_gym.model.cuff import cuff_torque
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.plant import joint_acceleration
 from amulett_gym.model.sensors import quantise
-from amulett_gym.model.wearer import (
-    PASSIVE_DAMPING,
-    activation_rate,
-    excitations,
-    hold_torque,
-    muscle_damping,
-    muscle_torque,
-)
+from amulett_gym.model.wearer import PASSIVE_DAMPING, activation_rate, excitations, muscle_damping, muscle_torque
 from amulett_gym.simulation import layout
 from amulett_gym.simulation.commands import FARTHEST, choose, low_pass
 from amulett_gym.simulation.kernel import (
@@ -116,7 +109,12 @@ def excite(p, c, s, m, h, w, k, first, end):
         excite_muscles(h, w, i, answer)
         shiver(p, c, s, h, w, i)
         w.hand_torque[i] = m.push[i]
-        k.elbow[i], k.elbow_rate[i], k.flexor[i], k.extensor[i] = w.elbow[i], w.elbow_rate[i], w.flexor[i], w.extensor[i]
+        k.elbow[i], k.elbow_rate[i], k.flexor[i], k.extensor[i] = (
+            w.elbow[i],
+            w.elbow_rate[i],
+            w.flexor[i],
+            w.extensor[i],
+        )
         clear_slopes(k, i)
 
 
@@ -126,9 +124,8 @@ def excite_muscles(h, w, i, answer):
     strength, co_contraction = h.strength[i], h.co_contraction[i]
     friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, strength)
     motion = h.inertia[i] * w.intention_acceleration[i] + friction * w.intention_rate[i]
-    posture = hold_torque(w.intention[i], co_contraction, strength) + h.weight[i] * math.sin(w.intention[i])
-    torque = posture + h.anticipation[i] * motion + answer
-    w.excitation_flexor[i], w.excitation_extensor[i] = excitations(torque, co_contraction, strength)
+    torque = h.weight[i] * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
+    w.excitation_flexor[i], w.excitation_extensor[i] = excitations(torque, w.intention[i], co_contraction, strength)
 
 
 @compiled
@@ -261,7 +258,9 @@ def follow(p, c, s, f, w, first, end):
     for i in range(first, end):
         error = sensor_noise(f.noise, c.noise_key[i] ^ CUFF_STREAM, np.uint64(s.tick[i]))
         last = w.measured_cuff[i]
-        w.measured_cuff[i] = low_pass(last, quantise(error - w.cuff_torque[i], f.resolution), f.filter, p.control_period)
+        w.measured_cuff[i] = low_pass(
+            last, quantise(error - w.cuff_torque[i], f.resolution), f.filter, p.control_period
+        )
         w.cuff_rate[i] = filtered_derivative(
             w.cuff_rate[i], w.measured_cuff[i] - last, 1.0, f.rate_filter, p.control_period
         )

@@ -26,7 +26,10 @@ class Wearer(Group):
     feedback_stiffness: float = Field(default=4.0, ge=0, le=500, description="of the delayed answer [N m/rad]")
     feedback_damping: float = Field(default=0.4, ge=0, le=50, description="of the delayed answer [N m s/rad]")
     anticipation: float = Field(
-        default=0.9, ge=0, le=2, description="share of inertia and friction that the wearer expects and feeds forward [1]"
+        default=0.9,
+        ge=0,
+        le=2,
+        description="share of inertia and friction that the wearer expects and feeds forward [1]",
     )
     tremor_torque: float = Field(default=0.0, ge=0, le=10, description="standard deviation of the tremor [N m]")
     tremor_frequency: float = Field(default=9.0, ge=1, le=20, description="of the tremor [Hz]")
