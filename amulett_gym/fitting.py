@@ -39,8 +39,8 @@ class Cable(Sourced):
     presliding: float = Field(default=3e-4, ge=1e-6, le=0.1, description="way of the string before it slides [m]")
     side: Literal["joint", "drive"] = Field(
         default="joint",
-        description="where the cables are: joint, between spring and joint, where the force estimate does not see their "
-        "friction; drive, between drive and spring, where it loads the drive",
+        description="where the cables are: joint, between spring and joint, where the force estimate does not see "
+        "their friction; drive, between drive and spring, where it loads the drive",
     )
 
 

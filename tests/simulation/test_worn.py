@@ -33,7 +33,7 @@ REST = Scenario(noise_seed=3)
 PERIOD = 0.0025
 
 
-def device(substeps: int = 4, changes: dict[str, Any] | None = None, **fitting: Any) -> Profile:
+def device_of(substeps: int = 4, changes: dict[str, Any] | None = None, **fitting: Any) -> Profile:
     content = {"base": "testbed", "name": "worn", "loop": {"substeps": substeps}, "wearer": fitting}
     return load_profile(merge(content, changes or {}))
 
@@ -66,7 +66,7 @@ def deviations(profile: Profile, wearer: Wearer, ticks: int) -> dict[str, float]
     ],
 )
 def test_motion_is_that_of_the_reference(wearer: Wearer, changes: dict[str, Any]) -> None:
-    found = deviations(device(changes=changes), wearer, 500)
+    found = deviations(device_of(changes=changes), wearer, 500)
     assert found["angle"] < 2e-7
     assert found["elbow"] < 2e-7
     assert found["velocity"] < 3e-5
@@ -80,32 +80,34 @@ def test_motion_is_that_of_the_reference(wearer: Wearer, changes: dict[str, Any]
     "fitting", [{"cable": {"friction": 0.2}}, {"cable": {"friction": 0.1, "bend_triceps_deg": 360.0}}]
 )
 def test_cables_converge_to_the_reference(fitting: dict[str, Any]) -> None:
-    coarse, fine = (deviations(device(substeps, **fitting), Wearer(), 300) for substeps in (4, 16))
+    coarse, fine = (deviations(device_of(substeps, **fitting), Wearer(), 300) for substeps in (4, 16))
     assert coarse["angle"] < 5e-5  # the loss is held within an integration step: first order
     assert fine["angle"] < 0.5 * coarse["angle"]
     assert fine["loss_biceps"] < 0.5 * coarse["loss_biceps"] < 0.01
 
 
 def test_cables_before_the_springs_change_nothing_but_the_drives_load() -> None:
-    before = record(worn(device(cable={"friction": 0.3, "side": "drive"}), Wearer()), 300)
-    without = record(worn(device(), Wearer()), 300)
+    before = record(worn(device_of(cable={"friction": 0.3, "side": "drive"}), Wearer()), 300)
+    without = record(worn(device_of(), Wearer()), 300)
     for name in STATE_NAMES:
         np.testing.assert_array_equal(before[name], without[name])
     assert np.ptp(before["loss_biceps"]) > 0.3
     drives = {"stall_torque": 0.3}
-    before = record(worn(device(changes={"drives": drives}, cable={"friction": 0.3, "side": "drive"}), Wearer()), 300)
-    without = record(worn(device(changes={"drives": drives}), Wearer()), 300)
+    before = record(
+        worn(device_of(changes={"drives": drives}, cable={"friction": 0.3, "side": "drive"}), Wearer()), 300
+    )
+    without = record(worn(device_of(changes={"drives": drives}), Wearer()), 300)
     assert np.abs(before["angle"] - without["angle"]).max() > 1e-4
 
 
 def test_loose_cuff_converges_to_the_reference() -> None:
-    found = deviations(device(16, cuff={"slack_deg": 4.0}), Wearer(), 400)
+    found = deviations(device_of(16, cuff={"slack_deg": 4.0}), Wearer(), 400)
     assert found["angle"] < 1e-4  # the padding's damper acts at once when it is touched
     assert found["elbow"] < 1e-5
 
 
 def test_without_a_cuff_device_and_arm_know_nothing_of_each_other() -> None:
-    profile = device(cuff={"stiffness": 0.0, "damping": 0.0}, torque_sensor={"noise": 0.0})
+    profile = device_of(cuff={"stiffness": 0.0, "damping": 0.0}, torque_sensor={"noise": 0.0})
     simulation = worn(profile, Wearer())
     simulation.assist(0.0)  # the device's own motion would carry its setpoint on
     apart = record(simulation, 400)
@@ -122,7 +124,7 @@ def test_without_a_cuff_device_and_arm_know_nothing_of_each_other() -> None:
 
 
 def test_stiff_cuff_makes_one_rigid_body() -> None:
-    profile, wearer = device(40, cuff={"stiffness": 10_000.0, "damping": 5.0}), Wearer()
+    profile, wearer = device_of(40, cuff={"stiffness": 10_000.0, "damping": 5.0}), Wearer()
     trajectory = record(worn(profile, wearer), 300)
     expected = one_body(profile, wearer, trajectory)
     assert np.abs(trajectory["angle"] - trajectory["elbow"]).max() < 1e-4
@@ -154,7 +156,7 @@ def one_body(profile: Profile, wearer: Wearer, trajectory: Trajectory) -> NDArra
 
 def test_energy_is_lost_to_the_dampers_alone() -> None:
     """A relaxed arm that was pushed swings back on held drives: what energy is gone, the dampers have taken."""
-    profile = device(
+    profile = device_of(
         8, changes={"loop": HELD_DRIVES}, cuff={"stiffness": 80.0, "damping": 0.5}, admittance={"rest_gain": 0.0}
     )
     wearer = Wearer(co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0)
@@ -193,7 +195,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
 def test_reflex_answers_after_its_delay() -> None:
     wearer = Wearer(reflex_delay=0.05, worn=False)
     push = Scenario(pushes=[{"time": 0.1, "duration": 0.5, "torque": 1.0}], noise_seed=1)
-    t = record(worn(device(), wearer, push), 100)
+    t = record(worn(device_of(), wearer, push), 100)
     moved = np.flatnonzero(t["elbow"] != t["elbow"][0])[0]
     answered = np.flatnonzero(t["excitation_flexor"] != t["excitation_flexor"][1])[0]
     assert moved == round(0.1 / PERIOD) + 1
@@ -203,7 +205,7 @@ def test_reflex_answers_after_its_delay() -> None:
 
 
 def test_tremor_has_the_strength_and_frequency_asked_for() -> None:
-    t = record(worn(device(), Wearer(worn=False, tremor_torque=0.3, tremor_frequency=6.0), REST), 24_000)
+    t = record(worn(device_of(), Wearer(worn=False, tremor_torque=0.3, tremor_frequency=6.0), REST), 24_000)
     assert np.std(t["tremor"]) == pytest.approx(0.3, rel=0.15)
     spectrum = np.abs(np.fft.rfft(t["tremor"])) ** 2
     frequency = np.fft.rfftfreq(t["tremor"].size, PERIOD)
@@ -212,14 +214,14 @@ def test_tremor_has_the_strength_and_frequency_asked_for() -> None:
 
 def test_wearer_moves_as_intended() -> None:
     scenario = Scenario(moves=[{"time": 0.1, "angle_deg": 20, "duration": 0.8}], noise_seed=1)
-    t = record(worn(device(), Wearer(worn=False, anticipation=1.0), scenario), 700)
+    t = record(worn(device_of(), Wearer(worn=False, anticipation=1.0), scenario), 700)
     assert np.degrees(np.abs(t["intention"] - t["elbow"])).max() < 3.0
     assert np.degrees(abs(t["intention"][-1] - t["elbow"][-1])) < 0.1
     assert np.degrees(t["intention"][-1]) == pytest.approx(20.0)
 
 
 def test_admittance_lets_the_wearer_lead() -> None:
-    led, held = (worn(device(), Wearer(), control="equilibrium-point") for _ in range(2))
+    led, held = (worn(device_of(), Wearer(), control="equilibrium-point") for _ in range(2))
     held.assist(0.0)
     led.assist(1.0)
     for simulation in (led, held):
@@ -229,7 +231,7 @@ def test_admittance_lets_the_wearer_lead() -> None:
 
 
 def test_devices_do_not_depend_on_their_neighbours() -> None:
-    profile = device(cable={"friction": 0.2})
+    profile = device_of(cable={"friction": 0.2})
     many = WornSimulation(profile, 11)
     wearers = [Wearer(mass=60 + 3 * k, strength=0.7 + 0.1 * k, tremor_torque=0.02 * k) for k in range(11)]
     packed = np.concatenate([pack_wearer(each, PERIOD, False) for each in wearers])
@@ -245,7 +247,7 @@ def test_devices_do_not_depend_on_their_neighbours() -> None:
 
 
 def test_snapshot_goes_on_with_the_same_bits() -> None:
-    simulation = worn(device(cable={"friction": 0.2}), Wearer(tremor_torque=0.1))
+    simulation = worn(device_of(cable={"friction": 0.2}), Wearer(tremor_torque=0.1))
     simulation.advance(123)
     state = simulation.get_state()
     simulation.advance(200)
@@ -256,11 +258,11 @@ def test_snapshot_goes_on_with_the_same_bits() -> None:
         after, (simulation.read_worn("elbow"), simulation.read_worn("tremor"), simulation.read("angle"))
     )
     with pytest.raises(AmulettError, match="has no wearers"):
-        simulation.set_state(Simulation(device()).get_state())
+        simulation.set_state(Simulation(device_of()).get_state())
 
 
 def test_second_episode_equals_the_first() -> None:
-    profile = device()
+    profile = device_of()
     simulation = worn(profile, Wearer())
     simulation.advance(300)
     first = simulation.read_worn("elbow")
@@ -274,7 +276,7 @@ def test_second_episode_equals_the_first() -> None:
 @pytest.mark.parametrize("assistance", [-0.1, 1.1, np.nan])
 def test_assistance_out_of_range_is_refused(assistance: float) -> None:
     with pytest.raises(AmulettError, match="assistance"):
-        worn(device(), Wearer()).assist(assistance)
+        worn(device_of(), Wearer()).assist(assistance)
 
 
 def test_delay_that_is_too_long_is_refused() -> None:
