@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import Profile
+from amulett_gym.profile import STABLE_STEP, Profile
 from amulett_gym.simulation import worn
-from amulett_gym.simulation.batch import Simulation
+from amulett_gym.simulation.batch import Simulation, max_stiffness
 from amulett_gym.simulation.layout import LANES, Control, words, zeros
 from amulett_gym.simulation.worn_layout import PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
 
@@ -56,9 +56,30 @@ class WornSimulation(Simulation):
         devices = np.arange(self.num_devices) if devices is None else devices
         block, lane = np.divmod(devices, LANES)
         if wearers is not None:
+            self._check_step(scenarios, wearers, self.which[block])
             for own, new in zip(words(self.worn[1], LANES), words(np.ascontiguousarray(wearers), 1), strict=True):
                 own[block, :, lane] = new[..., 0]
         super().reset(scenarios, devices, paths)
+
+    def _check_step(self, scenarios: NDArray[np.void], wearers: NDArray[np.void], which: NDArray[np.int64]) -> None:
+        """Refuse arms and cuffs that oscillate too fast for the integration step, or are damped too much."""
+        fitting, strings = self.worn[0][which], np.array([max_stiffness(each) for each in self.parameters])[which]
+        step = self.parameters["control_period"][which] / self.parameters["substeps"][which]
+        lightest = 1.0 / scenarios["inertia"] + wearers["worn"] / wearers["inertia"]
+        swing = step * np.sqrt(strings / scenarios["inertia"] + fitting["stiffness"] * lightest)
+        slowing = step * fitting["damping"] * lightest
+        most = np.maximum(swing, slowing)
+        worst = int(np.argmax(most))
+        if most[worst] > STABLE_STEP:
+            how = f"oscillates by {swing[worst]:.3g} rad" if swing[worst] == most[worst] else "is damped by "
+            how += "" if swing[worst] == most[worst] else f"{slowing[worst]:.3g} time constants"
+            least = int(np.ceil(self.parameters["substeps"][which[worst]] * most[worst] / STABLE_STEP))
+            raise AmulettError(
+                f"wearer {worst}: with 'wearer.cuff.stiffness' {fitting['stiffness'][worst]:g} N m/rad and "
+                f"'wearer.cuff.damping' {fitting['damping'][worst]:g} N m s/rad the worn arm {how} in an integration "
+                f"step of {step[worst]:g} s; at most {STABLE_STEP} can be computed: loop.substeps has to be at least "
+                f"{least}"
+            )
 
     def _settle(self, devices: NDArray[np.int64]) -> None:
         block, lane = np.divmod(devices, LANES)

@@ -282,3 +282,15 @@ def test_assistance_out_of_range_is_refused(assistance: float) -> None:
 def test_delay_that_is_too_long_is_refused() -> None:
     with pytest.raises(AmulettError, match=r"wearer.reflex_delay' is 0.4 s, 160 control ticks"):
         pack_wearer(Wearer(reflex_delay=0.4), PERIOD, False)
+
+
+@pytest.mark.parametrize(
+    ("cuff", "least"), [({"stiffness": 10_000.0, "damping": 0.0}, 2), ({"stiffness": 0.0, "damping": 50.0}, 12)]
+)
+def test_cuff_that_is_too_stiff_for_the_step_is_refused(cuff: dict[str, float], least: int) -> None:
+    with pytest.raises(AmulettError, match=rf"loop.substeps has to be at least {least}$"):
+        worn(device_of(1, cuff=cuff), Wearer())
+    simulation = worn(device_of(least, cuff=cuff), Wearer())
+    simulation.advance(400)
+    assert simulation.read("failure")[0] == 0
+    assert abs(simulation.read_worn("elbow")[0]) < 1.0
