@@ -123,11 +123,12 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, means, actions, observati
     compiled.
     """
     num_devices = actions.shape[0]
-    m = np.empty(1, dtype=MOTION_BLOCK)[0]
+    motion = np.empty(1, dtype=MOTION_BLOCK)
     for block in range(s_blocks.shape[0]):
         first = block * LANES
         end = min(first + LANES, num_devices)
         c, s, own = c_blocks[block], s_blocks[block], which[block]
+        m = motion[0]
         step_block(p[own], e[own], c, s, m, paths, loop, own, block, first, end, means, actions, observations, report)
 
 

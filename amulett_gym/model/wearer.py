@@ -3,9 +3,10 @@
 Flexion is positive. Both muscles are Kawato's (Katayama and Kawato, 1993), lumped about the elbow: stiffness and
 damping rise with the activation a, and a shifts the angle at which the muscle is at rest ::
 
-    torque = K_f (r a_f - q) - K_e (r a_e + q) - (B_f + B_e) q',   K = k (1 + g a),  B = b (1 + g a)
+    torque = K_f (r a_f - q) - K_e (r a_e + q) - (B_f + B_e) q',   K = k (tone + strength g a),  B likewise with b
 
-with the joint angle q. Co-contraction, a_f = a_e, gives stiffness without torque.
+with the joint angle q from the posture in which the relaxed muscles are in balance. Co-contraction, a_f = a_e, gives
+stiffness without torque there.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ DAMPING = 0.1
 """b of one muscle without activation [N m s/rad]: 54.1 N s/m with the same lever arms."""
 
 ACTIVE_SHARE = 2.0
-"""g [1]: 1621.6 N/m over 810.8 N/m; full activation triples stiffness and damping."""
+"""g [1]: 1621.6 N/m over 810.8 N/m; with tone and strength 1, full activation triples stiffness and damping."""
 
 SHIFT = 0.87
 """r [rad]: the change of a muscle's rest length with full activation over its lever arm, 21.8 mm over 25 mm. assumed"""
@@ -35,7 +36,7 @@ PASSIVE_DAMPING = 0.5
 """Of the relaxed elbow [N m s/rad] (MyoHub/myo_sim, myoelbow_assets.xml)."""
 
 FULL_TORQUE = STIFFNESS * (1.0 + ACTIVE_SHARE) * SHIFT
-"""Torque of one fully active muscle at q = 0 and a strength of 1 [N m]."""
+"""Torque of one fully active muscle at q = 0, with tone and strength 1 [N m]."""
 
 _MASS_SHARE, _CENTRE_SHARE, _GYRATION_SHARE, _LENGTH_SHARE = 0.022, 0.682, 0.827, 0.146
 """Forearm with hand: mass over that of the body; centre of mass and radius of gyration about the elbow over the length
@@ -58,7 +59,7 @@ def activation_rate(activation: float, excitation: float) -> float:
 
 
 @compiled
-def muscle_torque(flexor: float, extensor: float, angle: float, velocity: float, strength: float) -> float:
+def muscle_torque(flexor: float, extensor: float, angle: float, velocity: float, tone: float, strength: float) -> float:
     """Return the torque of both muscles [N m].
 
     Parameters
@@ -67,41 +68,45 @@ def muscle_torque(flexor: float, extensor: float, angle: float, velocity: float,
         Activations a_f, a_e in [0, 1].
     angle, velocity : float
         Of the elbow, from the angle at which both muscles without activation are in balance [rad], [rad/s].
-    strength : float
-        Factor of stiffness, damping and torque [1].
+    tone, strength : float
+        Factors of the relaxed muscles' and of the activation's stiffness and damping [1].
     """
-    pull = STIFFNESS * (1.0 + ACTIVE_SHARE * flexor) * (SHIFT * flexor - angle)
-    push = STIFFNESS * (1.0 + ACTIVE_SHARE * extensor) * (SHIFT * extensor + angle)
-    return strength * (pull - push) - muscle_damping(flexor, extensor, strength) * velocity
+    share = strength * ACTIVE_SHARE
+    pull = STIFFNESS * (tone + share * flexor) * (SHIFT * flexor - angle)
+    push = STIFFNESS * (tone + share * extensor) * (SHIFT * extensor + angle)
+    return pull - push - muscle_damping(flexor, extensor, tone, strength) * velocity
 
 
 @compiled
-def muscle_stiffness(flexor: float, extensor: float, strength: float) -> float:
+def muscle_stiffness(flexor: float, extensor: float, tone: float, strength: float) -> float:
     """Return the stiffness of both muscles about the elbow [N m/rad], minus the derivative of `muscle_torque`."""
-    return strength * STIFFNESS * (2.0 + ACTIVE_SHARE * (flexor + extensor))
+    return STIFFNESS * (2.0 * tone + strength * ACTIVE_SHARE * (flexor + extensor))
 
 
 @compiled
-def muscle_damping(flexor: float, extensor: float, strength: float) -> float:
+def muscle_damping(flexor: float, extensor: float, tone: float, strength: float) -> float:
     """Return the damping of both muscles about the elbow [N m s/rad]."""
-    return strength * DAMPING * (2.0 + ACTIVE_SHARE * (flexor + extensor))
+    return DAMPING * (2.0 * tone + strength * ACTIVE_SHARE * (flexor + extensor))
 
 
 @compiled
-def excitations(torque: float, angle: float, co_contraction: float, strength: float) -> tuple[float, float]:
+def excitations(
+    torque: float, angle: float, co_contraction: float, tone: float, strength: float
+) -> tuple[float, float]:
     """Return both muscles' excitations in [0, 1] for a torque [N m] at an angle [rad]: the inverse of `muscle_torque`.
 
     They differ from the co-contraction, in [0, 1], by as much up and down; if the antagonist would fall below 0, it is
     0. A torque beyond that of a fully active muscle is not reached.
     """
-    wanted = torque / (strength * STIFFNESS)
-    apart = wanted + 2.0 * (1.0 + ACTIVE_SHARE * co_contraction) * angle
-    half = apart / (2.0 * SHIFT * (1.0 + 2.0 * ACTIVE_SHARE * co_contraction))
+    wanted = torque / (tone * STIFFNESS)
+    share = ACTIVE_SHARE * strength / tone
+    apart = wanted + 2.0 * (1.0 + share * co_contraction) * angle
+    half = apart / (2.0 * SHIFT * (1.0 + 2.0 * share * co_contraction))
     # One muscle alone, of the side to which it pulls: a quadratic equation.
     side = 1.0 if half >= 0.0 else -1.0
-    linear = SHIFT - ACTIVE_SHARE * side * angle
-    root = math.sqrt(max(linear * linear + 4.0 * ACTIVE_SHARE * SHIFT * side * (wanted + 2.0 * angle), 0.0))
-    alone = min(max((root - linear) / (2.0 * ACTIVE_SHARE * SHIFT), 0.0), 1.0)
+    linear = SHIFT - share * side * angle
+    root = math.sqrt(max(linear * linear + 4.0 * share * SHIFT * side * (wanted + 2.0 * angle), 0.0))
+    alone = min(max((root - linear) / (2.0 * share * SHIFT), 0.0), 1.0)
     both = abs(half) <= co_contraction
     flexor = co_contraction + half if both else (alone if half > 0.0 else 0.0)
     extensor = co_contraction - half if both else (0.0 if half > 0.0 else alone)

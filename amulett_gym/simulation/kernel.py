@@ -56,10 +56,11 @@ def advance(p, which, c_blocks, s_blocks, paths, loop, num_devices, ticks):
     None: then the code for paths is not compiled. `loop` is `layout.Loop`, or None: then the paper's loop runs, and the
     code for others is not compiled.
     """
-    m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
+    # The array is used in each round: numba frees it after its last use, whether or not a record of it is in use.
+    motion = np.empty(1, dtype=layout.MOTION_BLOCK)
     for block in range(s_blocks.shape[0]):
         lanes, own = min(layout.LANES, num_devices - block * layout.LANES), which[block]
-        advance_block(p[own], c_blocks[block], s_blocks[block], m, paths, loop, own, block, lanes, ticks)
+        advance_block(p[own], c_blocks[block], s_blocks[block], motion[0], paths, loop, own, block, lanes, ticks)
 
 
 @compiled_in_place

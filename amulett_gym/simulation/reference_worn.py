@@ -30,6 +30,7 @@ def replay_worn(
     wearer: Wearer,
     trajectory: Trajectory,
     tolerance: float = 1e-10,
+    payload: tuple[float, float] = (0.0, 0.0),
 ) -> dict[str, NDArray[np.float64]]:
     """Return the expected motion of device and arm under the recorded commands of both drives.
 
@@ -39,10 +40,11 @@ def replay_worn(
         With drives that have a lag, and no stall torque.
     scenario : record of `layout.SCENARIO`
     wearer : Wearer
-        With an empty hand.
     trajectory : Trajectory
     tolerance : float
         Relative tolerance of the integration.
+    payload : tuple of float
+        Mass [kg] and lever arm [m] of what is put into the hand.
 
     Returns
     -------
@@ -58,7 +60,11 @@ def replay_worn(
     own_mass = 0.022 * wearer.mass
     inertia = own_mass * (0.827 * length) ** 2
     hand_weight = 9.81 * own_mass * 0.682 * length if plant.orientation == "vertical" else 0.0
-    k0, g, b0, h = (each * wearer.strength for each in (1.5, 3.0, 0.1, 0.2))
+    k0, b0 = 1.5 * wearer.tone, 0.1 * wearer.tone
+    g, h = 3.0 * wearer.strength, 0.2 * wearer.strength
+    rest = math.radians(wearer.rest_angle_deg)
+    load_inertia, load_weight = payload[0] * payload[1] ** 2, 9.81 * payload[0] * payload[1]
+    load_weight *= plant.orientation == "vertical"
     bend = [fitting.cable.friction * math.radians(fitting.cable.bend_biceps_deg)]
     bend.append(fitting.cable.friction * math.radians(fitting.cable.bend_triceps_deg))
     cabled, before_spring = max(bend) > 0.0, fitting.cable.side == "drive"
@@ -76,7 +82,12 @@ def replay_worn(
         return max(torque, 0.0) if gap > 0 else min(torque, 0.0)
 
     def derivative(
-        _: float, state: NDArray[np.float64], drives: tuple[float, float], wanted: tuple[float, float], outer: float
+        _: float,
+        state: NDArray[np.float64],
+        drives: tuple[float, float],
+        wanted: tuple[float, float],
+        outer: float,
+        held: float,
     ) -> list[float]:
         joint, rate, biceps, triceps, elbow, elbow_rate, flexor, extensor, *lost = state
         pulls = force(biceps * to_drive - joint * to_joint), force(joint * to_joint - triceps * to_drive)
@@ -98,12 +109,21 @@ def replay_worn(
         slowing = 2 * decay_rate(profile, preload) * bare * rate
         between = cuff(state)
         joint_torque = (at_joint[0] - at_joint[1]) * to_joint - weight * math.sin(joint) - slowing - between
-        pull = (k0 + g * flexor) * (0.87 * flexor - elbow) - (b0 + h * flexor) * elbow_rate
-        push = (k0 + g * extensor) * (0.87 * extensor + elbow) + (b0 + h * extensor) * elbow_rate
-        elbow_torque = pull - push - 0.5 * elbow_rate + between + outer - hand_weight * math.sin(elbow)
+        pull = (k0 + g * flexor) * (0.87 * flexor - elbow + rest) - (b0 + h * flexor) * elbow_rate
+        push = (k0 + g * extensor) * (0.87 * extensor + elbow - rest) + (b0 + h * extensor) * elbow_rate
+        elbow_torque = pull - push - 0.5 * elbow_rate + between + outer
+        elbow_torque -= (hand_weight + held * load_weight) * math.sin(elbow)
         lags = [0.025 if want > have else 0.045 for want, have in zip(wanted, (flexor, extensor), strict=True)]
         rises = [(wanted[0] - flexor) / lags[0], (wanted[1] - extensor) / lags[1]]
-        return [rate, joint_torque / bare, *turns, elbow_rate, elbow_torque / inertia, *rises, *lost_rates]
+        return [
+            rate,
+            joint_torque / bare,
+            *turns,
+            elbow_rate,
+            elbow_torque / (inertia + held * load_inertia),
+            *rises,
+            *lost_rates,
+        ]
 
     names = STATES + CABLES if cabled else STATES
     state = np.array([float(trajectory[name][0]) for name in names])
@@ -114,10 +134,12 @@ def replay_worn(
         late = errors[max(tick - delay, 0)]
         habit = wearer.co_contraction
         slow = 0.5 + 2 * (b0 + h * habit)
-        torque = hand_weight * math.sin(intended[0])
-        torque += wearer.anticipation * (inertia * intended[2] + slow * intended[1])
+        expected = wearer.anticipation if tick * period > wearer.payload_time + (delay - 0.5) * period else 0.0
+        torque = (hand_weight + expected * load_weight) * math.sin(intended[0])
+        torque += wearer.anticipation * ((inertia + expected * load_inertia) * intended[2] + slow * intended[1])
         torque += wearer.feedback_stiffness * late[0] + wearer.feedback_damping * late[1]
-        wanted = _activations(torque, intended[0], habit, k0, g)
+        wanted = (habit, habit) if wearer.guided else _activations(torque, intended[0] - rest, habit, k0, g)
+        held = float(tick * period > wearer.payload_time - 0.5 * period)
         drives = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
         outer = push_torque(scenario, tick, period) + float(trajectory["tremor"][tick + 1])
         solution = solve_ivp(
@@ -125,7 +147,7 @@ def replay_worn(
             (0.0, period),
             state,
             "DOP853",
-            args=(drives, wanted, outer),
+            args=(drives, wanted, outer, held),
             rtol=tolerance,
             atol=1e-12,
             max_step=period / 4,

@@ -126,10 +126,10 @@ def _run(
 @compiled
 def _advance(p, which, c_blocks, s_blocks, loop, first, second, angle, velocity, chosen, closed, found):
     """Advance whole blocks by a tick for each row of the inputs; `closed` is None or True, whether the loop runs."""
-    m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
+    motion = np.empty(1, dtype=layout.MOTION_BLOCK)
     begin, end = np.uint64(0), np.uint64(layout.LANES)
     for block in range(s_blocks.shape[0]):
-        own = which[block]
+        own, m = which[block], motion[0]
         parameters, c, s = p[own], c_blocks[block], s_blocks[block]
         for i in range(layout.LANES):
             m.counting[i] = 0.0

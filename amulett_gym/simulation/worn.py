@@ -54,11 +54,11 @@ MOVING = math.radians(5.0)  # [rad/s]; an intention that is faster is a motion
 @compiled
 def advance(p, which, c_blocks, s_blocks, paths, loop, worn, num_devices, ticks):
     """Advance all devices and their wearers by a number of control ticks; see `kernel.advance`."""
-    m = np.empty(1, dtype=layout.MOTION_BLOCK)[0]
-    k = np.empty(1, dtype=ARM_BLOCK)[0]
+    motion, motion_of_arm = np.empty(1, dtype=layout.MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
     for block in range(s_blocks.shape[0]):
         lanes, own = min(layout.LANES, num_devices - block * layout.LANES), which[block]
-        advance_block(p[own], c_blocks[block], s_blocks[block], m, k, paths, loop, worn, own, block, lanes, ticks)
+        c, s, m, k = c_blocks[block], s_blocks[block], motion[0], motion_of_arm[0]
+        advance_block(p[own], c, s, m, k, paths, loop, worn, own, block, lanes, ticks)
 
 
 @compiled_in_place
@@ -92,7 +92,7 @@ def tick(p, c, s, m, k, paths, loop, worn, own, block, first, end):
         move(p, c, s, m, f, h, w, k, first, end, None)
     end_arm(p, c, s, f, h, w, k, first, end)
     follow(p, c, s, f, w, first, end)
-    intend(p, c, s, w, paths, block, first, end)
+    intend(p, c, s, h, w, paths, block, first, end)
     measure(p, m, w, first, end)
     track_steps(p, c, s, m, first, end)
 
@@ -106,7 +106,11 @@ def excite(p, c, s, m, h, w, k, first, end):
         w.rate_line[now, i] = w.intention_rate[i] - w.elbow_rate[i]
         then = (s.tick[i] - min(h.delay[i], s.tick[i])) % DELAY
         answer = h.feedback_stiffness[i] * w.error_line[then, i] + h.feedback_damping[i] * w.rate_line[then, i]
-        excite_muscles(h, w, i, answer)
+        loaded = choose(s.tick[i] >= h.load_tick[i], 1.0, 0.0)
+        expected = choose(s.tick[i] >= h.load_tick[i] + h.delay[i], h.anticipation[i], 0.0)
+        k.inertia[i] = h.inertia[i] + loaded * h.load_inertia[i]
+        k.weight[i] = h.weight[i] + loaded * h.load_weight[i]
+        excite_muscles(h, w, i, expected, answer)
         shiver(p, c, s, h, w, i)
         w.hand_torque[i] = m.push[i]
         k.elbow[i], k.elbow_rate[i], k.flexor[i], k.extensor[i] = (
@@ -119,13 +123,21 @@ def excite(p, c, s, m, h, w, k, first, end):
 
 
 @compiled
-def excite_muscles(h, w, i, answer):
-    """Set the excitations by which the wearer moves as intended, with the reflexes' torque [N m]."""
-    strength, co_contraction = h.strength[i], h.co_contraction[i]
-    friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, strength)
-    motion = h.inertia[i] * w.intention_acceleration[i] + friction * w.intention_rate[i]
-    torque = h.weight[i] * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
-    w.excitation_flexor[i], w.excitation_extensor[i] = excitations(torque, w.intention[i], co_contraction, strength)
+def excite_muscles(h, w, i, load, answer):
+    """Set the excitations by which the wearer moves as intended, with a share of the load and the reflexes' torque.
+
+    A guided wearer is relaxed.
+    """
+    tone, strength, co_contraction = h.tone[i], h.strength[i], h.co_contraction[i]
+    friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, tone, strength)
+    inertia, weight = h.inertia[i] + load * h.load_inertia[i], h.weight[i] + load * h.load_weight[i]
+    motion = inertia * w.intention_acceleration[i] + friction * w.intention_rate[i]
+    torque = weight * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
+    posture = w.intention[i] - h.rest_angle[i]
+    flexor, extensor = excitations(torque, posture, co_contraction, tone, strength)
+    guided = h.guided[i] > 0.0
+    w.excitation_flexor[i] = choose(guided, co_contraction, flexor)
+    w.excitation_extensor[i] = choose(guided, co_contraction, extensor)
 
 
 @compiled
@@ -177,9 +189,9 @@ def evaluate(p, c, s, m, f, h, w, k, first, end, reach, weight, extended):
             m.velocity_rate[i] = joint_rate(p, c, i, x, v, biceps * left_biceps, triceps * left_triceps, -cuff)
         m.biceps_rate[i], m.triceps_rate[i] = drive_rates(p, c, s, i, a, b, biceps, triceps, extended)
         k.elbow_slope[i] = u
-        torque = muscle_torque(flexor, extensor, y, u, h.strength[i]) - PASSIVE_DAMPING * u
-        torque += cuff + w.hand_torque[i] + w.tremor[i] - h.weight[i] * math.sin(y)
-        k.elbow_rate_slope[i] = torque / h.inertia[i]
+        torque = muscle_torque(flexor, extensor, y - h.rest_angle[i], u, h.tone[i], h.strength[i])
+        torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - k.weight[i] * math.sin(y)
+        k.elbow_rate_slope[i] = torque / k.inertia[i]
         k.flexor_slope[i] = activation_rate(flexor, w.excitation_flexor[i])
         k.extensor_slope[i] = activation_rate(extensor, w.excitation_extensor[i])
         add_slopes(m, k, i, weight)
@@ -278,12 +290,12 @@ def follow(p, c, s, f, w, first, end):
 
 
 @compiled
-def intend(p, c, s, w, paths, block, first, end):
+def intend(p, c, s, h, w, paths, block, first, end):
     """Set the wearer's intention for the next tick by the scenario's moves, and the device's own setpoint."""
     hand_over(s.setpoint, w.intention, first, end)
     find_setpoints(p, c, s, paths, block, first, end)
     add_waves(p, c, s, first, end)
-    take_intention(p, s, w, first, end)
+    take_intention(p, s, h, w, first, end)
 
 
 @compiled_lanes
@@ -294,13 +306,15 @@ def hand_over(setpoint, intention, first, end):
 
 
 @compiled_lanes
-def take_intention(p, s, w, first, end):
-    """Take the moves' setpoint as the intention, with its rates, and give the device its own."""
+def take_intention(p, s, h, w, first, end):
+    """Take the moves' setpoint as the intention, with its rates, and give the device its own unless it guides."""
     for i in range(first, end):
         rate = (s.setpoint[i] - w.intention[i]) / p.control_period
         w.intention_acceleration[i] = (rate - w.intention_rate[i]) / p.control_period
         w.intention[i], w.intention_rate[i] = s.setpoint[i], rate
-        s.setpoint[i], s.setpoint_jump[i] = w.followed[i], 0.0
+        guided = h.guided[i] > 0.0
+        w.followed[i] = choose(guided, s.setpoint[i], w.followed[i])
+        s.setpoint[i], s.setpoint_jump[i] = w.followed[i], choose(guided, s.setpoint_jump[i], 0.0)
 
 
 @compiled_lanes
@@ -329,6 +343,6 @@ def settle_worn(p, which, c_blocks, s_blocks, paths, loop, worn, devices):
         s, h, w = s_blocks[block], worn[1][block], worn[2][block]
         w.elbow[i] = w.followed[i] = s.angle[i]
         w.intention[i] = s.setpoint[i]
-        excite_muscles(h, w, i, 0.0)
+        excite_muscles(h, w, i, 0.0, 0.0)
         w.flexor[i], w.extensor[i] = w.excitation_flexor[i], w.excitation_extensor[i]
         s.setpoint[i], s.setpoint_jump[i] = w.followed[i], 0.0

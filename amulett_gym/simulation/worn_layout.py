@@ -27,11 +27,14 @@ FITTING = record(
 """What the kernel reads of `profile.wearer` (`amulett_gym.fitting.Fitting`)."""
 
 _PERSON_FIELDS = [
-    *fields("inertia weight strength co_contraction"),
+    *fields("inertia weight tone strength rest_angle co_contraction"),
     *fields("feedback_stiffness feedback_damping anticipation"),
     *fields("delay", "i8"),  # [control ticks]
     *fields("tremor_torque tremor_frequency"),
+    *fields("load_inertia load_weight"),  # of the payload, which is in the hand from this tick on
+    *fields("load_tick", "i8"),
     *fields("worn"),  # 0: the arm is outside the exoskeleton
+    *fields("guided"),  # 1: the moves are the device's, and the wearer is relaxed
 ]
 
 PERSON = record(_PERSON_FIELDS)
@@ -61,7 +64,7 @@ PERSON_BLOCK = block(_PERSON_FIELDS)
 WORN_BLOCK = block(_WORN_FIELDS)
 
 ARM_BLOCK = block(
-    fields("elbow elbow_rate flexor extensor")
+    fields("elbow elbow_rate flexor extensor inertia weight")  # with what is in the hand
     + fields("elbow_slope elbow_rate_slope flexor_slope extensor_slope")
     + fields("elbow_sum elbow_rate_sum flexor_sum extensor_sum")
 )

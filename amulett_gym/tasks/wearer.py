@@ -18,7 +18,13 @@ class Wearer(Group):
 
     mass: float = Field(default=70.0, ge=20, le=250, description="of the body [kg]")
     height: float = Field(default=1.75, ge=1.0, le=2.5, description="of the body [m]")
-    strength: float = Field(default=1.0, ge=0.05, le=20, description="factor of the muscles' stiffness and torque [1]")
+    tone: float = Field(default=0.5, ge=0.05, le=20, description="factor of the relaxed muscles' stiffness [1]")
+    strength: float = Field(
+        default=1.0, ge=0.05, le=20, description="factor of the stiffness and torque of the muscles' activation [1]"
+    )
+    rest_angle_deg: float = Field(
+        default=45.0, ge=-180, le=180, description="posture in which the relaxed muscles are in balance [deg]"
+    )
     co_contraction: float = Field(
         default=0.05, ge=0, le=1, description="activation of both muscles that is always there [1]"
     )
@@ -33,6 +39,14 @@ class Wearer(Group):
     )
     tremor_torque: float = Field(default=0.0, ge=0, le=10, description="standard deviation of the tremor [N m]")
     tremor_frequency: float = Field(default=9.0, ge=1, le=20, description="of the tremor [Hz]")
+    payload_time: float = Field(
+        default=0.0, ge=0, le=1e6, description="from when on the scenario's payload is in the hand [s]"
+    )
+    guided: bool = Field(
+        default=False,
+        description="true: the scenario's moves are the device's setpoint instead of an intention, and the wearer is "
+        "relaxed: the co-contraction is all that the muscles do",
+    )
     worn: bool = Field(default=True, description="false: the same arm outside the exoskeleton, to compare")
 
 
@@ -65,7 +79,10 @@ def pack_wearer(
     mass, centre, inertia = forearm(wearer.mass, wearer.height)
     packed = np.zeros(1, dtype=PERSON)
     put(packed, wearer)
-    packed["inertia"] = inertia + payload_mass * payload_arm**2
-    packed["weight"] = GRAVITY * (mass * centre + payload_mass * payload_arm) if vertical else 0.0
+    packed["inertia"], packed["load_inertia"] = inertia, payload_mass * payload_arm**2
+    if vertical:
+        packed["weight"], packed["load_weight"] = GRAVITY * mass * centre, GRAVITY * payload_mass * payload_arm
+    packed["rest_angle"] = np.radians(wearer.rest_angle_deg)
+    packed["load_tick"] = round(wearer.payload_time / control_period)
     packed["delay"] = delay
     return packed

@@ -18,7 +18,7 @@ from amulett_gym.model.wearer import (
 )
 
 activations = st.floats(0.0, 1.0)
-strengths = st.floats(0.2, 3.0)
+factors = st.floats(0.2, 3.0)
 
 
 def test_forearm_of_an_average_adult_is_that_of_the_literature() -> None:
@@ -29,39 +29,39 @@ def test_forearm_of_an_average_adult_is_that_of_the_literature() -> None:
     assert inertia == pytest.approx(0.0706, rel=0.03)
 
 
-@given(activations, activations, st.floats(-1.0, 1.0), strengths)
+@given(activations, activations, st.floats(-1.0, 1.0), factors, factors)
 def test_stiffness_and_damping_are_the_torque_s_derivatives(
-    flexor: float, extensor: float, angle: float, strength: float
+    flexor: float, extensor: float, angle: float, tone: float, strength: float
 ) -> None:
     h = 1e-4
-    ahead, behind = (muscle_torque(flexor, extensor, angle + sign * h, 0.0, strength) for sign in (1, -1))
-    assert -(ahead - behind) / (2 * h) == pytest.approx(muscle_stiffness(flexor, extensor, strength), rel=1e-6)
-    moving = muscle_torque(flexor, extensor, angle, 1.0, strength) - muscle_torque(
-        flexor, extensor, angle, 0.0, strength
-    )
-    assert -moving == pytest.approx(muscle_damping(flexor, extensor, strength), rel=1e-6)
+    ahead, behind = (muscle_torque(flexor, extensor, angle + sign * h, 0.0, tone, strength) for sign in (1, -1))
+    assert -(ahead - behind) / (2 * h) == pytest.approx(muscle_stiffness(flexor, extensor, tone, strength), rel=1e-6)
+    moving, still = (muscle_torque(flexor, extensor, angle, speed, tone, strength) for speed in (1.0, 0.0))
+    assert still - moving == pytest.approx(muscle_damping(flexor, extensor, tone, strength), rel=1e-6)
 
 
 def test_stiffness_is_that_of_katayama_and_kawato() -> None:
     # k = 810.8 + 1621.6 u N/m at lever arms of 25 and 35 mm, two muscles with the same activation
     lever = 0.025**2 + 0.035**2
     for u in (0.0, 0.3, 1.0):
-        assert muscle_stiffness(u, u, 1.0) == pytest.approx(2 * lever * (810.8 + 1621.6 * u), rel=1e-3)
-        assert muscle_damping(u, u, 1.0) == pytest.approx(2 * lever * (54.1 + 108.1 * u), rel=1e-3)
+        assert muscle_stiffness(u, u, 1.0, 1.0) == pytest.approx(2 * lever * (810.8 + 1621.6 * u), rel=1e-3)
+        assert muscle_damping(u, u, 1.0, 1.0) == pytest.approx(2 * lever * (54.1 + 108.1 * u), rel=1e-3)
 
 
 def test_co_contraction_gives_no_torque_and_full_activation_the_full_one() -> None:
-    assert muscle_torque(0.4, 0.4, 0.0, 0.0, 1.0) == 0.0
-    assert muscle_torque(1.0, 0.0, 0.0, 0.0, 2.0) == pytest.approx(2.0 * FULL_TORQUE)
+    assert muscle_torque(0.4, 0.4, 0.0, 0.0, 0.7, 1.5) == 0.0
+    assert muscle_torque(1.0, 0.0, 0.0, 0.0, 1.0, 1.0) == pytest.approx(FULL_TORQUE)
 
 
-@given(st.floats(0.0, 0.5), st.floats(-1.0, 1.0), strengths, st.floats(-0.4, 0.4))
-def test_excitations_give_the_torque_asked_for(habit: float, share: float, strength: float, angle: float) -> None:
-    most, least = (muscle_torque(*pair, angle, 0.0, strength) for pair in ((1.0, 0.0), (0.0, 1.0)))
+@given(st.floats(0.0, 0.5), st.floats(-1.0, 1.0), factors, factors, st.floats(-0.4, 0.4))
+def test_excitations_give_the_torque_asked_for(
+    habit: float, share: float, tone: float, strength: float, angle: float
+) -> None:
+    most, least = (muscle_torque(*pair, angle, 0.0, tone, strength) for pair in ((1.0, 0.0), (0.0, 1.0)))
     torque = most if share > 0 else least
     torque *= abs(share)
-    flexor, extensor = excitations(torque, angle, habit, strength)
-    assert muscle_torque(flexor, extensor, angle, 0.0, strength) == pytest.approx(torque, abs=1e-9)
+    flexor, extensor = excitations(torque, angle, habit, tone, strength)
+    assert muscle_torque(flexor, extensor, angle, 0.0, tone, strength) == pytest.approx(torque, abs=1e-9)
     assert min(flexor, extensor) == 0.0 or flexor + extensor == pytest.approx(2 * habit)
 
 
@@ -73,4 +73,4 @@ def test_activation_rises_faster_than_it_falls() -> None:
 
 def test_excitations_stay_within_their_range() -> None:
     for torque in (-100.0, 100.0, np.inf, -np.inf):
-        assert all(0.0 <= each <= 1.0 for each in excitations(torque, 0.2, 0.1, 1.0))
+        assert all(0.0 <= each <= 1.0 for each in excitations(torque, 0.2, 0.1, 1.0, 1.0))

@@ -21,15 +21,16 @@ from amulett_gym.simulation.reference import arm, decay_rate, string_force
 from amulett_gym.simulation.reference_worn import replay_worn
 from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.simulation.worn_batch import WornSimulation
-from amulett_gym.tasks.scenario import Scenario, pack
+from amulett_gym.tasks.scenario import Payload, Scenario, pack
 from amulett_gym.tasks.wearer import Wearer, pack_wearer
 
 REACH = Scenario(
-    moves=[{"time": 0.1, "angle_deg": 30, "duration": 0.6}],
+    initial_angle_deg=30,
+    moves=[{"time": 0.1, "angle_deg": 60, "duration": 0.6}],
     pushes=[{"time": 0.9, "duration": 0.4, "torque": -1.0, "rise": 0.1}],
     noise_seed=3,
 )
-REST = Scenario(noise_seed=3)
+REST = Scenario(initial_angle_deg=30, noise_seed=3)
 PERIOD = 0.0025
 
 
@@ -43,8 +44,10 @@ def worn(
 ) -> WornSimulation:
     simulation = WornSimulation(profile, devices, control)
     vertical = profile.plant.orientation == "vertical"
-    rows = np.repeat(pack(scenario, profile), devices)
-    simulation.reset(rows, wearers=np.repeat(pack_wearer(wearer, PERIOD, vertical), devices))
+    held = scenario.payload  # not of the device: it is in the hand
+    rows = np.repeat(pack(scenario.model_copy(update={"payload": None}), profile), devices)
+    load = (0.0, 0.0) if held is None else (held.mass, held.arm)
+    simulation.reset(rows, wearers=np.repeat(pack_wearer(wearer, PERIOD, vertical, *load), devices))
     simulation.command_tension(6.0)
     simulation.assist(0.8)
     return simulation
@@ -61,7 +64,8 @@ def deviations(profile: Profile, wearer: Wearer, ticks: int) -> dict[str, float]
     [
         (Wearer(), {}),
         (Wearer(mass=95, height=1.9, strength=1.6, reflex_delay=0.03, tremor_torque=0.2), {}),
-        (Wearer(worn=False, co_contraction=0.2), {}),
+        (Wearer(worn=False, co_contraction=0.2, tone=0.4, rest_angle_deg=30), {}),
+        (Wearer(guided=True, tone=0.3), {}),
         (Wearer(), {"plant": {"orientation": "vertical"}}),
     ],
 )
@@ -137,7 +141,7 @@ def one_body(profile: Profile, wearer: Wearer, trajectory: Trajectory) -> NDArra
     bare, _ = arm(profile)
     force, radius, pulley = string_force(profile), profile.plant.joint_pulley_radius, profile.plant.drive_pulley_radius
     _, _, inertia = forearm(wearer.mass, wearer.height)
-    times = np.arange(len(trajectory)) * PERIOD
+    times, rest = np.arange(len(trajectory)) * PERIOD, np.radians(wearer.rest_angle_deg)
 
     def rates(time: float, state: NDArray[np.float64]) -> tuple[float, float]:
         angle, velocity = state
@@ -147,7 +151,8 @@ def one_body(profile: Profile, wearer: Wearer, trajectory: Trajectory) -> NDArra
         pulls = force(biceps * pulley - angle * radius), force(angle * radius - triceps * pulley)
         preload = sum(pulls) / 2 if profile.damping.preload == "mean" else min(pulls)
         torque = (pulls[0] - pulls[1]) * radius - 2 * decay_rate(profile, preload) * bare * velocity + hand
-        torque += muscle_torque(flexor, extensor, angle, velocity, wearer.strength) - PASSIVE_DAMPING * velocity
+        torque += muscle_torque(flexor, extensor, angle - rest, velocity, wearer.tone, wearer.strength)
+        torque -= PASSIVE_DAMPING * velocity
         return velocity, torque / (bare + inertia)
 
     start = trajectory["elbow"][0], trajectory["elbow_rate"][0]
@@ -159,7 +164,9 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
     profile = device_of(
         8, changes={"loop": HELD_DRIVES}, cuff={"stiffness": 80.0, "damping": 0.5}, admittance={"rest_gain": 0.0}
     )
-    wearer = Wearer(co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0)
+    wearer = Wearer(
+        tone=1.0, rest_angle_deg=0.0, co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0
+    )
     push = Scenario(pushes=[{"time": 0.0, "duration": 0.2, "torque": 1.0}], noise_seed=1)
     simulation = worn(profile, wearer, push)
     simulation.assist(0.0)
@@ -175,7 +182,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
         x * plant.joint_pulley_radius - t["drive_triceps"] * plant.drive_pulley_radius,
     )
     stored = 0.5 * bare * t["velocity"] ** 2 + 0.5 * inertia * t["elbow_rate"] ** 2 + 0.5 * cuff.stiffness * apart**2
-    stored += 0.5 * muscle_stiffness(0.0, 0.0, 1.0) * q**2
+    stored += 0.5 * muscle_stiffness(0.0, 0.0, 1.0, 1.0) * q**2
     for stretch in stretches:
         grid = np.linspace(min(stretch.min(), 0.0), stretch.max(), 4001)
         forces = np.array([force(each) for each in grid])
@@ -184,7 +191,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
     preload = 0.5 * (t["force_biceps"] + t["force_triceps"])
     decay = np.array([decay_rate(profile, each) for each in preload])
     power = 2 * decay * bare * t["velocity"] ** 2 + cuff.damping * (t["velocity"] - t["elbow_rate"]) ** 2
-    power += (PASSIVE_DAMPING + muscle_damping(0.0, 0.0, 1.0)) * t["elbow_rate"] ** 2
+    power += (PASSIVE_DAMPING + muscle_damping(0.0, 0.0, 1.0, 1.0)) * t["elbow_rate"] ** 2
     lost = np.append(0.0, np.cumsum(0.5 * (power[1:] + power[:-1]) * PERIOD))
     free = np.arange(len(t)) * PERIOD >= 0.2
     total = (stored + lost)[free]
@@ -194,7 +201,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
 
 def test_reflex_answers_after_its_delay() -> None:
     wearer = Wearer(reflex_delay=0.05, worn=False)
-    push = Scenario(pushes=[{"time": 0.1, "duration": 0.5, "torque": 1.0}], noise_seed=1)
+    push = Scenario(initial_angle_deg=45, pushes=[{"time": 0.1, "duration": 0.5, "torque": 1.0}], noise_seed=1)
     t = record(worn(device_of(), wearer, push), 100)
     moved = np.flatnonzero(t["elbow"] != t["elbow"][0])[0]
     answered = np.flatnonzero(t["excitation_flexor"] != t["excitation_flexor"][1])[0]
@@ -212,12 +219,36 @@ def test_tremor_has_the_strength_and_frequency_asked_for() -> None:
     assert (frequency * spectrum).sum() / spectrum.sum() == pytest.approx(6.0, rel=0.15)
 
 
+def test_payload_put_into_the_hand_is_that_of_the_reference() -> None:
+    profile = device_of(changes={"plant": {"orientation": "vertical"}})
+    wearer, load = Wearer(payload_time=0.3), (0.4, 0.3)
+    scenario = REACH.model_copy(update={"payload": Payload(mass=load[0], arm=load[1])})
+    bare = pack(REACH, profile)[0]  # the device carries none of it
+    trajectory = record(worn(profile, wearer, scenario), 400)
+    expected = replay_worn(profile, bare, wearer, trajectory, payload=load)
+    for name in ("angle", "elbow"):
+        assert np.abs(expected[name] - trajectory[name]).max() < 2e-7
+    without = record(worn(profile, wearer), 400)
+    np.testing.assert_array_equal(without["elbow"][:121], trajectory["elbow"][:121])
+    assert np.degrees(np.abs(without["elbow"] - trajectory["elbow"]).max()) > 3.0
+
+
+def test_relaxed_arm_is_led_by_the_device() -> None:
+    wearer = Wearer(guided=True, tone=0.3)
+    t = record(worn(device_of(), wearer), 700)
+    np.testing.assert_array_equal(t["setpoint"], t["intention"])
+    assert (t["flexor"] == wearer.co_contraction).all()
+    assert (t["extensor"] == wearer.co_contraction).all()
+    assert np.degrees(t["elbow"][-1]) > 50.0
+
+
 def test_wearer_moves_as_intended() -> None:
-    scenario = Scenario(moves=[{"time": 0.1, "angle_deg": 20, "duration": 0.8}], noise_seed=1)
+    move = {"time": 0.1, "angle_deg": 60, "duration": 0.8}
+    scenario = Scenario(initial_angle_deg=40, moves=[move], noise_seed=1)
     t = record(worn(device_of(), Wearer(worn=False, anticipation=1.0), scenario), 700)
     assert np.degrees(np.abs(t["intention"] - t["elbow"])).max() < 3.0
     assert np.degrees(abs(t["intention"][-1] - t["elbow"][-1])) < 0.1
-    assert np.degrees(t["intention"][-1]) == pytest.approx(20.0)
+    assert np.degrees(t["intention"][-1]) == pytest.approx(60.0)
 
 
 def test_admittance_lets_the_wearer_lead() -> None:
