@@ -5,7 +5,7 @@ damping rise with the activation a, and a shifts the angle at which the muscle i
 
     torque = K_f (r a_f - q) - K_e (r a_e + q) - (B_f + B_e) q',   K = k (tone + strength g a),  B likewise with b
 
-with the joint angle q from the posture in which the relaxed muscles are in balance. Co-contraction, a_f = a_e, gives
+with the joint angle q from the posture in which both are in balance. Co-contraction, a_f = a_e, gives
 stiffness without torque there.
 """
 
@@ -90,24 +90,18 @@ def muscle_damping(flexor: float, extensor: float, tone: float, strength: float)
 
 
 @compiled
-def excitations(
-    torque: float, angle: float, co_contraction: float, tone: float, strength: float
-) -> tuple[float, float]:
-    """Return both muscles' excitations in [0, 1] for a torque [N m] at an angle [rad]: the inverse of `muscle_torque`.
+def excitations(torque: float, co_contraction: float, tone: float, strength: float) -> tuple[float, float]:
+    """Return both muscles' excitations in [0, 1] for a torque [N m] in balance: the inverse of `muscle_torque` there.
 
     They differ from the co-contraction, in [0, 1], by as much up and down; if the antagonist would fall below 0, it is
     0. A torque beyond that of a fully active muscle is not reached.
     """
-    wanted = torque / (tone * STIFFNESS)
-    share = ACTIVE_SHARE * strength / tone
-    apart = wanted + 2.0 * (1.0 + share * co_contraction) * angle
-    half = apart / (2.0 * SHIFT * (1.0 + 2.0 * share * co_contraction))
-    # One muscle alone, of the side to which it pulls: a quadratic equation.
-    side = 1.0 if half >= 0.0 else -1.0
-    linear = SHIFT - share * side * angle
-    root = math.sqrt(max(linear * linear + 4.0 * share * SHIFT * side * (wanted + 2.0 * angle), 0.0))
-    alone = min(max((root - linear) / (2.0 * share * SHIFT), 0.0), 1.0)
-    both = abs(half) <= co_contraction
-    flexor = co_contraction + half if both else (alone if half > 0.0 else 0.0)
-    extensor = co_contraction - half if both else (0.0 if half > 0.0 else alone)
-    return min(max(flexor, 0.0), 1.0), min(max(extensor, 0.0), 1.0)
+    share = strength * ACTIVE_SHARE
+    wanted = min(abs(torque) / (STIFFNESS * SHIFT), tone + share)
+    half = wanted / (2.0 * (tone + 2.0 * share * co_contraction))
+    # One muscle alone: share a^2 + tone a = wanted.
+    alone = 2.0 * wanted / (tone + math.sqrt(tone * tone + 4.0 * share * wanted))
+    both = half <= co_contraction
+    agonist = min(co_contraction + half if both else alone, 1.0)
+    antagonist = co_contraction - half if both else 0.0
+    return (agonist, antagonist) if torque >= 0.0 else (antagonist, agonist)

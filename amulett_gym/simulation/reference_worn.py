@@ -88,6 +88,7 @@ def replay_worn(
         wanted: tuple[float, float],
         outer: float,
         held: float,
+        balance: float,
     ) -> list[float]:
         joint, rate, biceps, triceps, elbow, elbow_rate, flexor, extensor, *lost = state
         pulls = force(biceps * to_drive - joint * to_joint), force(joint * to_joint - triceps * to_drive)
@@ -109,8 +110,8 @@ def replay_worn(
         slowing = 2 * decay_rate(profile, preload) * bare * rate
         between = cuff(state)
         joint_torque = (at_joint[0] - at_joint[1]) * to_joint - weight * math.sin(joint) - slowing - between
-        pull = (k0 + g * flexor) * (0.87 * flexor - elbow + rest) - (b0 + h * flexor) * elbow_rate
-        push = (k0 + g * extensor) * (0.87 * extensor + elbow - rest) + (b0 + h * extensor) * elbow_rate
+        pull = (k0 + g * flexor) * (0.87 * flexor - elbow + balance) - (b0 + h * flexor) * elbow_rate
+        push = (k0 + g * extensor) * (0.87 * extensor + elbow - balance) + (b0 + h * extensor) * elbow_rate
         elbow_torque = pull - push - 0.5 * elbow_rate + between + outer
         elbow_torque -= (hand_weight + held * load_weight) * math.sin(elbow)
         lags = [0.025 if want > have else 0.045 for want, have in zip(wanted, (flexor, extensor), strict=True)]
@@ -134,11 +135,10 @@ def replay_worn(
         late = errors[max(tick - delay, 0)]
         habit = wearer.co_contraction
         slow = 0.5 + 2 * (b0 + h * habit)
-        expected = wearer.anticipation if tick * period > wearer.payload_time + (delay - 0.5) * period else 0.0
-        torque = (hand_weight + expected * load_weight) * math.sin(intended[0])
-        torque += wearer.anticipation * ((inertia + expected * load_inertia) * intended[2] + slow * intended[1])
+        torque = hand_weight * math.sin(intended[0])
+        torque += wearer.anticipation * (inertia * intended[2] + slow * intended[1])
         torque += wearer.feedback_stiffness * late[0] + wearer.feedback_damping * late[1]
-        wanted = (habit, habit) if wearer.guided else _activations(torque, intended[0] - rest, habit, k0, g)
+        wanted = (habit, habit) if wearer.guided else _activations(torque, habit, k0, g)
         held = float(tick * period > wearer.payload_time - 0.5 * period)
         drives = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])
         outer = push_torque(scenario, tick, period) + float(trajectory["tremor"][tick + 1])
@@ -147,7 +147,7 @@ def replay_worn(
             (0.0, period),
             state,
             "DOP853",
-            args=(drives, wanted, outer, held),
+            args=(drives, wanted, outer, held, rest if wearer.guided else intended[0]),
             rtol=tolerance,
             atol=1e-12,
             max_step=period / 4,
@@ -159,8 +159,8 @@ def replay_worn(
     return dict(zip((*names, "cuff_torque"), np.array(rows).T, strict=True))
 
 
-def _activations(torque: float, angle: float, habit: float, k0: float, g: float) -> tuple[float, float]:
-    """Return the activations about a habitual co-contraction that give a torque at an angle, by bisection."""
+def _activations(torque: float, habit: float, k0: float, g: float) -> tuple[float, float]:
+    """Return the activations about a habitual co-contraction that give a torque in balance, by bisection."""
 
     def pair(lead: float) -> tuple[float, float]:
         if abs(lead) <= habit:
@@ -170,7 +170,7 @@ def _activations(torque: float, angle: float, habit: float, k0: float, g: float)
 
     def given(lead: float) -> float:
         flexor, extensor = pair(lead)
-        return (k0 + g * flexor) * (0.87 * flexor - angle) - (k0 + g * extensor) * (0.87 * extensor + angle)
+        return (k0 + g * flexor) * 0.87 * flexor - (k0 + g * extensor) * 0.87 * extensor
 
     low, high = habit - 1.0, 1.0 - habit
     if given(high) <= torque or given(low) >= torque:

@@ -106,11 +106,11 @@ def excite(p, c, s, m, h, w, k, first, end):
         w.rate_line[now, i] = w.intention_rate[i] - w.elbow_rate[i]
         then = (s.tick[i] - min(h.delay[i], s.tick[i])) % DELAY
         answer = h.feedback_stiffness[i] * w.error_line[then, i] + h.feedback_damping[i] * w.rate_line[then, i]
+        excite_muscles(h, w, i, answer)
         loaded = choose(s.tick[i] >= h.load_tick[i], 1.0, 0.0)
-        expected = choose(s.tick[i] >= h.load_tick[i] + h.delay[i], h.anticipation[i], 0.0)
         k.inertia[i] = h.inertia[i] + loaded * h.load_inertia[i]
         k.weight[i] = h.weight[i] + loaded * h.load_weight[i]
-        excite_muscles(h, w, i, expected, answer)
+        k.rest[i] = choose(h.guided[i] > 0.0, h.rest_angle[i], w.intention[i])
         shiver(p, c, s, h, w, i)
         w.hand_torque[i] = m.push[i]
         k.elbow[i], k.elbow_rate[i], k.flexor[i], k.extensor[i] = (
@@ -123,18 +123,16 @@ def excite(p, c, s, m, h, w, k, first, end):
 
 
 @compiled
-def excite_muscles(h, w, i, load, answer):
-    """Set the excitations by which the wearer moves as intended, with a share of the load and the reflexes' torque.
+def excite_muscles(h, w, i, answer):
+    """Set the excitations for the motion and the weight that the wearer expects, and for the reflexes' answer.
 
     A guided wearer is relaxed.
     """
     tone, strength, co_contraction = h.tone[i], h.strength[i], h.co_contraction[i]
     friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, tone, strength)
-    inertia, weight = h.inertia[i] + load * h.load_inertia[i], h.weight[i] + load * h.load_weight[i]
-    motion = inertia * w.intention_acceleration[i] + friction * w.intention_rate[i]
-    torque = weight * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
-    posture = w.intention[i] - h.rest_angle[i]
-    flexor, extensor = excitations(torque, posture, co_contraction, tone, strength)
+    motion = h.inertia[i] * w.intention_acceleration[i] + friction * w.intention_rate[i]
+    torque = h.weight[i] * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
+    flexor, extensor = excitations(torque, co_contraction, tone, strength)
     guided = h.guided[i] > 0.0
     w.excitation_flexor[i] = choose(guided, co_contraction, flexor)
     w.excitation_extensor[i] = choose(guided, co_contraction, extensor)
@@ -189,7 +187,7 @@ def evaluate(p, c, s, m, f, h, w, k, first, end, reach, weight, extended):
             m.velocity_rate[i] = joint_rate(p, c, i, x, v, biceps * left_biceps, triceps * left_triceps, -cuff)
         m.biceps_rate[i], m.triceps_rate[i] = drive_rates(p, c, s, i, a, b, biceps, triceps, extended)
         k.elbow_slope[i] = u
-        torque = muscle_torque(flexor, extensor, y - h.rest_angle[i], u, h.tone[i], h.strength[i])
+        torque = muscle_torque(flexor, extensor, y - k.rest[i], u, h.tone[i], h.strength[i])
         torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - k.weight[i] * math.sin(y)
         k.elbow_rate_slope[i] = torque / k.inertia[i]
         k.flexor_slope[i] = activation_rate(flexor, w.excitation_flexor[i])
@@ -343,6 +341,6 @@ def settle_worn(p, which, c_blocks, s_blocks, paths, loop, worn, devices):
         s, h, w = s_blocks[block], worn[1][block], worn[2][block]
         w.elbow[i] = w.followed[i] = s.angle[i]
         w.intention[i] = s.setpoint[i]
-        excite_muscles(h, w, i, 0.0, 0.0)
+        excite_muscles(h, w, i, 0.0)
         w.flexor[i], w.extensor[i] = w.excitation_flexor[i], w.excitation_extensor[i]
         s.setpoint[i], s.setpoint_jump[i] = w.followed[i], 0.0

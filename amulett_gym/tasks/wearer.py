@@ -23,7 +23,10 @@ class Wearer(Group):
         default=1.0, ge=0.05, le=20, description="factor of the stiffness and torque of the muscles' activation [1]"
     )
     rest_angle_deg: float = Field(
-        default=45.0, ge=-180, le=180, description="posture in which the relaxed muscles are in balance [deg]"
+        default=45.0,
+        ge=-180,
+        le=180,
+        description="posture in which the muscles of a guided wearer are in balance [deg]; else the intended one",
     )
     co_contraction: float = Field(
         default=0.05, ge=0, le=1, description="activation of both muscles that is always there [1]"
@@ -32,10 +35,7 @@ class Wearer(Group):
     feedback_stiffness: float = Field(default=4.0, ge=0, le=500, description="of the delayed answer [N m/rad]")
     feedback_damping: float = Field(default=0.4, ge=0, le=50, description="of the delayed answer [N m s/rad]")
     anticipation: float = Field(
-        default=0.9,
-        ge=0,
-        le=2,
-        description="share of inertia and friction that the wearer expects and feeds forward [1]",
+        default=0.9, ge=0, le=2, description="share of the own inertia and friction that the wearer feeds forward [1]"
     )
     tremor_torque: float = Field(default=0.0, ge=0, le=10, description="standard deviation of the tremor [N m]")
     tremor_frequency: float = Field(default=9.0, ge=1, le=20, description="of the tremor [Hz]")

@@ -132,7 +132,7 @@ def test_stiff_cuff_makes_one_rigid_body() -> None:
     trajectory = record(worn(profile, wearer), 300)
     expected = one_body(profile, wearer, trajectory)
     assert np.abs(trajectory["angle"] - trajectory["elbow"]).max() < 1e-4
-    assert np.abs(trajectory["elbow"] - expected).max() < 2e-4
+    assert np.abs(trajectory["elbow"] - expected).max() < 3e-4
     assert np.degrees(np.ptp(expected)) > 15.0
 
 
@@ -141,17 +141,19 @@ def one_body(profile: Profile, wearer: Wearer, trajectory: Trajectory) -> NDArra
     bare, _ = arm(profile)
     force, radius, pulley = string_force(profile), profile.plant.joint_pulley_radius, profile.plant.drive_pulley_radius
     _, _, inertia = forearm(wearer.mass, wearer.height)
-    times, rest = np.arange(len(trajectory)) * PERIOD, np.radians(wearer.rest_angle_deg)
+    times = np.arange(len(trajectory)) * PERIOD
 
     def rates(time: float, state: NDArray[np.float64]) -> tuple[float, float]:
         angle, velocity = state
-        names = ("drive_biceps", "drive_triceps", "flexor", "extensor", "hand_torque")
-        biceps, triceps, flexor, extensor, hand = (np.interp(time, times, trajectory[name]) for name in names)
-        hand = trajectory["hand_torque"][min(int(time / PERIOD + 1e-9) + 1, len(trajectory) - 1)]
+        names = ("drive_biceps", "drive_triceps", "flexor", "extensor")
+        biceps, triceps, flexor, extensor = (np.interp(time, times, trajectory[name]) for name in names)
+        tick = int(time / PERIOD + 1e-9)
+        hand = trajectory["hand_torque"][min(tick + 1, len(trajectory) - 1)]
+        balance = trajectory["intention"][min(tick, len(trajectory) - 1)]
         pulls = force(biceps * pulley - angle * radius), force(angle * radius - triceps * pulley)
         preload = sum(pulls) / 2 if profile.damping.preload == "mean" else min(pulls)
         torque = (pulls[0] - pulls[1]) * radius - 2 * decay_rate(profile, preload) * bare * velocity + hand
-        torque += muscle_torque(flexor, extensor, angle - rest, velocity, wearer.tone, wearer.strength)
+        torque += muscle_torque(flexor, extensor, angle - balance, velocity, wearer.tone, wearer.strength)
         torque -= PASSIVE_DAMPING * velocity
         return velocity, torque / (bare + inertia)
 
@@ -164,9 +166,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
     profile = device_of(
         8, changes={"loop": HELD_DRIVES}, cuff={"stiffness": 80.0, "damping": 0.5}, admittance={"rest_gain": 0.0}
     )
-    wearer = Wearer(
-        tone=1.0, rest_angle_deg=0.0, co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0
-    )
+    wearer = Wearer(tone=1.0, co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0)
     push = Scenario(pushes=[{"time": 0.0, "duration": 0.2, "torque": 1.0}], noise_seed=1)
     simulation = worn(profile, wearer, push)
     simulation.assist(0.0)
