@@ -12,8 +12,10 @@ stiffness without torque there.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from amulett_gym.jit.compiled import compiled
+from amulett_gym.model.plant import Numbers
 
 STIFFNESS = 1.5
 """k of one muscle without activation [N m/rad]: 810.8 N/m (Katayama and Kawato, 1993), with lever arms of 25 mm (its
@@ -43,10 +45,10 @@ _MASS_SHARE, _CENTRE_SHARE, _GYRATION_SHARE, _LENGTH_SHARE = 0.022, 0.682, 0.827
 of the forearm, elbow to wrist; that length over the body height (Winter, 2009, Table 4.1 and Figure 4.1)."""
 
 
-def forearm(mass: float, height: float) -> tuple[float, float, float]:
+def forearm(mass: Numbers, height: Numbers) -> tuple[Any, Any, Any]:
     """Return mass [kg], centre of mass from the elbow [m] and inertia about the elbow [kg m2] of forearm with hand.
 
-    From body mass [kg] and height [m]. 70 kg and 1.75 m give 1.54 kg, 0.174 m and 0.0688 kg m2.
+    From body mass [kg] and height [m], of one or many people. 70 kg and 1.75 m give 1.54 kg, 0.174 m and 0.0688 kg m2.
     """
     length, own = _LENGTH_SHARE * height, _MASS_SHARE * mass
     return own, _CENTRE_SHARE * length, own * (_GYRATION_SHARE * length) ** 2

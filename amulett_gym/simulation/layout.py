@@ -472,13 +472,18 @@ def load_arm(rows: NDArray[np.void], profile: Profile) -> None:
     bare = inertia(masses, arms)
     masses.append(rows["payload_mass"])
     arms.append(np.where(rows["payload_mass"] > 0, rows["payload_arm"], 0.0))
-    vertical = rows["orientation"] == ORIENTATIONS.index("vertical")
-    if profile.plant.orientation == "vertical":
-        vertical |= rows["orientation"] == ORIENTATIONS.index("profile")
     rows["inertia"] = inertia(masses, arms) * rows["inertia_factor"]
-    rows["static_torque"] = np.where(vertical, static_torque(masses, arms), 0.0)
+    rows["static_torque"] = np.where(is_vertical(rows, profile), static_torque(masses, arms), 0.0)
     share = bare / rows["inertia"] if profile.damping.keeps == "torque" else 1.0
     rows["friction"] = rows["damping_factor"] * share
+
+
+def is_vertical(rows: NDArray[np.void], profile: Profile) -> NDArray[np.bool_]:
+    """Return whether the forearm swings in the vertical plane, for each scenario (`SCENARIO` records)."""
+    vertical: NDArray[np.bool_] = rows["orientation"] == ORIENTATIONS.index("vertical")
+    if profile.plant.orientation == "vertical":
+        vertical |= rows["orientation"] == ORIENTATIONS.index("profile")
+    return vertical
 
 
 def _gains(name: str, pid: Pid, unit: float) -> dict[str, float]:

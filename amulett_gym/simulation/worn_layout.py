@@ -5,6 +5,9 @@ A batch without a wearer has none of them. Units as there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +30,7 @@ FITTING = record(
 """What the kernel reads of `profile.wearer` (`amulett_gym.fitting.Fitting`)."""
 
 _PERSON_FIELDS = [
+    *fields("mass height"),  # of the body; the simulation does not read them
     *fields("inertia weight tone strength rest_angle co_contraction"),
     *fields("feedback_stiffness feedback_damping anticipation"),
     *fields("delay", "i8"),  # [control ticks]
@@ -92,6 +96,11 @@ def pack_fitting(profile: Profile) -> NDArray[np.void]:
 
 def put(packed: NDArray[np.void], group: Group) -> None:
     """Copy the values of a group that have a field of the same name."""
-    for name, value in group:
+    put_values(packed, dict(group))
+
+
+def put_values(packed: NDArray[np.void], values: Mapping[str, Any]) -> None:
+    """Copy the values that have a field of the same name."""
+    for name, value in values.items():
         if name in (packed.dtype.names or ()):
             packed[name] = value

@@ -9,14 +9,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import MOST_TENSION, Profile
+from amulett_gym.profile import MOST_TENSION, Profile, WithOptions
 from amulett_gym.settings import Group, describe, find_config
 from amulett_gym.simulation.layout import (
     DEVICE_FACTORS,
@@ -32,11 +32,13 @@ from amulett_gym.simulation.layout import (
     STEPS,
     Family,
     Orientation,
+    is_vertical,
     load_arm,
 )
 from amulett_gym.storage.reading import read_json, read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.table import parse_columns
+from amulett_gym.tasks.wearer import Wearer, pack_wearer, unpack_wearer
 
 P = TypeVar("P", bound=Group)
 
@@ -44,9 +46,14 @@ MAX_BYTES = 20_000_000
 """Size of the largest scenario file accepted: some hundred thousand samples or moves."""
 _MAX_TABLE_BYTES = 40_000_000
 
+_DEFAULT_WEARER = Wearer()
 _DIGITS = 9  # of angles in degrees: suites sample far coarser, so that packing loses nothing
 _FIELDS = frozenset(SCENARIO.names or ())
 _PACKING = 1e-6  # bound of the relative rounding error of packing
+_NO_OBSTACLE = (
+    "'obstacle' and 'wearer' are both given; an obstacle touches the forearm of a device that is not worn. Delete one, "
+    "or let a tool push the wearer's hand by 'pushes'"
+)
 
 
 class Move(Group):
@@ -220,8 +227,10 @@ class Device(Group):
         return self.late_probability
 
 
-class Scenario(Group):
+class Scenario(WithOptions):
     """Everything about an episode except for the profile."""
+
+    OPTIONS: ClassVar[tuple[str, ...]] = ("wearer",)
 
     initial_angle_deg: float = Field(default=0.0, ge=-180, le=180, description="initial angle, at rest [deg]")
     initial_tension: float | None = Field(
@@ -239,6 +248,11 @@ class Scenario(Group):
     payload: Payload | None = Field(default=None, description="carried by the forearm; null: none")
     orientation: Orientation = Field(
         default="profile", description="plane in which the forearm swings; gravity acts in the vertical one"
+    )
+    wearer: Wearer | None = Field(
+        default=None,
+        description="who wears the device, in Amulett/Worn-v0 only: what the moves say is then intended by the wearer, "
+        "and pushes act on the hand, in which the payload is; null: the environment's choice",
     )
     device: Device = Field(default=Device(), description="deviations from the profile; without a key: none")
     measure_from: float = Field(
@@ -269,6 +283,8 @@ class Scenario(Group):
                 raise ValueError("'moves' and 'setpoint' are both given; give one of them")
             if "initial_angle_deg" not in self.model_fields_set:
                 object.__setattr__(self, "initial_angle_deg", self.setpoint.angle_deg[0])
+        if self.wearer is not None and self.obstacle is not None:
+            raise ValueError(_NO_OBSTACLE)
         return self
 
     @property
@@ -335,9 +351,14 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
     Raises
     ------
     AmulettError
-        If the initial angle is beyond the profile's limit, the obstacle is too stiff for the integration step, or the
-        scenario names another profile.
+        If the initial angle is beyond the profile's limit, the obstacle is too stiff for the integration step, the
+        scenario names another profile, or it has a wearer (`pack_worn`).
     """
+    if scenario.wearer is not None:
+        raise AmulettError(
+            "scenario: 'wearer' is given, and this device is not worn. Play the scenario in 'Amulett/Worn-v0', or "
+            "delete the wearer"
+        )
     if scenario.device.name not in (None, profile.name):
         raise AmulettError(
             f"scenario: 'device.name' is '{scenario.device.name}'; this device is '{profile.name}'. Delete the name to "
@@ -372,6 +393,54 @@ def pack(scenario: Scenario, profile: Profile) -> NDArray[np.void]:
         row["obstacle_side"] = 1.0 if scenario.obstacle.blocks == "flexion" else -1.0
         _check_stiffness(scenario.obstacle, float(row["inertia"][0]), profile)
     return row
+
+
+def pack_worn(
+    scenario: Scenario, profile: Profile, wearer: Wearer = _DEFAULT_WEARER
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return a scenario and its wearer as the records that `simulation.worn_batch.WornSimulation` reads.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    profile : Profile
+    wearer : Wearer
+        Who wears the device if the scenario names no wearer.
+
+    Returns
+    -------
+    row : ndarray of `simulation.layout.SCENARIO`, shape (1,)
+        As of `pack`, but its payload does not load the device: it is in the wearer's hand.
+    person : ndarray of `simulation.worn_layout.PERSON`, shape (1,)
+
+    Raises
+    ------
+    AmulettError
+        As of `pack`, if there is an obstacle, or the wearer's delay has too many control ticks.
+    """
+    if scenario.obstacle is not None:
+        raise AmulettError(f"scenario: {_NO_OBSTACLE}")
+    row = pack(scenario.model_copy(update={"wearer": None, "payload": None}), profile)
+    payload = scenario.payload or Payload(mass=0.0, arm=0.0)
+    _put(row, "payload_", payload)
+    person = pack_wearer(
+        scenario.wearer or wearer,
+        profile.loop.control_period,
+        bool(is_vertical(row, profile)[0]),
+        payload.mass,
+        payload.arm,
+    )
+    return row, person
+
+
+def unpack_worn(
+    row: NDArray[np.void] | np.void,
+    person: NDArray[np.void] | np.void,
+    profile: Profile,
+    path: NDArray[np.void] | None = None,
+) -> Scenario:
+    """Return the scenario of `pack_worn`'s records; packing it again gives the same bits. Errors as of `unpack`."""
+    return unpack(row, path).model_copy(update={"wearer": unpack_wearer(person, profile.loop.control_period)})
 
 
 def pack_path(scenario: Scenario) -> NDArray[np.void]:

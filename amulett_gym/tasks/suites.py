@@ -110,7 +110,7 @@ def sample(
     _fill(rows, draws, family, split == "shifted", max_force, radius, weight)
     if family in (_PAYLOAD, _MIXED):
         load_arm(rows, profile)
-    _make_room_for_weight(rows, max_force, radius)
+    make_room_for_weight(rows, max_force, radius)
     if suite in CONTACT_SUITES:
         rows["obstacle_stiffness"] = np.minimum(rows["obstacle_stiffness"], most_stiffness(rows["inertia"], profile))
         rows["obstacle_damping"] = np.minimum(rows["obstacle_damping"], most_damping(rows["inertia"], profile))
@@ -399,7 +399,7 @@ def _around(draw: float, near: float, far: float, shifted: bool, digits: int) ->
     return size if draw < 0.5 else -size
 
 
-def _make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
+def make_room_for_weight(rows: Rows, max_force: float, joint_radius: float) -> None:
     """Lower the initial tension where the agonist needs its force for the weight (0.5 N below saturation)."""
     load = np.abs(rows["static_torque"] * np.sin(rows["initial_angle"])) / joint_radius
     weakest = np.minimum(rows["spring_biceps_factor"], rows["spring_triceps_factor"]).astype(float)
