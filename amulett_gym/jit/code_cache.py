@@ -36,9 +36,10 @@ PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
 
 SOURCES = (
-    *("errors.py", "fleet.py", "gains.py", "profile.py", "settings.py"),
+    *("errors.py", "fitting.py", "fleet.py", "gains.py", "profile.py", "settings.py"),
     *("jit/*.py", "storage/*.py", "control/*.py", "model/*.py"),
     *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random", "replay")),
+    *("simulation/worn.py", "simulation/worn_layout.py"),
     *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
     *("tasks/*.py", "laws/*.py", "firmware/lock_step.py"),
 )
