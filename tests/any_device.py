@@ -90,7 +90,8 @@ def groups(model: type[BaseModel], shipped: Any = None) -> Values:
 
 
 SHIPPED = {name: load_profile(name) for name in profile_names()}
-GROUPS = {name: field.annotation for name, field in Profile.model_fields.items() if name not in NOT_DRAWN}
+NOT_GROUPS = (*NOT_DRAWN, *Profile.OPTIONS)  # what a device may lack is simulated apart
+GROUPS = {name: field.annotation for name, field in Profile.model_fields.items() if name not in NOT_GROUPS}
 DRAWN = {
     base: {name: groups(model, getattr(profile, name)) for name, model in GROUPS.items()}
     for base, profile in SHIPPED.items()
