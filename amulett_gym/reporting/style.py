@@ -118,7 +118,7 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             FigureCanvasAgg(figure)  # not the canvas of the user's backend
             # Only once: the layout engine moves things a little in every run.
             figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            figure.set_layout_engine(None)
             return figure
 
     return styled
