@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,11 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
 from amulett_gym.reporting import style
 from amulett_gym.storage.writing import output_folder
-from amulett_gym.studies.paper import results
+from amulett_gym.studies.paper import report, results
+from amulett_gym.studies.paper.figures import CAPTIONS
 from amulett_gym.studies.paper.own_study import read_study
 from amulett_gym.studies.paper.report import MARKS, REPRODUCTION_MARKS, in_words, write_numbers, write_pictures
-from amulett_gym.studies.paper.results import STATUS, Evidence, gather
+from amulett_gym.studies.paper.results import STATUS, Evidence
 from amulett_gym.studies.paper.results import content as numbers
 from amulett_gym.studies.paper.study import profile_text, shipped
 from amulett_gym.studies.paper.tables import DEVICES
@@ -50,9 +54,52 @@ def folder(content, tmp_path_factory) -> Path:
     return write_study(tmp_path_factory.mktemp("study"), content)
 
 
+@dataclass(frozen=True)
+class Done:
+    """What the command wrote and printed, the study that it was given, and the evidence that it gathered."""
+
+    out: Path
+    document: Path
+    study: Path
+    printed: str
+    evidence: Evidence
+
+
 @pytest.fixture(scope="module")
-def evidence(folder) -> Evidence:
-    return gather(read_study(folder))
+def done(content, tmp_path_factory) -> Done:
+    """Run the command once for all tests: it takes long."""
+    place = tmp_path_factory.mktemp("done")
+    out, document, mine = place / "out", place / "mine.md", write_study(place / "mine", content)
+    document.write_text(f"{BEGIN}\n{END}\n")
+    gather, kept, printed = results.gather, [], io.StringIO()
+
+    def gather_and_keep(*given: Any) -> Evidence:
+        kept.append(gather(*given))
+        return kept[-1]
+
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(printed):
+        patch.setattr(results, "gather", gather_and_keep)
+        assert main(["reproduce", "--study", str(mine), "--out", str(out), "--doc", str(document)]) == 0
+    [evidence] = kept
+    return Done(out, document, mine, printed.getvalue(), evidence)
+
+
+@pytest.fixture(scope="module")
+def evidence(done) -> Evidence:
+    return done.evidence
+
+
+@pytest.fixture
+def one_figure(monkeypatch) -> None:
+    """Draw one figure instead of all: where the test is about the files and not what they show."""
+    monkeypatch.setattr(report, "draw", lambda evidence: {"figure_2": draw_one()})
+
+
+@style.styled
+def draw_one() -> style.Figure:
+    figure, panel = style.one_panel(2.0)
+    panel.plot([0.0, 1.0], [1.0, 0.0])
+    return figure
 
 
 @pytest.fixture
@@ -88,7 +135,9 @@ def test_a_document_that_cannot_be_renewed_is_refused_before_any_work(tmp_path, 
     assert "is read-only" in refusal(capsys, "--doc", str(path))
 
 
-def test_a_run_that_was_killed_while_it_wrote_can_be_repeated_into_the_same_folder(tmp_path, monkeypatch, evidence):
+def test_a_run_that_was_killed_while_it_wrote_can_be_repeated_into_the_same_folder(
+    tmp_path, monkeypatch, evidence, one_figure
+):
     out = tmp_path / "out"
 
     def killed(*_: object) -> None:
@@ -117,23 +166,20 @@ def test_an_own_study_comes_back_as_it_was_written(folder, content):
         assert inertia([item.mass], [item.arm]) == pytest.approx(HEAVIER * shipped_inertia, rel=1e-3)
 
 
-def test_the_command_shows_an_own_study_instead_of_the_shipped_one(tmp_path, capsys, folder, content, evidence):
-    document = tmp_path / "mine.md"
-    document.write_text(f"{BEGIN}\n{END}\n")
-    out = tmp_path / "out"
-    mine = write_study(tmp_path / "mine", content)
-    assert main(["reproduce", "--study", str(mine), "--out", str(out), "--doc", str(document)]) == 0
-    status = f"These are the devices of the study in {mine}: seeds"
-    result = json.loads((out / "reproduction.json").read_text())
+def test_the_command_shows_an_own_study_instead_of_the_shipped_one(tmp_path, capsys, content, done, one_figure):
+    status = f"These are the devices of the study in {done.study}: seeds"
+    result = json.loads((done.out / "reproduction.json").read_text())
     assert result["parameters"]["status"].startswith(STATUS) and status in result["parameters"]["status"]
     assert result["parameters"]["identified"] == {entry["name"]: entry["value"] for entry in content["spread"]}
-    ours = [row.ours for row in evidence.reproduction.rows]
+    ours = [row.ours for row in done.evidence.reproduction.rows]
     assert [row["ours"] for row in result["rows"]] == ours
     assert ours != [row.ours for row in results.reproduce().rows]
-    for text in (capsys.readouterr().out, document.read_text(), (out / "reproduction.html").read_text()):
+    page = (done.out / "reproduction.html").read_text()
+    assert page.count("<svg") == len(list(done.out.glob("*.png"))) == len(CAPTIONS)
+    for text in (done.printed, done.document.read_text(), page):
         assert status in " ".join(text.split())
-    shutil.rmtree(mine)  # the reproduction holds a copy
-    assert main(["rerun", str(out), "--out", str(tmp_path / "again")]) == 0
+    shutil.rmtree(done.study)  # the reproduction holds a copy
+    assert main(["rerun", str(done.out), "--out", str(tmp_path / "again")]) == 0
     assert "numbers are the same" in capsys.readouterr().out
 
 
