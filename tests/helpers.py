@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import multiprocessing.context
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
@@ -48,6 +51,31 @@ BUSY: dict[str, Any] = {
     "noise_seed": 7,
 }
 """A scenario with a step, a reach, a push and an obstacle in the way."""
+
+
+def forkserver() -> multiprocessing.context.ForkServerContext:
+    """Return a context whose processes have what takes seconds to import: all tests of a process share its server."""
+    context = multiprocessing.get_context("forkserver")
+    learning = ("amulett_agents.training", "amulett_agents.tuning")  # without torch they are left out
+    context.set_forkserver_preload(
+        [*learning, "amulett_gym.studies.benchmark.stages", "amulett_gym.studies.paper.sample"]
+    )
+    return context
+
+
+def fork_processes(patch: pytest.MonkeyPatch) -> None:
+    """Let the package's processes begin with what this one's server has imported, where the start is not tested."""
+    context = forkserver()
+    patch.setattr("amulett_gym.evaluation.processes.get_context", lambda kind: context)
+
+
+def blank_figures(patch: pytest.MonkeyPatch) -> None:
+    """Draw nothing in a comparison's figures, where the test is about its numbers."""
+    from amulett_gym.evaluation import page
+    from amulett_gym.reporting import style
+
+    blank = style.styled(lambda: style.one_panel(1.0)[0])()
+    patch.setattr(page, "draw", lambda results, summary: dict.fromkeys(page.FIGURES, blank))
 
 
 def device(base: str = "simulation", **groups: Mapping[str, Any]) -> Profile:

@@ -11,6 +11,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from helpers import blank_figures
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
@@ -693,6 +694,8 @@ def test_quickstart_trains_compares_all_laws_and_replaces_only_its_own(tmp_path,
     elsewhere = {f"{law}:{suite}" for law in ("eq6-tuned", "parametric") for suite in ("mixed", "steps", "plausible")}
     elsewhere |= {name for name in laws if name.startswith("pretrained")}  # made by hours of what is shown here
     assert laws - elsewhere <= set(LAWS)
+    assert (out / "report.html").read_text().count("<svg") == len(list(out.glob("*.png"))) == 4
+    blank_figures(monkeypatch)
     assert main(["rerun", str(out), "--out", str(tmp_path / "again")]) == 0
     assert "numbers are the same" in capsys.readouterr().out
     assert main(words) == 0

@@ -9,10 +9,9 @@ import shutil
 from importlib import resources
 
 import pytest
-from helpers import make_bundle
+from helpers import blank_figures, make_bundle
 
 from amulett_gym.cli import main
-from amulett_gym.evaluation import page, plots
 from amulett_gym.laws.bundle import FILES
 from amulett_gym.laws.copies import FOLDER
 from amulett_gym.laws.parametric import TUNED
@@ -22,14 +21,10 @@ EVALUATE = ["evaluate", "--policies", "constant:8", "--episodes", "2", "--out", 
 
 
 @pytest.fixture(scope="module", autouse=True)
-def few_figures():
-    """Draw one figure for all of a comparison's: these tests are about its numbers."""
-
-    def draw(results, summary):
-        return dict.fromkeys(("cost", "trade_off", "responses"), plots.cost_figure(summary))
-
+def no_drawing():
+    """Draw nothing: these tests are about a comparison's numbers."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "draw", draw)
+        blank_figures(patch)
         yield
 
 
