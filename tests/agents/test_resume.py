@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import forkserver
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
@@ -83,8 +84,7 @@ DRIVES = ["env.id=Amulett/Drives-v0", "env.tension_range=[0, 15]"]
 RECIPES = {"plain": PLAIN, "smooth": SMOOTH, "replayed": REPLAYED, "drives": DRIVES}
 ROLLOUTS = 10
 
-processes = multiprocessing.get_context("forkserver")
-processes.set_forkserver_preload(["amulett_agents.training"])
+processes = forkserver()
 
 
 @pytest.fixture(autouse=True)

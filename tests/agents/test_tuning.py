@@ -1,7 +1,6 @@
 """A study that is killed comes to the same trials as one that is not, and does none of them twice."""
 
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers import forkserver
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("optuna")
@@ -48,8 +48,7 @@ SPACE = {
 }
 TRIALS = 4
 
-processes = multiprocessing.get_context("forkserver")
-processes.set_forkserver_preload(["amulett_agents.tuning"])
+processes = forkserver()
 
 
 @pytest.fixture(autouse=True)

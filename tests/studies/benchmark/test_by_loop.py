@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from helpers import fork_processes
 
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
@@ -62,6 +63,7 @@ def done(tmp_path_factory):
     words = ["--config", str(folder / "tiny.yaml"), "--out", str(folder / "out"), "--doc", str(folder / "doc.md")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(law_recipe, "STAGES", STAGES)
+        fork_processes(patch)
         assert main(["benchmark", *words, "--processes", "2"]) == 0
     return folder / "out"
 

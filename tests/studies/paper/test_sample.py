@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers import fork_processes
 
 from amulett_gym.cli import main
 from amulett_gym.envs import eq6_costs
@@ -229,7 +230,8 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, capsys, 
 
 
 @pytest.mark.slow
-def test_the_command_draws_writes_and_continues(tmp_path, capsys):
+def test_the_command_draws_writes_and_continues(tmp_path, capsys, monkeypatch):
+    fork_processes(monkeypatch)
     folder, page = tmp_path / "out", tmp_path / "page.md"
     page.write_text("\n\n".join(["# Page", *MARKS]))
     words = ["identify", "--fleet", "--seeds", "1", "--spring-laws", "--population", "16", "--generations", "1"]

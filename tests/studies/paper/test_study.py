@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from helpers import fork_processes
 
 from amulett_gym.cli import main
 from amulett_gym.identification.ensemble import ensemble
@@ -221,7 +222,8 @@ def test_a_device_that_cannot_start_is_worse_than_any_that_can(parameters):
 def finished(tmp_path_factory):
     """Return the folder of a short study and what the command printed."""
     folder, printed = tmp_path_factory.mktemp("short"), io.StringIO()
-    with redirect_stdout(printed):
+    with redirect_stdout(printed), pytest.MonkeyPatch.context() as patch:
+        fork_processes(patch)
         assert main(["identify", "--out", str(folder), *SIZES]) == 0
     return folder, printed.getvalue()
 
@@ -254,7 +256,8 @@ def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path, finished):
     assert {name for name in before if after[name] != before[name]} == {"chosen.json", "start-1.json"}
 
 
-def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys, finished):
+def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys, finished, monkeypatch):
+    fork_processes(monkeypatch)
     folder = shutil.copytree(finished[0], tmp_path / "study")
     before = (folder / "identification.json").read_text()
     other = ["identify", "--out", str(folder), *SIZES[:-1], "2"]
