@@ -165,6 +165,18 @@ class Spring(WithOptions, Sourced):
         return self
 
 
+class Structure(Sourced):
+    """The elastic structure between drives and joint, the printed parts, in series with each string's springs."""
+
+    stiffness: float = Field(
+        default=8e4,
+        ge=100,
+        le=1e9,
+        description="K_s, force of a string over what the structure gives way along it [N/m]; see "
+        "`amulett_gym.model.structure`",
+    )
+
+
 class Damping(Sourced):
     """The preload-dependent decay rate of Figure 3, ``a exp(b (x + c)) + d``, clipped at zero."""
 
@@ -298,7 +310,7 @@ class VariableStiffness(Sourced):
 class Profile(WithOptions):
     """A device with its control loop: everything that the simulation needs in addition to a scenario."""
 
-    OPTIONS: ClassVar[tuple[str, ...]] = ("wearer",)
+    OPTIONS: ClassVar[tuple[str, ...]] = ("structure", "wearer")
 
     name: str = Field(min_length=1, max_length=200, description="name of the device in reports")
     base: str | None = Field(default=None, description="shipped profile whose values apply where none is given")
@@ -310,6 +322,9 @@ class Profile(WithOptions):
     )
     plant: Plant = Field(description="arm and pulleys")
     spring: Spring = Field(description="spring assembly in each string")
+    structure: Structure | None = Field(
+        default=None, description="elastic parts between drives and joint, in series with the springs; null: rigid"
+    )
     damping: Damping = Field(description="decay rate over the preload")
     drives: Drives = Field(description="both motors")
     sensors: Sensors = Field(description="encoder and potentiometers")
@@ -389,7 +404,7 @@ def physics(profile: Profile) -> dict[str, Any]:
 
     ``plant.masses`` is replaced by the ``plant.inertia`` [kg m2] and, where gravity does work, ``plant.moment`` [kg m].
     """
-    groups = {"plant", "spring", "damping", "drives", "sensors"}
+    groups = {"plant", "spring", "structure", "damping", "drives", "sensors"}
     found = {key: dict(value) for key, value in profile.model_dump(mode="json", include=groups).items()}
     masses = found["plant"].pop("masses")
     found["plant"]["inertia"] = sum(item["mass"] * item["arm"] ** 2 for item in masses)

@@ -171,6 +171,10 @@ def test_options_that_are_null_are_left_out_of_a_profiles_content():
     mine = load_profile({"name": "mine", "base": "testbed", **options})
     assert mine.model_dump()["spring"].items() >= options["spring"].items()
     assert load_profile(mine.model_dump()) == mine
+    assert "structure" not in plain and "structure" not in content and "structure.stiffness" not in physics(testbed)
+    soft = load_profile({"name": "mine", "base": "testbed", "structure": {}})
+    assert soft.model_dump()["structure"]["stiffness"] == physics(soft)["structure.stiffness"] == 8e4
+    assert load_profile(soft.model_dump()) == soft != load_profile({"name": "mine", "base": "testbed"})
     held = load_profile({"name": "mine", "base": "testbed", "spring": {"beyond": "held"}})
     assert held.spring.beyond is None
 

@@ -13,7 +13,7 @@ from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, RewardFunction, Track, check_weights
 from amulett_gym.errors import AmulettError, unknown, warn_deprecated
 from amulett_gym.fleet import load_fleet, names_or_contents
-from amulett_gym.model.spring import build_tables
+from amulett_gym.model.structure import string_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, TENSION_LAWS, Control, pack_loop
@@ -365,7 +365,7 @@ def _check_step(profile: Profile) -> None:
     beyond its stall torque gives way at a rate that is proportional to its string's deflection: a time constant.
     """
     step = profile.loop.control_period / profile.loop.substeps
-    stiffness, plant, drives = build_tables(profile.spring).max_stiffness, profile.plant, profile.drives
+    stiffness, plant, drives = string_tables(profile).max_stiffness, profile.plant, profile.drives
     joint_stiffness, inertia = 2.0 * stiffness * plant.joint_pulley_radius**2, empty_rows(1, profile)["inertia"][0]
     swing, slowing = step * math.sqrt(joint_stiffness / float(inertia)), 2.0 * step * profile.damping.d
     found = {f"oscillates by {swing:.3g} rad": swing, f"is damped by {slowing:.3g} time constants": slowing}

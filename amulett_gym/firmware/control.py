@@ -64,7 +64,7 @@ FORCE_LINES, POSITION_LINES, DECAY_LINES = 512, 1024, 256
 _DECAYS = "#ifdef CONTROLLER_DOUBLE\n#define DECAYS\n#else\n#define DECAYS .decay_table = decay_table,\n#endif\n\n"
 
 _NO_GAINS = (
-    *("loop", "reference_shape", "position_table", "slope_table"),
+    *("loop", "reference_shape", "force_table", "position_table", "slope_table", "inverse_max_deflection"),
     *("integral_weight", "angle_weight", "rate_weight", "torque_weight"),  # the regulator's gains follow from them
 )
 
@@ -118,7 +118,7 @@ def loop_tables(profile: Profile, control: Control, readings: NDArray[np.float64
     `readings` [m] are those of a slider's counts, if the firmware has tables by count.
     """
     loop, device = pack_loop(profile, control)[0], pack_parameters(profile, control)[0]
-    force, position = np.asarray(device["force_table"]), np.asarray(loop["position_table"])
+    force, position = np.asarray(loop["force_table"]), np.asarray(loop["position_table"])
     parts = [
         '/* Generated: the springs for a loop. */\n\n#include "flash.h"\n',
         "/* String force [N] over the deflection's share, and that share over the fourth root of the force's. */",

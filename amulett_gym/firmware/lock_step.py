@@ -51,9 +51,9 @@ def command_device(p, c_blocks, s_blocks, paper, commands, tension, agonist):
 def set_stiffness(p, g, s_blocks):
     """Set the stiffness [N m/rad] that a loop of `layout.BY_STIFFNESS` asks for at the first device's tension."""
     s, i = s_blocks[0], np.uint64(0)
-    start = find_position(p[0].force_table, g[0].position_table, s.tension_setpoint[i])
-    _, slope, _ = look_up_curve(p[0].force_table, start)
-    s.stiffness_setpoint[i] = 2.0 * slope * (p[0].inverse_max_deflection * p[0].joint_radius * p[0].joint_radius)
+    start = find_position(g[0].force_table, g[0].position_table, s.tension_setpoint[i])
+    _, slope, _ = look_up_curve(g[0].force_table, start)
+    s.stiffness_setpoint[i] = 2.0 * slope * (g[0].inverse_max_deflection * p[0].joint_radius * p[0].joint_radius)
 
 
 @compiled

@@ -351,9 +351,9 @@ class Simulation:
         stretch = own("position_only_offset") * own("drive_radius")
         if tension_loop:
             stretch = np.empty(len(scenarios))
-            for place, (kind, strongest) in enumerate(zip(kinds, limits, strict=True)):
+            for place, kind in enumerate(kinds):
                 p, rows = self.parameters[kind], places == place
-                forces = np.append(p["force_table"][:, 0], strongest)
+                forces = np.append(p["force_table"][:, 0], look_up(p["force_table"], 1.0))
                 table = np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size)
                 stretch[rows] = np.interp(most[rows], forces, table)
         smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
@@ -369,7 +369,7 @@ class Simulation:
 
 def max_force(parameters: Any) -> float:
     """Return the force at the end of the springs' table [N], by a record of `layout.PARAMETERS`."""
-    return float(look_up(parameters["force_table"], 1.0))
+    return float(parameters["max_force"])
 
 
 def max_stiffness(parameters: Any) -> float:

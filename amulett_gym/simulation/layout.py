@@ -25,6 +25,7 @@ from amulett_gym.gains import Loops, group_name
 from amulett_gym.jit.compiled import record
 from amulett_gym.model.plant import Numbers, inertia, static_torque
 from amulett_gym.model.spring import CELLS, SpringTables, build_tables
+from amulett_gym.model.structure import string_tables
 from amulett_gym.profile import Pid, Profile
 from amulett_gym.settings import Group
 
@@ -79,7 +80,7 @@ def fields(names: str, kind: str = "f8", *shape: int) -> list[tuple[Any, ...]]:
 PARAMETERS = record(
     fields("drive_radius joint_radius angle_limit velocity_limit")
     + fields("force_table spring_table estimate_table", "f8", CELLS, 4)
-    + fields("inverse_max_deflection max_spring_deflection damping_a damping_b damping_c damping_d")
+    + fields("inverse_max_deflection max_spring_deflection max_force damping_a damping_b damping_c damping_d")
     + fields("damping_by_mean", "i8")
     + fields("extended", "i8")  # whether the next two lines matter: springs go on beyond their table, or drives stall
     + fields("beyond_slope beyond_free_length beyond_width beyond_slider")  # `model.spring.Continuation`
@@ -100,7 +101,12 @@ PARAMETERS = record(
     + fields("law", "i8")  # source of the tension setpoint: one of `TENSION_LAWS`
     + fields("margin")  # of rise and settling time
 )
-"""What the kernel reads of a profile and the control mode."""
+"""What the kernel reads of a profile and the control mode.
+
+`force_table` and `spring_table` are those of a string, its structure included: over the string's deflection as a share
+of the reciprocal of `inverse_max_deflection`. `max_spring_deflection` and `max_force` are the end of the springs' own
+tables, as is the last entry of `estimate_table`.
+"""
 
 STRING_FORCES = ("taut_force", "least_tension")
 """Gains that have to be less than the largest force of a spring."""
@@ -114,23 +120,25 @@ _REFERENCES = {
 
 LOOP_PARAMETERS = record(
     fields("loop reference_shape", "i8")  # index into `LOOPS`, their number for `DRIVES`; one of `_REFERENCES`
-    + fields("position_table", "f8", CELLS, 4)
-    + fields("slope_table", "f8", CELLS, 4)
-    + fields("max_force floor_position drive_share highest_factor drive_step inertia weight")
+    + fields("force_table position_table slope_table", "f8", CELLS, 4)
+    + fields("inverse_max_deflection max_force floor_position drive_share highest_factor drive_step inertia weight")
     + fields("torque_kp torque_ki torque_kd")
     + fields(" ".join(_GAINS))
 )
 """What the kernel reads of a loop that is not the paper's.
 
-These are: its index; the shape of its reference motion; the springs' inverse table (`model.spring.find_position`), the
-table of slopes over the slider's reading (`model.spring.SpringTables.estimated_slope`), the largest force [N] and the
-position of the sensors' floor; the share of the way to its command that a drive turns in a control period, its inverse,
-and the largest step in it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare arm; the gains of
-`control.torque_stiffness`, 0 in other loops; the gains of `gains.Loops`, 0 where the loop has none of that name.
+These are: its index; the shape of its reference motion; the springs' table and its inverse
+(`model.spring.find_position`), the table of slopes over the slider's reading
+(`model.spring.SpringTables.estimated_slope`), the end of the springs' table as a reciprocal deflection [1/m] and as a
+force [N], and the position of the sensors' floor in it; the share of the way to its command that a drive turns in a
+control period, its inverse, and the largest step in it (`control.drive_model`); J [kg m2] and M_m [N m] of the bare
+arm; the gains of `control.torque_stiffness`, 0 in other loops; the gains of `gains.Loops`, 0 where the loop has none of
+that name.
 
-A microcontroller's tables end at the spring's `max_deflection`, whatever the string does beyond (`Spring.beyond`): the
-largest force is that of the tables' end, so a loop asks neither for a force of the stop nor of the law continued. Its
-model of the drives is that of drives without load: it knows no stall torque.
+A microcontroller's tables are those of the springs, whatever the structure adds (`Profile.structure`). They end at the
+spring's `max_deflection`, whatever the string does beyond (`Spring.beyond`): the largest force is that of the tables'
+end, so a loop asks neither for a force of the stop nor of the law continued. Its model of the drives is that of drives
+without load: it knows no stall torque.
 """
 
 DEVICE_FACTORS = ("spring_biceps", "spring_triceps", "pulley_biceps", "pulley_triceps", "inertia", "damping", "noise")
@@ -313,7 +321,7 @@ def pack_parameters(
     if tension_law not in TENSION_LAWS:
         raise unknown("tension law", tension_law, TENSION_LAWS)
     plant, drives, sensors, loop = profile.plant, profile.drives, profile.sensors, profile.loop
-    tables = build_tables(profile.spring)
+    springs, tables = build_tables(profile.spring), string_tables(profile)
     position_only = control == "position-only"
     shifted = profile.damping.b * profile.damping.c if profile.damping.fit == "shifted" else profile.damping.c
     values: dict[str, Any] = {
@@ -329,7 +337,8 @@ def pack_parameters(
         "spring_table": tables.spring_deflection,
         "estimate_table": tables.estimated_force,
         "inverse_max_deflection": 1.0 / tables.max_deflection,
-        "max_spring_deflection": tables.max_spring_deflection,
+        "max_spring_deflection": springs.max_spring_deflection,
+        "max_force": springs.max_force,
         "extended": tables.beyond.slope > 0.0 or tables.beyond.slider > 0.0 or drives.stall_torque is not None,
         **{f"beyond_{name}": value for name, value in tables.beyond._asdict().items()},
         "stall_torque": drives.stall_torque or np.inf,
@@ -343,7 +352,7 @@ def pack_parameters(
         "slider_resolution": _slider_resolution(profile),
         "slider_travel": sensors.potentiometer_travel,
         "slider_noise": sensors.potentiometer_noise,
-        "slider_end": slider_end(profile, tables.max_spring_deflection),
+        "slider_end": slider_end(profile, springs.max_spring_deflection),
         "below_floor": _BELOW_FLOOR[sensors.below_floor],
         **_gains("position", loop.position_only if position_only else loop.position, 1.0),
         **_gains("tension", loop.tension, np.radians(1.0)),
@@ -377,7 +386,8 @@ def pack_loop(profile: Profile, control: Control) -> NDArray[np.void]:
     arms: list[Numbers] = [item.arm for item in profile.plant.masses]
     packed = np.zeros(1, dtype=LOOP_PARAMETERS)
     packed["loop"] = (*LOOPS, DRIVES).index(control)
-    packed["position_table"], packed["max_force"] = tables.position, tables.max_force
+    packed["force_table"], packed["position_table"] = tables.force, tables.position
+    packed["inverse_max_deflection"], packed["max_force"] = 1.0 / tables.max_deflection, tables.max_force
     packed["drive_share"] = -np.expm1(-loop.control_period / drives.lag) if drives.lag > 0 else 1.0
     packed["highest_factor"] = 1.0 / packed["drive_share"]
     packed["drive_step"] = np.radians(drives.rate_limit_deg or np.inf) * loop.control_period

@@ -230,14 +230,14 @@ def begin_loop(p, g, c, s, q, i):
 def hold_at(p, g, angle, torque, tension):
     """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at a tension [N]."""
     biceps, triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
-    at_biceps = find_position(p.force_table, g.position_table, biceps)
-    return drives_at(p, angle, at_biceps, find_position(p.force_table, g.position_table, triceps))
+    at_biceps = find_position(g.force_table, g.position_table, biceps)
+    return drives_at(p, g, angle, at_biceps, find_position(g.force_table, g.position_table, triceps))
 
 
 @compiled
-def drives_at(p, angle, biceps, triceps):
+def drives_at(p, g, angle, biceps, triceps):
     """Return the drive angles [rad] at a joint angle [rad] for the strings' positions in the force table."""
-    end = p.inverse_max_deflection
+    end = g.inverse_max_deflection
     return drive_angles(angle, biceps / end, triceps / end, p.drive_radius, p.joint_radius)
 
 
@@ -255,9 +255,9 @@ def hold_reference(p, g, s, q, i):
 
 
 @compiled
-def predict_positions(p, q, i, angle):
+def predict_positions(p, g, q, i, angle):
     """Return both strings' positions in the force table by the drives' model and a joint angle [rad]."""
-    scale = p.inverse_max_deflection
+    scale = g.inverse_max_deflection
     return (
         deflection_biceps(q.model_biceps[i], angle, p.drive_radius, p.joint_radius) * scale,
         deflection_triceps(q.model_triceps[i], angle, p.drive_radius, p.joint_radius) * scale,
@@ -265,9 +265,9 @@ def predict_positions(p, q, i, angle):
 
 
 @compiled
-def slope_at(p, g, position):
+def slope_at(g, position):
     """Return the slope of the force by the position in its table [N], limited from below."""
-    return max(look_up_slope(p.force_table, position), g.slope_floor * g.max_force)
+    return max(look_up_slope(g.force_table, position), g.slope_floor * g.max_force)
 
 
 @compiled
@@ -293,11 +293,11 @@ def begin_estimates(p, g, c, s, q, i):
     slider_triceps = look_up(p.spring_table, triceps * p.inverse_max_deflection) + c.slider_bias_triceps[i]
     q.force_biceps[i] = estimate_force(p.estimate_table, slider_biceps, p.max_spring_deflection)
     q.force_triceps[i] = estimate_force(p.estimate_table, slider_triceps, p.max_spring_deflection)
-    at_biceps, at_triceps = predict_positions(p, q, i, q.observed_angle[i])
-    q.correction_biceps[i] = find_position(p.force_table, g.position_table, q.force_biceps[i]) - at_biceps
-    q.correction_triceps[i] = find_position(p.force_table, g.position_table, q.force_triceps[i]) - at_triceps
-    q.slope_biceps[i] = slope_at(p, g, at_biceps + q.correction_biceps[i]) * p.inverse_max_deflection
-    q.slope_triceps[i] = slope_at(p, g, at_triceps + q.correction_triceps[i]) * p.inverse_max_deflection
+    at_biceps, at_triceps = predict_positions(p, g, q, i, q.observed_angle[i])
+    q.correction_biceps[i] = find_position(g.force_table, g.position_table, q.force_biceps[i]) - at_biceps
+    q.correction_triceps[i] = find_position(g.force_table, g.position_table, q.force_triceps[i]) - at_triceps
+    q.slope_biceps[i] = slope_at(g, at_biceps + q.correction_biceps[i]) * g.inverse_max_deflection
+    q.slope_triceps[i] = slope_at(g, at_triceps + q.correction_triceps[i]) * g.inverse_max_deflection
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
     q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_torque(g.weight, angle)
@@ -319,11 +319,11 @@ def observe_device(p, g, s, q, first, end):
         )
         q.observed_angle[i], q.observed_velocity[i] = angle, velocity
         q.disturbance[i] += change
-        at_biceps, at_triceps = predict_positions(p, q, i, q.observed_angle[i])
+        at_biceps, at_triceps = predict_positions(p, g, q, i, q.observed_angle[i])
         at_biceps += q.correction_biceps[i]
         at_triceps += q.correction_triceps[i]
-        biceps, triceps = look_up(p.force_table, at_biceps), look_up(p.force_table, at_triceps)
-        slope_biceps, slope_triceps = slope_at(p, g, at_biceps), slope_at(p, g, at_triceps)
+        biceps, triceps = look_up(g.force_table, at_biceps), look_up(g.force_table, at_triceps)
+        slope_biceps, slope_triceps = slope_at(g, at_biceps), slope_at(g, at_triceps)
         slider_biceps = estimate_force(p.estimate_table, s.measured_biceps[i], p.max_spring_deflection)
         slider_triceps = estimate_force(p.estimate_table, s.measured_triceps[i], p.max_spring_deflection)
         q.correction_biceps[i] = next_correction(
@@ -333,8 +333,8 @@ def observe_device(p, g, s, q, first, end):
             q.correction_triceps[i], slider_triceps, triceps, slope_triceps, g.slider_time, period
         )
         q.force_biceps[i], q.force_triceps[i] = biceps, triceps
-        q.slope_biceps[i] = slope_biceps * p.inverse_max_deflection
-        q.slope_triceps[i] = slope_triceps * p.inverse_max_deflection
+        q.slope_biceps[i] = slope_biceps * g.inverse_max_deflection
+        q.slope_triceps[i] = slope_triceps * g.inverse_max_deflection
         q.saturated_biceps[i] = at_biceps >= 1.0 or s.measured_biceps[i] >= p.slider_end
         q.saturated_triceps[i] = at_triceps >= 1.0 or s.measured_triceps[i] >= p.slider_end
 
@@ -406,13 +406,13 @@ def hold_stiff(p, g, s, i, angle, torque):
     it. Returned as well are the stiffness that the strings can have with the torque, and the antagonist's deflection as
     a share of the table's range.
     """
-    start = find_position(p.force_table, g.position_table, s.tension_setpoint[i])
-    _, slope, _ = look_up_curve(p.force_table, start)
-    by_slope = p.inverse_max_deflection * p.joint_radius * p.joint_radius
+    start = find_position(g.force_table, g.position_table, s.tension_setpoint[i])
+    _, slope, _ = look_up_curve(g.force_table, start)
+    by_slope = g.inverse_max_deflection * p.joint_radius * p.joint_radius
     s.stiffness_setpoint[i] = 2.0 * slope * by_slope
-    biceps, triceps, slopes = stiff_pair(p.force_table, g.position_table, torque / p.joint_radius, start, g.max_force)
+    biceps, triceps, slopes = stiff_pair(g.force_table, g.position_table, torque / p.joint_radius, start, g.max_force)
     antagonist = min(biceps, triceps)
-    biceps, triceps = drives_at(p, angle, biceps, triceps)
+    biceps, triceps = drives_at(p, g, angle, biceps, triceps)
     return biceps, triceps, slopes * by_slope, antagonist
 
 
@@ -638,11 +638,11 @@ def run_minimal_motion(p, g, s, q, first, end):
     for i in range(first, end):
         torque, tension, rate = find_torque(p, g, s, q, i)
         angle = s.measured_angle[i]
-        at_biceps, at_triceps = predict_positions(p, q, i, angle)
+        at_biceps, at_triceps = predict_positions(p, g, q, i, angle)
         biceps, triceps = nearest_pair(
-            p.force_table, g.position_table, torque / p.joint_radius, tension, g.max_force, at_biceps, at_triceps
+            g.force_table, g.position_table, torque / p.joint_radius, tension, g.max_force, at_biceps, at_triceps
         )
-        biceps, triceps = drives_at(p, angle, biceps, triceps)
+        biceps, triceps = drives_at(p, g, angle, biceps, triceps)
         move_drives(p, g, q, i, biceps, triceps, rate)
 
 
@@ -653,7 +653,7 @@ def begin_drives(p, g, s, q, i):
     q.mean_rate[i] = 0.0
     if g.loop == DRIVES:
         deflection = co_contraction(s.command_biceps[i], s.command_triceps[i], p.drive_radius)
-        s.tension_command[i] = s.tension_setpoint[i] = look_up(p.force_table, deflection * p.inverse_max_deflection)
+        s.tension_command[i] = s.tension_setpoint[i] = look_up(g.force_table, deflection * g.inverse_max_deflection)
 
 
 @compiled_lanes
@@ -661,6 +661,6 @@ def run_drives(p, g, s, q, first, end):
     """Run `control.drives`; a late tick leaves mean and tension as they are."""
     for i in range(first, end):
         q.mean_command[i] += q.mean_rate[i]
-        position = find_position(p.force_table, g.position_table, s.tension_setpoint[i])
-        deflection = position / p.inverse_max_deflection
+        position = find_position(g.force_table, g.position_table, s.tension_setpoint[i])
+        deflection = position / g.inverse_max_deflection
         q.biceps[i], q.triceps[i] = drive_commands(q.mean_command[i], deflection, p.drive_radius)

@@ -3,7 +3,7 @@
 :func:`replay_motion` integrates plant and drives (eqs. 1-5) between control ticks with scipy, to tight tolerances;
 :func:`replay_control` is section 2.2 in plain Python. Both take the recorded inputs from a trajectory and return the
 expected outputs, so that the two halves of a loop are checked separately and do not amplify each other's rounding.
-Only the profile and the knots of the spring tables are shared with the kernel.
+Only the profile and the knots of the springs' tables are shared with the kernel.
 """
 
 from __future__ import annotations
@@ -29,12 +29,32 @@ ABSOLUTE_TOLERANCE = (1e-12, 1e-10, 1e-11, 1e-11)  # joint [rad], its rate [rad/
 
 def string_force(profile: Profile) -> Callable[[float], float]:
     """Return f(Delta l) [N] over a string's deflection [m]: 0 in a slack string."""
-    tables = build_tables(profile.spring)
+    own, force = own_deflection(profile), spring_force(profile.spring)
+    return lambda deflection: force(own(deflection))
+
+
+def own_deflection(profile: Profile) -> Callable[[float], float]:
+    """Return the deflection of a string's springs [m] over that of the string, which is also that of the structure."""
+    if profile.structure is None:
+        return lambda deflection: deflection
+    force, stiffness = spring_force(profile.spring), profile.structure.stiffness
+
+    def own(deflection: float) -> float:
+        if deflection <= 0.0:
+            return deflection
+        return float(brentq(lambda y: y + force(y) / stiffness - deflection, 0.0, deflection, xtol=1e-15, rtol=1e-14))
+
+    return own
+
+
+def spring_force(spring: Spring) -> Callable[[float], float]:
+    """Return the force of a string's springs [N] over their deflection [m]: 0 in a slack string."""
+    tables = build_tables(spring)
     knots = np.append(tables.force[:, 0], tables.max_force)
     curve = PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots)
     end, most = tables.max_deflection, float(knots[-1])
 
-    further = _beyond(profile.spring)
+    further = _beyond(spring)
 
     def force(deflection: float) -> float:
         if deflection <= 0.0:

@@ -23,7 +23,7 @@ from amulett_gym.gains import group_name
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import Control, slider_end
-from amulett_gym.simulation.reference import arm, decay_rate, string_force
+from amulett_gym.simulation.reference import arm, decay_rate, own_deflection, spring_force
 from amulett_gym.simulation.trajectory import Trajectory
 
 Pair = tuple[float, float]
@@ -127,7 +127,8 @@ class Device:
 
     def __init__(self, profile: Profile) -> None:
         tables = build_tables(profile.spring)
-        self.profile, self.force = profile, string_force(profile)
+        self.profile, self.force = profile, spring_force(profile.spring)
+        self.own_deflection = own_deflection(profile)  # the device's, which the loop does not know
         self.slider_range = tables.max_spring_deflection
         self.end, self.max_force = tables.max_deflection, tables.max_force
         knots = np.append(tables.force[:, 0], tables.max_force)
@@ -392,7 +393,8 @@ class _Observing(Loop):
     def observe_start(self, now: Reading) -> None:
         """Set what is known at rest."""
         self.motion = np.array([now.reference, 0.0])
-        sliders = [float(self.device.slider_at(max(stretch, 0.0))) for stretch in self.stretches(now)]
+        stretches = [max(self.device.own_deflection(stretch), 0.0) for stretch in self.stretches(now)]
+        sliders = [float(self.device.slider_at(stretch)) for stretch in stretches]
         self.forces = np.array([self.device.slider_force(slider) for slider in sliders])
         self.correction = np.array([self.device.deflection(force) for force in self.forces]) - self.stretches(now)
         self.disturbance, self.acceleration = -self.model_acceleration(), 0.0

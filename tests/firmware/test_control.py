@@ -33,12 +33,14 @@ OTHER_DEVICES = {
     "critically-damped": {"reference": "critically-damped", "drives": {"command_limit_deg": 300}},
     "first-order": {"reference": "first-order", "drives": {"lag": 0.0, "rate_limit_deg": None}},
     "preload": {"damping": {"preload": "smaller"}, "sensors": {"below_floor": "ignore"}},
+    "structure": {"structure": {"stiffness": 2e4}},
 }
 OTHERS = {
     "vertical": ("feedback-linearisation", "cascade", "minimal-motion"),
     "critically-damped": ("feedback-linearisation", "feedforward-feedback"),
     "first-order": ("torque-stiffness", "feedback-linearisation"),
     "preload": ("torque", "cascade"),
+    "structure": ("equilibrium-point", "torque-stiffness", "feedback-linearisation", "computed-torque"),
 }
 
 

@@ -11,6 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import load_profile
+from amulett_gym.settings import merge
 from amulett_gym.simulation import kernel, reference
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import ANGLE_LIMIT, RUNNING
@@ -792,6 +793,72 @@ def test_the_slider_goes_on_with_the_law_and_rests_on_the_stop():
         if end == "continued":
             assert read[end] == pytest.approx(np.hypot(spring.half_width, stretch) - spring.half_width, rel=1e-6)
     assert read["held"] == read["hard-stop"] == build_tables(spring).max_spring_deflection < read["continued"]
+
+
+@pytest.mark.parametrize("end", ["held", *ENDS])
+def test_an_elastic_structure_moves_as_the_reference_says(end):
+    pushed = {"device": UNLIKE, "pushes": [{"time": 0.01, "duration": 0.2, "torque": 1.5, "rise": 0.05}]}
+    changes = merge(ENDS.get(end, {}), {"structure": {"stiffness": 2e4}, "loop": {"substeps": 8}})
+    profile = device("testbed", **changes)
+    motion = run(profile, pushed, 0.15)
+    assert not motion["failure"].any()
+    assert motion["force_triceps"].max() > 0.99 * build_tables(profile.spring).max_force
+    for name, deviation in deviations(profile, pushed, motion).items():
+        assert deviation < TOLERANCES[name], name
+    rigid = run(device("testbed", **{**changes, "structure": None}), pushed, 0.15)
+    assert np.abs(motion["angle"] - rigid["angle"]).max() > 1e-2
+
+
+def test_with_an_elastic_structure_the_kernel_tends_to_the_reference():
+    def error(substeps):
+        profile = device("testbed", structure={"stiffness": 2e4}, loop={"substeps": substeps})
+        return deviations(profile, RICH, run(profile, RICH, 0.4))["angle"]
+
+    coarse, fine = error(1), error(32)
+    assert fine < 1e-7  # [rad]
+    assert coarse / fine > 32
+
+
+@pytest.mark.parametrize("base", PROFILES)
+def test_the_slider_shows_the_springs_own_deflection_and_the_estimate_is_right(base):
+    profile = device(
+        base, structure={"stiffness": 1e4}, sensors={**EXACT_SENSORS, "force_floor": 0.0, "force_filter": 0.0}
+    )
+    motion, spring = run(profile, BUSY, 1.0), profile.spring
+    own, plant = reference.own_deflection(profile), profile.plant
+    string = motion["drive_biceps"] * plant.drive_pulley_radius - motion["angle"] * plant.joint_pulley_radius
+    stretch = np.array([own(each) for each in string])
+    np.testing.assert_allclose(string - stretch, motion["force_biceps"] / 1e4, atol=1e-9)
+    expected = np.hypot(spring.half_width, np.clip(stretch, 0.0, spring.max_deflection)) - spring.half_width
+    np.testing.assert_allclose(motion["measured_biceps"][1:], expected[1:], atol=1e-8)
+    pulled = motion["force_biceps"] > 0.5
+    assert pulled[1:].any() and (string - stretch).max() > 4e-4
+    np.testing.assert_allclose(
+        motion["estimate_biceps"][1:][pulled[1:]], motion["force_biceps"][1:][pulled[1:]], atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("control", ["decentralized", "position-only"])
+def test_a_device_with_an_elastic_structure_starts_in_equilibrium(control):
+    changes = {"plant": {"orientation": "vertical"}, "structure": {"stiffness": 5e3}, "sensors": EXACT_SENSORS}
+    profile = device("testbed", **changes, loop=HELD_DRIVES)
+    unlike = {key: value for key, value in UNLIKE.items() if key.startswith(("spring", "pulley"))}
+    motion = run(profile, {"initial_angle_deg": 30.0, "initial_tension": 8.0, "device": unlike}, 0.5, control=control)
+    assert np.ptp(motion["angle"]) < 1e-6
+    weight = 9.81 * sum(item.mass * item.arm for item in profile.plant.masses)
+    torque = (motion["force_biceps"] - motion["force_triceps"]) * profile.plant.joint_pulley_radius
+    assert torque == pytest.approx(weight * np.sin(np.radians(30.0)), abs=1e-6)
+    simulation = start(profile, {"initial_angle_deg": 30.0, "device": unlike}, control=control)
+    p, c, s = simulation.parameters[0], simulation.scenarios[0], simulation.states[0]
+    drives = s["drive_biceps"][0], s["drive_triceps"][0]
+    c["static_torque"][0] = 0.0
+    torques = [
+        kernel.acceleration(p, c, 0, s["angle"][0] + step, 0.0, *drives, 0.0) * c["inertia"][0]
+        for step in (-1e-6, 1e-6)
+    ]
+    stiffness = kernel.joint_stiffness(p, c, 0, s["angle"][0], *drives)
+    assert stiffness == pytest.approx((torques[0] - torques[1]) / 2e-6, rel=1e-6)
+    assert stiffness < simulation.max_stiffness < start(device("testbed")).max_stiffness
 
 
 @pytest.mark.parametrize("control", ["decentralized", "position-only"])

@@ -69,6 +69,34 @@ def test_commands_are_those_of_an_independent_model(control, profile):
     assert np.ptp(trajectory["command_biceps"]) > 0.5
 
 
+@pytest.mark.parametrize("control", LOOPS)
+def test_commands_do_not_know_the_structure(control):
+    profile = load_profile({"name": "soft", "base": "testbed", "structure": {"stiffness": 2e4}})
+    trajectory = record(start(control, profile), 400)
+    expected = replay_loop(profile, trajectory, control)
+    for name, values in expected.items():
+        np.testing.assert_allclose(trajectory[name], values, rtol=0.0, atol=tolerance(control), err_msg=name)
+
+
+def test_co_contraction_fed_forward_comes_short_by_what_the_structure_gives():
+    stiffness, radius = 2e4, QUIET.plant.drive_pulley_radius
+    profile = load_profile({**QUIET.model_dump(), "name": "soft", "structure": {"stiffness": stiffness}})
+    simulation = Simulation(profile, 1, "equilibrium-point")
+    simulation.reset(pack(Scenario(initial_tension=5.0), profile))
+    wound = float(simulation.read("drive_biceps")[0])
+    simulation.command_tension(10.0)
+    simulation.advance(1200)
+    springs = build_tables(profile.spring)
+    more = springs.deflection_at(10.0) - springs.deflection_at(5.0)
+    assert (simulation.read("drive_biceps")[0] - wound) * radius == pytest.approx(more, rel=1e-6)
+    # Springs and structure share the way that the drive winds.
+    wanted = springs.deflection_at(5.0) + 5.0 / stiffness + more
+    own = brentq(lambda y: y + springs.force_at(y) / stiffness - wanted, 0.0, wanted)
+    for name in ("force_biceps", "estimate_biceps", "force_triceps"):  # the slider sees what comes
+        assert simulation.read(name)[0] == pytest.approx(springs.force_at(own), abs=1e-3)
+    assert springs.force_at(own) < 9.0  # of 10
+
+
 @pytest.mark.parametrize("reference", ["critically-damped", "first-order"])
 def test_references_are_those_of_an_independent_model(reference):
     profile = load_profile({"name": "own", "base": "testbed", "loops": {"co_rotation": {"reference": reference}}})

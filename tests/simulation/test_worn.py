@@ -67,6 +67,7 @@ def deviations(profile: Profile, wearer: Wearer, ticks: int) -> dict[str, float]
         (Wearer(worn=False, co_contraction=0.2, tone=0.4, rest_angle_deg=30), {}),
         (Wearer(guided=True, tone=0.3), {}),
         (Wearer(), {"plant": {"orientation": "vertical"}}),
+        (Wearer(), {"structure": {"stiffness": 2e4}}),
     ],
 )
 def test_motion_is_that_of_the_reference(wearer: Wearer, changes: dict[str, Any]) -> None:

@@ -238,13 +238,15 @@ def optimise(profile: Profile, row: np.void, price: Values, ticks: int, options:
     ------
     AmulettError
         If CasADi is missing, the scenario's setpoint is a path, or the device has what the model lacks: springs that go
-        on beyond their table, or drives that stall.
+        on beyond their table, drives that stall, or an elastic structure.
     """
     begun = time.monotonic()
-    if profile.spring.beyond is not None or profile.drives.stall_torque is not None:
+    lacks = profile.spring.beyond, profile.drives.stall_torque, profile.structure
+    if any(each is not None for each in lacks):
         raise AmulettError(
             f"the optimal control of '{profile.name}' cannot be computed: its model has springs whose force is held "
-            "beyond their table (spring.beyond: null) and drives without drives.stall_torque"
+            "beyond their table (spring.beyond: null), drives without drives.stall_torque and a rigid structure "
+            "(structure: null)"
         )
     course = read_course(profile, row, ticks)
     transcription = Transcription(profile, row, price * _UNITS, options.saturates)

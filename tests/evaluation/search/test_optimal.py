@@ -197,7 +197,7 @@ def test_a_sampled_setpoint_is_refused():
 
 
 def test_a_device_that_the_model_does_not_know_is_refused():
-    for changes in ({"spring": {"beyond": "continued"}}, {"drives": {"stall_torque": 0.3}}):
+    for changes in ({"spring": {"beyond": "continued"}}, {"drives": {"stall_torque": 0.3}}, {"structure": {}}):
         device = load_profile({"name": "mine", "base": "testbed", **changes})
         with pytest.raises(AmulettError, match="the optimal control of 'mine' cannot be computed"):
             optimise(device, pack(Scenario(), device)[0], PRICES, 10)

@@ -42,6 +42,14 @@ def test_c_knows_what_a_string_does_beyond_its_table_and_a_drive_beyond_its_stal
 
 
 @needs_compiler
+def test_c_has_strings_with_an_elastic_structure(yardstick):
+    name, advance = yardstick
+    profile = device("testbed", structure={"stiffness": 2e4}, spring={"beyond": "continued"})
+    deviation, field = check(advance, profile, "eq6", num_devices=27)
+    assert deviation <= BUILDS[name].tolerance, field
+
+
+@needs_compiler
 def test_c_stops_the_devices_that_the_kernel_stops(yardstick):
     name, advance = yardstick
     simulation = mixed_simulation("testbed", 27)
