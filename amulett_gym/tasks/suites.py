@@ -97,10 +97,7 @@ def sample(
         If the suite's or the split's name is unknown.
     """
     check_names(suite, split)
-    if max_force is None:
-        max_force = build_tables(profile.spring).max_force
-    if profile.drives.stall_torque is not None:
-        max_force = min(max_force, profile.drives.stall_torque / (profile.plant.drive_pulley_radius * _STRONGEST))
+    max_force = reachable_force(profile, max_force, _STRONGEST)
     rows = np.repeat(empty_rows(1, profile), keys.size)
     rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS)
@@ -116,6 +113,24 @@ def sample(
         rows["obstacle_damping"] = np.minimum(rows["obstacle_damping"], most_damping(rows["inertia"], profile))
     rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
     return rows
+
+
+def reachable_force(profile: Profile, max_force: float | None, largest_factor: float = 1.0) -> float:
+    """Return the largest string force [N] that springs and drives allow.
+
+    Parameters
+    ----------
+    profile : Profile
+    max_force : float or None
+        Force at the end of the springs' table [N]; None: it is calculated.
+    largest_factor : float
+        Of a device's springs and drive pulleys, by which drives stall at less.
+    """
+    if max_force is None:
+        max_force = build_tables(profile.spring).max_force
+    if profile.drives.stall_torque is None:
+        return max_force
+    return min(max_force, profile.drives.stall_torque / (profile.plant.drive_pulley_radius * largest_factor))
 
 
 def check_names(suite: str, split: str) -> None:

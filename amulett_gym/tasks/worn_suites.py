@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.errors import unknown
-from amulett_gym.model.spring import build_tables
 from amulett_gym.model.wearer import ACTIVE_SHARE, DAMPING, OFF_TIME, ON_TIME, PASSIVE_DAMPING, STIFFNESS, forearm
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import MAX_MOVES, MAX_PUSHES, ORIENTATIONS, is_vertical, load_arm
 from amulett_gym.simulation.random import derive_keys, normal, uniform
 from amulett_gym.tasks.scenario import empty_rows
-from amulett_gym.tasks.suites import SPLITS, START, Rows, make_room_for_weight
+from amulett_gym.tasks.suites import SPLITS, START, Rows, make_room_for_weight, reachable_force
 from amulett_gym.tasks.wearer import between, draw_wearers, pack_wearers, rounded
 
 WORN_SUITES = {
@@ -88,8 +87,7 @@ def sample_worn(
         raise unknown("suite", suite, WORN_SUITES)
     if split not in SPLITS:
         raise unknown("split", split, SPLITS)
-    if max_force is None:
-        max_force = build_tables(profile.spring).max_force
+    max_force = reachable_force(profile, max_force)
     shifted = split == "shifted"
     radius = profile.plant.joint_pulley_radius
     rows = np.repeat(empty_rows(1, profile), keys.size)

@@ -290,6 +290,30 @@ def test_every_start_can_be_held_and_arms_outside_the_exoskeleton_do_what_they_i
     assert effort.max() < (0.35 if suite == "guided" else 1.0)
 
 
+@pytest.mark.parametrize("suite", ["carry", "guided"])
+def test_drives_that_stall_hold_every_start_and_guide_less(suite: str) -> None:
+    weak = load_profile({"name": "weak", "base": "testbed", "drives": {"stall_torque": 0.16}})
+    (rows, wearers), (strong, _) = (sample_worn(suite, keys("train", 400), each) for each in (weak, TESTBED))
+    WornSimulation(weak, rows.size).reset(rows, wearers=wearers)
+    if suite == "carry":
+        assert (rows["initial_tension"] <= strong["initial_tension"]).all()
+        with pytest.raises(AmulettError, match=r"stall_torque is 0.16 N m"):
+            WornSimulation(weak, rows.size).reset(strong, wearers=wearers)
+    else:
+        assert rows["wave_amplitude"].max() < 0.9 * strong["wave_amplitude"].max()
+
+
+def test_other_devices_play_every_suite() -> None:
+    upright = load_profile({"name": "upright", "base": "simulation", "plant": {"orientation": "vertical"}})
+    for suite in WORN_SUITES:
+        rows, wearers = sample_worn(suite, keys("train", 100), upright)
+        assert (wearers["weight"] > 0).any() == (suite == "carry")
+        simulation = WornSimulation(upright, rows.size)
+        simulation.reset(rows, wearers=wearers)
+        simulation.advance(20)
+        assert not simulation.read("failure").any()
+
+
 def test_forearms_of_the_population_are_as_heavy_as_those_of_the_sources(drawn: Any) -> None:
     _, wearers = drawn["reaches", "train"]
     mass, _, inertia = forearm(wearers["mass"], wearers["height"])
