@@ -13,7 +13,7 @@ PACKAGES = {"amulett_gym": ROOT / "amulett_gym", "amulett_agents": ROOT / "agent
 
 LAYERS = (
     ("errors", "settings", "jit", "storage"),
-    ("fleet", "gains", "profile"),
+    ("fitting", "fleet", "gains", "profile"),
     ("model",),
     ("control",),
     ("simulation",),

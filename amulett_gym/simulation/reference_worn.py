@@ -8,6 +8,7 @@ spring tables and the decay rate's fit are shared with the kernel.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from amulett_gym.fitting import Fitting
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.reference import arm, decay_rate, push_torque, string_force
 from amulett_gym.simulation.trajectory import Trajectory
-from amulett_gym.tasks.wearer import Wearer
+
+if TYPE_CHECKING:
+    from amulett_gym.tasks.wearer import Wearer
 
 STATES = ("angle", "velocity", "drive_biceps", "drive_triceps", "elbow", "elbow_rate", "flexor", "extensor")
 CABLES = ("loss_biceps", "loss_triceps")
