@@ -12,18 +12,28 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["ENV_IDS", "__version__", "load_policy"]
 
-ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0", "Amulett/Drives-v0")
+ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0", "Amulett/Drives-v0", "Amulett/Worn-v0")
 """Ids registered with Gymnasium when this package is imported."""
 
 DRIVES_ID = ENV_IDS[2]
-"""The environment whose action has two entries."""
+"""The environment whose action has a mean drive angle, too."""
 
-for _id, _name in zip(ENV_IDS, ("Scaling", "Tension", "Drives"), strict=True):
+WORN_ID = ENV_IDS[3]
+"""The environment in which the device is worn, whose action has an assistance, too."""
+
+_ENTRY_POINTS = (
+    ("single:ScalingEnv", "vector:ScalingVectorEnv"),
+    ("single:TensionEnv", "vector:TensionVectorEnv"),
+    ("single:DrivesEnv", "vector:DrivesVectorEnv"),
+    ("worn:WornEnv", "worn:WornVectorEnv"),
+)
+
+for _id, (_single, _vector) in zip(ENV_IDS, _ENTRY_POINTS, strict=True):
     if _id not in _gymnasium.registry:
         _gymnasium.register(
             _id,
-            entry_point=f"amulett_gym.envs.single:{_name}Env",
-            vector_entry_point=f"amulett_gym.envs.vector:{_name}VectorEnv",
+            entry_point=f"amulett_gym.envs.{_single}",
+            vector_entry_point=f"amulett_gym.envs.{_vector}",
             max_episode_steps=500,
         )
 

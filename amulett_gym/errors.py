@@ -54,6 +54,14 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
     return AmulettError(f"unknown {kind} '{shorten(name)}'; choose from {', '.join(listed)}{nearest(name, listed)}")
 
 
+def refuse_worn(what: str) -> AmulettError:
+    """Return the error for what cannot be done in the environment with a wearer."""
+    return AmulettError(
+        f"{what} is not possible in Amulett/Worn-v0, whose actions, tasks and costs are others; choose from "
+        "Amulett/Drives-v0, Amulett/Scaling-v0, Amulett/Tension-v0, or step it by gymnasium.make"
+    )
+
+
 def shorten(text: str, most: int = _LONGEST) -> str:
     """Return `text`, cut after `most` characters."""
     return text if len(text) <= most else f"{text[:most]}..."

@@ -440,6 +440,11 @@ def profile_names() -> tuple[str, ...]:
         return tuple(path.stem for path in visible(folder, "*.yaml"))
 
 
+def device_names() -> tuple[str, ...]:
+    """Return the names of the shipped profiles without those of another one's device, such as of how it is worn."""
+    return tuple(name for name in profile_names() if load_profile(name).divisors_of is None)
+
+
 def load_profile(profile: str | Path | Mapping[str, Any] | Profile) -> Profile:
     """Return a validated profile.
 

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
-from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, load_profile, profile_names
+from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, device_names, load_profile
 from amulett_gym.tasks.scenario import Scenario, empty_rows, most_damping, most_stiffness
 
 Values = st.SearchStrategy[Any]
@@ -89,7 +89,7 @@ def groups(model: type[BaseModel], shipped: Any = None) -> Values:
     )
 
 
-SHIPPED = {name: load_profile(name) for name in profile_names()}
+SHIPPED = {name: load_profile(name) for name in device_names()}
 NOT_GROUPS = (*NOT_DRAWN, *Profile.OPTIONS)  # what a device may lack is simulated apart
 GROUPS = {name: field.annotation for name, field in Profile.model_fields.items() if name not in NOT_GROUPS}
 DRAWN = {

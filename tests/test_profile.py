@@ -11,7 +11,8 @@ import yaml
 
 from amulett_gym.envs.prices import divisors
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import load_profile, loop_configuration, physics, profile_names
+from amulett_gym.fitting import Fitting
+from amulett_gym.profile import device_names, load_profile, loop_configuration, physics, profile_names
 from amulett_gym.settings import SOURCES, Sourced, merge
 from amulett_gym.storage.curve import Curve
 
@@ -23,6 +24,23 @@ def test_every_value_of_a_shipped_profile_names_its_source(profile):
             given = {key for key, value in group if key != "sources" and (value is not None or key in group.sources)}
             assert given == set(group.sources), f"{profile.name}.{name}"
             assert all(source.split(":")[0] in SOURCES for source in group.sources.values())
+
+
+def test_every_value_of_a_shipped_fitting_names_its_source():
+    fitting = load_profile("worn").wearer
+    assert fitting is not None
+    for name, group in fitting:
+        assert {key for key, _ in group if key != "sources"} == set(group.sources), name
+    assert {name: group.model_dump(exclude={"sources"}) for name, group in fitting} == {
+        name: group.model_dump(exclude={"sources"}) for name, group in Fitting()
+    }
+
+
+def test_a_worn_device_is_the_device_that_it_is_based_on():
+    worn, testbed = load_profile("worn"), load_profile("testbed")
+    assert worn.root == "testbed" and physics(worn) == physics(testbed)
+    assert divisors(worn, "steps") == divisors(testbed, "steps")
+    assert set(profile_names()) - set(device_names()) == {"worn"}
 
 
 def test_profiles_share_one_set_of_mechanical_parameters():

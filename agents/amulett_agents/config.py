@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from amulett_agents.critic_file import critic_of_bundle
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.settings import (
     NO_LIMIT,
@@ -30,7 +30,7 @@ from amulett_gym.envs.settings import (
     TensionList,
     Weights,
 )
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, refuse_worn, unknown
 from amulett_gym.fleet import load_fleet, name_or_contents
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import bundle_folder
@@ -100,6 +100,8 @@ class EnvSettings(Group):
         name = name.removeprefix("amulett_gym:")
         if name not in ENV_IDS:
             raise unknown("environment", name, ENV_IDS)
+        if name == WORN_ID:
+            raise refuse_worn("training by a recipe")
         return name
 
     @model_validator(mode="after")

@@ -14,10 +14,10 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from amulett_agents.config import load_train_config
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.settings import ControlLoop, MeanAngle
 from amulett_gym.envs.transition import OBSERVATIONS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, refuse_worn, unknown
 from amulett_gym.laws.contenders import Own, own_loop
 from amulett_gym.profile import Profile
 from amulett_gym.settings import Group, describe
@@ -40,6 +40,8 @@ class About(Group):
     def _check_id(cls, name: str) -> str:
         if name not in ENV_IDS:
             raise unknown("environment", name, ENV_IDS)
+        if name == WORN_ID:
+            raise refuse_worn("a policy from a zip")
         return name
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from itertools import product
 
 from amulett_gym.cli.options import add_json
 from amulett_gym.cli.output import print_json, printer
@@ -25,23 +24,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run all checks; return 1 if one failed."""
-    from amulett_gym import ENV_IDS
+    from amulett_gym import ENV_IDS, WORN_ID
     from amulett_gym.errors import unknown
     from amulett_gym.evaluation.conformance import CHECKS, Subject, run_checks
-    from amulett_gym.profile import load_profile, profile_names
+    from amulett_gym.profile import device_names, load_profile
     from amulett_gym.reporting.progress import Progress
     from amulett_gym.tasks.suites import suite_names
+    from amulett_gym.tasks.worn_suites import WORN_SUITES
 
     env_id = arguments.env_id and arguments.env_id.split(":")[-1]
     if env_id and env_id not in ENV_IDS:
         raise unknown("environment", env_id, ENV_IDS)
-    if arguments.suite and arguments.suite not in suite_names():
-        raise unknown("suite", arguments.suite, suite_names())
+    suites = {name: tuple(WORN_SUITES) if name == WORN_ID else suite_names() for name in ENV_IDS}
+    suites = {name: own for name, own in suites.items() if env_id in (None, name)}
+    known = [suite for own in suites.values() for suite in own]
+    if arguments.suite and arguments.suite not in known:
+        raise unknown("suite", arguments.suite, set(known))
     if arguments.profile:
         load_profile(arguments.profile)
-    profiles = [arguments.profile] if arguments.profile else profile_names()
-    suites = [arguments.suite] if arguments.suite else suite_names()
-    subjects = list(product([env_id] if env_id else ENV_IDS, profiles, suites))
+    subjects = [
+        (name, profile, suite)
+        for name, own in suites.items()
+        for profile in ([arguments.profile] if arguments.profile else ["worn"] if name == WORN_ID else device_names())
+        for suite in own
+        if arguments.suite in (None, suite)
+    ]
     checks, show = [], printer(arguments)
     with Progress(len(subjects) * len(CHECKS), "check", "checks") as bar:
         for name, profile, suite in subjects:

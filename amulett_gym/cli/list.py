@@ -28,19 +28,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
-    from amulett_gym import DRIVES_ID, ENV_IDS
+    from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
     from amulett_gym.gains import Loops, group_name
     from amulett_gym.laws.contenders import contender_names
     from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.reporting.table import Table
     from amulett_gym.simulation.layout import LOOPS
     from amulett_gym.tasks.suites import SPLITS, SUITES
+    from amulett_gym.tasks.worn_suites import WORN_SUITES
 
     names: dict[str, dict[str, str]] = {
         "environments": {
             ENV_IDS[0]: "choose the factor by which eq. 6 scales the tension",
             ENV_IDS[1]: "choose the tension setpoint in N",
             DRIVES_ID: "command both drives: their mean angle and the co-contraction",
+            WORN_ID: "worn by a person: choose the co-contraction and how much the device follows the wearer",
         },
         "control loops": {
             "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",
@@ -48,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
             **{loop: str(Loops.model_fields[group_name(loop)].description) for loop in LOOPS},
         },
         "suites": dict(SUITES),
+        f"suites of {WORN_ID}": dict(WORN_SUITES),
         "splits": dict(zip(SPLITS, _USES, strict=True)),
         "laws": contender_names(),
         "profiles": {name: load_profile(name).description for name in profile_names()},

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -23,7 +23,7 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
-from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, SCENARIO, Loop, Paths
+from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import draw_devices, episode_keys, families_of, sample
@@ -37,6 +37,7 @@ Keys = NDArray[np.uint64]
 Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
+Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
 """Factors on the state's rewarded costs: rad2 to deg2."""
 
@@ -63,7 +64,14 @@ class Episodes:
         The fleet, or the one profile of all devices.
     described : ndarray of float32, shape (profiles, entries)
         The entries `privileged.FLEET_PRIVILEGED` of each profile; a fleet with the hidden state observes them.
+    terms : tuple of str
+        Names of the reward's terms, in order.
+    report_size : int
+        Entries of a report.
     """
+
+    terms: ClassVar[tuple[str, ...]] = TERMS
+    report_size: ClassVar[int] = transition.REPORT_SIZE
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
@@ -71,7 +79,7 @@ class Episodes:
         hidden = len(PRIVILEGED) + (0 if settings.fleet is None else len(FLEET_PRIVILEGED))
         self.observation_size = len(transition.OBSERVATIONS) + (hidden if settings.privileged else 0)
         self.action_size = 2 if settings.control == DRIVES else 1
-        self.simulation = Simulation(self.profiles, num_devices, settings.control, settings.tension_law)
+        self.simulation = self._make_simulation(num_devices)
         self._constants = np.zeros(len(self.profiles), dtype=transition.SETTINGS)
         self._constants["ticks"] = [settings.ticks(profile) for profile in self.profiles]
         self._constants["delay"] = settings.action_delay
@@ -82,7 +90,7 @@ class Episodes:
         self._constants["horizon"] = settings.failure_horizon
         self._constants["full_control"] = settings.track == FULL_CONTROL
         self._constants["prices"] = np.nan
-        self._families = np.array([FAMILIES.index(family) for family in families_of(settings.suite)])
+        self._families = self._find_families()
         if settings.fleet is None:
             self._set_prices(np.zeros(1, dtype=np.int64), self._families)
         simulation = self.simulation
@@ -194,10 +202,8 @@ class Episodes:
                 )
             keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
             self._set_prices(self.simulation.which[devices // LANES], self._families)
-            rows, paths = self._sampled(devices, keys), None
-            if loaded:
-                rows, paths = self._packed(devices, loaded, rows["noise_key"])
-            self.simulation.reset(rows, devices, paths)
+            if devices.size:
+                self._reset(devices, keys, loaded)
         except AmulettError:
             self.simulation.which[...] = before  # the old episodes are still there
             raise
@@ -224,18 +230,38 @@ class Episodes:
         self.started[:] = True
         return self.observe()
 
-    def _sampled(self, devices: NDArray[np.int64], keys: Keys) -> NDArray[np.void]:
-        """Return the scenarios that the episodes' keys draw, for each device's own profile."""
-        suite, split = self.settings.suite, self.settings.split
+    def _make_simulation(self, num_devices: int) -> Simulation:
+        return Simulation(self.profiles, num_devices, self.settings.control, self.settings.tension_law)
+
+    def _find_families(self) -> NDArray[np.int64]:
+        """Return the indices of the suite's families."""
+        return np.array([FAMILIES.index(family) for family in families_of(self.settings.suite)])
+
+    def _reset(self, devices: NDArray[np.int64], keys: Keys, loaded: Sequence[Scenario]) -> None:
+        """Reset devices to the loaded scenarios, or to those that keys draw; keys also draw the noise of the former."""
+        drawn, paths = self._sampled(devices, keys), None
+        if loaded:
+            drawn, paths = self._packed(devices, loaded, drawn[0]["noise_key"])
+        rows, *others = drawn
+        self.simulation.reset(rows, devices, paths, *others)
+
+    def _sampled(self, devices: NDArray[np.int64], keys: Keys) -> Drawn:
+        """Return what the episodes' keys draw, for each device's own profile."""
         which = self.simulation.which[devices // LANES]
         kinds = np.unique(which)
         if kinds.size == 1:
-            return sample(suite, keys, self.profiles[kinds[0]], self._max_forces[kinds[0]], split)
-        rows = np.zeros(keys.size, dtype=SCENARIO)
-        for kind in kinds:
-            own = which == kind
-            rows[own] = sample(suite, keys[own], self.profiles[kind], self._max_forces[kind], split)
-        return rows
+            return self._draw(int(kinds[0]), keys)
+        parts = [(which == kind, self._draw(kind, keys[which == kind])) for kind in kinds.tolist()]
+        found = tuple(np.zeros(keys.size, dtype=drawn.dtype) for drawn in parts[0][1])
+        for own, drawn in parts:
+            for whole, part in zip(found, drawn, strict=True):
+                whole[own] = part
+        return found
+
+    def _draw(self, kind: int, keys: Keys) -> Drawn:
+        """Return the scenarios that keys draw for a profile."""
+        settings = self.settings
+        return (sample(settings.suite, keys, self.profiles[kind], self._max_forces[kind], settings.split),)
 
     def _wanted(
         self, devices: NDArray[np.int64], names: Sequence[str | None] | None, scenarios: Sequence[Scenario]
@@ -277,9 +303,7 @@ class Episodes:
         """Return the given devices' (None: all) present observations, shape (len(devices), observation_size)."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
         observations = np.empty((devices.size, self.observation_size), dtype=np.float32)
-        transition.observe_devices(*self._arrays, devices, observations)
-        if self.privileged:  # compiled only if needed
-            self._observe_privileged(self._arrays, devices, observations)
+        self._observe(devices, observations)
         return observations
 
     def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
@@ -294,7 +318,7 @@ class Episodes:
         Returns
         -------
         observations : ndarray of float32, shape (N, observation_size)
-        report : ndarray, shape (N, 39)
+        report : ndarray, shape (N, report_size)
             Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
@@ -304,22 +328,22 @@ class Episodes:
         """
         num_devices = self.simulation.num_devices
         observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
-        report = np.empty((num_devices, transition.REPORT_SIZE))
+        report = np.empty((num_devices, self.report_size))
         if np.isnan(actions).any():
             device = int(np.isnan(actions).argmax()) // self.action_size
             raise AmulettError(f"the action of device {device} is NaN; allowed is [-1, 1]")
-        means, actions = self._split(actions)
+        others, actions = self._split(actions)
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if len(self._shares) == 1:
-            self._step(self._arrays, self.simulation.paths, self.simulation.loop, means, actions, observations, report)
+            self._step(self._arrays, self._memory(), others, actions, observations, report)
         else:
-            self._step_in_threads(means, actions, observations, report)
+            self._step_in_threads(others, actions, observations, report)
         if own is not None:
             costs = {name: total - before[name] for name, total in self._costs().items()}
             costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
             terms = np.ascontiguousarray(report[:, transition.FIRST_TERM : transition.FIRST_READING].T)
-            report[:, 0] = own_reward(own, costs, dict(zip(TERMS, terms, strict=True)))
+            report[:, 0] = own_reward(own, costs, dict(zip(self.terms, terms, strict=True)))
         return observations, report
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
@@ -343,6 +367,13 @@ class Episodes:
         means, tensions = actions.reshape(-1, self.action_size).T.copy()
         return means, tensions
 
+    def _memory(self, blocks: slice | None = None) -> tuple[Any, ...]:
+        """Return what the simulation of some blocks (None: all) needs besides `Arrays`: paths, loop."""
+        paths, loop = self.simulation.paths, self.simulation.loop
+        if blocks is None:
+            return paths, loop
+        return paths and (paths[0], paths[1][blocks]), loop and (loop[0], loop[1][blocks])
+
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""
         read = self.simulation.read
@@ -354,17 +385,23 @@ class Episodes:
     def _step(
         self,
         arrays: Arrays,
-        paths: Paths | None,
-        loop: Loop | None,
-        means: NDArray[np.floating[Any]] | None,
+        memory: tuple[Any, ...],
+        others: NDArray[np.floating[Any]] | None,
         actions: NDArray[np.floating[Any]],
         observations: Observations,
         report: Report,
     ) -> None:
-        """Take one agent step with the devices of some blocks."""
-        transition.step(*arrays, paths, loop, means, actions, observations, report)
+        """Take one agent step with the devices of some blocks; arguments as of `_memory` and `_split`."""
+        paths, loop = memory
+        transition.step(*arrays, paths, loop, others, actions, observations, report)
         if self.privileged:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
+
+    def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
+        """Fill the observations of devices."""
+        transition.observe_devices(*self._arrays, devices, observations)
+        if self.privileged:  # compiled only if needed
+            self._observe_privileged(self._arrays, devices, observations)
 
     def _observe_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
         parameters, _, which, scenarios, states = arrays
@@ -375,7 +412,7 @@ class Episodes:
 
     def _step_in_threads(
         self,
-        means: NDArray[np.floating[Any]] | None,
+        others: NDArray[np.floating[Any]] | None,
         actions: NDArray[np.floating[Any]],
         observations: Observations,
         report: Report,
@@ -386,25 +423,19 @@ class Episodes:
         def step(blocks: slice) -> None:
             rows = slice(blocks.start * LANES, blocks.stop * LANES)
             arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
-            paths = self.simulation.paths
-            if paths is not None:
-                paths = paths[0], paths[1][blocks]
-            loop = self.simulation.loop
-            if loop is not None:
-                loop = loop[0], loop[1][blocks]
-            mean = None if means is None else means[rows]
-            self._step(arrays, paths, loop, mean, actions[rows], observations[rows], report[rows])
+            other = None if others is None else others[rows]
+            self._step(arrays, self._memory(blocks), other, actions[rows], observations[rows], report[rows])
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
             self._pool_process = os.getpid()
-        others = [self._pool.submit(step, blocks) for blocks in self._shares[1:]]
+        running = [self._pool.submit(step, blocks) for blocks in self._shares[1:]]
         try:
             step(self._shares[0])
         finally:
-            wait(others)  # even after an error, no thread writes to the states any more
-        for other in others:
-            other.result()
+            wait(running)  # even after an error, no thread writes to the states any more
+        for each in running:
+            each.result()
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
@@ -416,12 +447,16 @@ class Episodes:
         return {**self.__dict__, "_pool": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
-        """Return the report of the given devices' (None: all) present state, shape (len(devices), 39), no reward."""
+        """Return the report of the given devices' (None: all) present state, one row each, no reward."""
         devices = np.arange(self.simulation.num_devices) if devices is None else devices
-        report = np.empty((devices.size, transition.REPORT_SIZE))
+        report = np.empty((devices.size, self.report_size))
+        self._report(devices, report)
+        return report
+
+    def _report(self, devices: NDArray[np.int64], report: Report) -> None:
+        """Fill the reports of devices."""
         parameters, _, which, scenarios, states = self._arrays
         transition.report_devices(parameters, which, scenarios, states, devices, report)
-        return report
 
     def scenario(self, device: int) -> NDArray[np.void]:
         """Return the packed scenario of one device's present episode; ResetNeeded if it has started none yet."""
@@ -431,11 +466,14 @@ class Episodes:
 
     def unpacked(self, device: int) -> Scenario:
         """Return the scenario of one device's present episode; errors as `scenario`."""
-        found = unpack(self.scenario(device), self.simulation.read_path(device))
+        found = self._unpack(device)
         if self.names is None:
             return found
         name = str(self.names_of(np.array([device]))[0])
         return found.model_copy(update={"device": found.device.model_copy(update={"name": name})})
+
+    def _unpack(self, device: int) -> Scenario:
+        return unpack(self.scenario(device), self.simulation.read_path(device))
 
     def steps(self) -> NDArray[np.int64]:
         """Return the number of agent steps of each device's episode, shape (N,)."""
@@ -481,21 +519,26 @@ class Episodes:
     def _state(self) -> dict[str, NDArray[Any]]:
         return {"keys": self._keys, "episodes": self._episodes, "started": self.started}
 
+    def _pack(self, scenario: Scenario, profile: Profile) -> Drawn:
+        """Return what :meth:`_draw` does, one of each, of a scenario for a profile."""
+        return (pack(scenario, profile),)
+
     def _packed(
         self, devices: NDArray[np.int64], loaded: Sequence[Scenario], noise_keys: Keys
-    ) -> tuple[NDArray[np.void], list[NDArray[np.void]]]:
+    ) -> tuple[Drawn, list[NDArray[np.void]]]:
         if self.privileged and any(scenario.has_path for scenario in loaded):
             raise AmulettError(
                 f"a privileged observation holds at most {MAX_MOVES} moves and no sampled setpoint; "
                 "make the environment without privileged=True"
             )
         of_devices = zip(devices.tolist(), loaded, strict=True)
-        rows = np.concatenate([pack(scenario, self.profile_of(device)) for device, scenario in of_devices])
-        drawn = np.array([scenario.noise_seed is None for scenario in loaded])
+        packed = [self._pack(scenario, self.profile_of(device)) for device, scenario in of_devices]
+        found = tuple(np.concatenate(parts) for parts in zip(*packed, strict=True))
+        rows, drawn = found[0], np.array([scenario.noise_seed is None for scenario in loaded])
         rows["noise_key"] = np.where(drawn, noise_keys, rows["noise_key"])
         for device, row in zip(devices.tolist(), rows, strict=True):
             self._set_prices(self.simulation.which[device // LANES], row["family"])
-        return rows, [pack_path(scenario) for scenario in loaded]
+        return found, [pack_path(scenario) for scenario in loaded]
 
 
 def checked_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from pydantic import Field
 
 from amulett_gym.envs import transition
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import Profile, is_shipped, load_profile, profile_names
+from amulett_gym.profile import Profile, device_names, is_shipped, load_profile
 from amulett_gym.settings import Group, Sourced
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import FAMILIES, LANES, RUNNING
@@ -174,7 +174,7 @@ def device_digest(profile: Profile) -> str:
 
 @cache
 def _shipped_digests() -> dict[str, str]:
-    return {device_digest(load_profile(name)): name for name in profile_names()}
+    return {device_digest(load_profile(name)): name for name in device_names()}
 
 
 @cache

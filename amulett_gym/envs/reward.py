@@ -6,7 +6,7 @@ scenario of a mix uses its own family's divisors (`envs.prices`), and all famili
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Literal, get_args
 
 import numpy as np
@@ -52,11 +52,11 @@ def default_weights(suite: str, track: Track = SCHEDULE) -> dict[str, float]:
     return {term: 0.0 if term == "tension" else weight / total for term, weight in weights.items()}
 
 
-def check_weights(weights: dict[str, float]) -> dict[str, float]:
-    """Return the weights; raise an AmulettError if a name is unknown or a weight is not from 0 to a million."""
+def check_weights(weights: dict[str, float], allowed: Iterable[str] = COST_TERMS) -> dict[str, float]:
+    """Return the weights; raise an AmulettError if a name is not allowed or a weight is not from 0 to a million."""
     for name, weight in weights.items():
-        if name not in DEFAULT_WEIGHTS:
-            raise unknown("reward weight", name, DEFAULT_WEIGHTS)
+        if name not in allowed:
+            raise unknown("reward weight", name, allowed)
         if not 0 <= weight <= MOST_WEIGHT:
             raise AmulettError(f"reward weight '{name}' is {weight}; it has to be from 0 to {MOST_WEIGHT:g}")
     return weights
@@ -85,7 +85,7 @@ def own_reward(function: RewardFunction, costs: Terms, terms: Terms) -> NDArray[
         rewards = np.array(found, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise AmulettError(f"reward_fn returned {found!r}; it has to return an array of numbers") from error
-    shape = costs["position"].shape
+    shape = costs["failure"].shape
     if rewards.shape != shape or not np.isfinite(rewards).all():
         wrong = f"the shape {rewards.shape}" if rewards.shape != shape else f"{rewards[~np.isfinite(rewards)][0]}"
         raise AmulettError(f"reward_fn returned {wrong}; it has to return finite numbers in the shape {shape}")

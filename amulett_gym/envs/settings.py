@@ -29,7 +29,9 @@ NO_LIMIT = -1
 Bounds = TypeVar("Bounds", bound=Sequence[float])
 
 
-def _one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
+def one_of(kind: str, choices: Iterable[str]) -> BeforeValidator:
+    """Return the check that a value is one of the names of a kind."""
+
     def check(name: Any) -> Any:
         if not isinstance(name, str) or name not in choices:
             raise unknown(kind, str(name), choices)
@@ -76,15 +78,15 @@ AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 AnyFleet = Annotated[
     tuple[Profile, ...] | None, BeforeValidator(lambda fleet: None if fleet is None else load_fleet(fleet))
 ]
-Suite = Annotated[str, _one_of("suite", suite_names())]
-Split = Annotated[str, _one_of("split", SPLITS)]
+Suite = Annotated[str, one_of("suite", suite_names())]
+Split = Annotated[str, one_of("split", SPLITS)]
 ControlLoop = Annotated[Control, BeforeValidator(_check_control)]
-CostTrack = Annotated[Track, _one_of("track", TRACKS)]
+CostTrack = Annotated[Track, one_of("track", TRACKS)]
 TensionRange = Annotated[tuple[float, float], AfterValidator(_check_range)]
 TensionList = Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_check_range)]  # of JSON files
 MeanAngle = Annotated[float, Field(gt=0, le=36_000)]  # [deg]
 AgentPeriod = Annotated[float, Field(gt=0, le=100)]
-Weights = Annotated[dict[str, float], AfterValidator(check_weights)]
+Weights = Annotated[dict[str, float], AfterValidator(lambda weights: check_weights(weights))]
 ActionDelay = Annotated[int, Field(ge=0, le=10**6)]
 Noise = Annotated[float, Field(ge=0)]
 Threads = Annotated[int, Field(ge=1)]
@@ -113,7 +115,7 @@ class Settings(Group):
         default="decentralized",
         description="control loop: the paper's with the tension loop, or without (position-only), or one of the others",
     )
-    tension_law: Annotated[str, _one_of("tension law", TENSION_LAWS)] = Field(
+    tension_law: Annotated[str, one_of("tension law", TENSION_LAWS)] = Field(
         default="agent", description="what sets the tension: the agent, or eq. 6 in each control tick"
     )
     track: CostTrack = Field(

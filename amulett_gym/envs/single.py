@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
-from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
-from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, MAY_BE_MISSING, METRICS, READINGS
+from amulett_gym.envs.transition import (
+    FIRST_METRIC,
+    FIRST_READING,
+    FIRST_TERM,
+    MAY_BE_MISSING,
+    METRICS,
+    READINGS,
+    REPORT_SIZE,
+)
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAILURES
@@ -181,8 +188,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         values = report[0].tolist()
         info: dict[str, Any] = dict(zip(READINGS, values[FIRST_READING:FIRST_METRIC], strict=True))
         info["failure"] = FAILURES[int(info["failure"])]
-        info["reward_terms"] = dict(zip(TERMS, values[FIRST_TERM:FIRST_READING], strict=True))
-        info["metrics"] = metrics = dict(zip(METRICS, values[FIRST_METRIC:], strict=True))
+        info["reward_terms"] = dict(zip(self.episodes.terms, values[FIRST_TERM:FIRST_READING], strict=True))
+        info["metrics"] = metrics = dict(zip(METRICS, values[FIRST_METRIC:REPORT_SIZE], strict=True))
         for found, names in ((metrics, MAY_BE_MISSING), (info, ("stiffness_setpoint",))):
             for name in names:
                 if math.isnan(found[name]):

@@ -259,13 +259,17 @@ def costs(e, s, i):
 @compiled
 def write_reward(e, c, s, i, report):
     """Report the step's reward with its terms, which hold the costs before the step, by the prices of the family."""
+    charge(e, s, i, c.family[i], costs(e, s, i), report)
+
+
+@compiled
+def charge(e, s, i, family, costs, report):
+    """Report the step's reward with its terms, which hold the costs before the step, by those after it."""
     terms = report[FIRST_TERM:FIRST_READING]
-    family = c.family[i]
-    position, effort, tension, contact = costs(e, s, i)
-    terms[0] = -e.prices[family, 0] * (position - terms[0])
-    terms[1] = -e.prices[family, 1] * (effort - terms[1])
-    terms[2] = -e.prices[family, 2] * (tension - terms[2])
-    terms[3] = -e.prices[family, 3] * (contact - terms[3])
+    terms[0] = -e.prices[family, 0] * (costs[0] - terms[0])
+    terms[1] = -e.prices[family, 1] * (costs[1] - terms[1])
+    terms[2] = -e.prices[family, 2] * (costs[2] - terms[2])
+    terms[3] = -e.prices[family, 3] * (costs[3] - terms[3])
     terms[4] = 0.0
     cost = -(terms[0] + terms[1] + terms[2] + terms[3])
     if cost > e.cost_cap:

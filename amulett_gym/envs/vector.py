@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
-from amulett_gym.envs.reward import TERMS
 from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
-from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS
+from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS, REPORT_SIZE
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import FAILURES, RUNNING
@@ -62,12 +61,15 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._limit = math.inf if settings.max_episode_steps == NO_LIMIT else settings.max_episode_steps
         self.render_mode = settings.render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
-        self.episodes = Episodes(self.num_envs, settings, settings.threads)
+        self.episodes = self._make_episodes(settings)
         self.single_observation_space, self.single_action_space = spaces_of(self.episodes)
         self.observation_space = _batched(self.single_observation_space, self.num_envs)
         self.action_space = _batched(self.single_action_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._renderers: list[Any] = []
+
+    def _make_episodes(self, settings: VectorSettings) -> Episodes:
+        return Episodes(settings.num_envs, settings, settings.threads)
 
     @property
     def profile(self) -> Profile:
@@ -236,8 +238,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         info: dict[str, Any] = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
         failures = info["failure"].astype(np.int64)
         info["failure"] = _FAILURES[failures] if failures.any() else np.zeros(failures.size, dtype=_FAILURES.dtype)
-        info["reward_terms"] = dict(zip(TERMS, report.T[FIRST_TERM:FIRST_READING], strict=True))
-        info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:], strict=True))
+        info["reward_terms"] = dict(zip(self.episodes.terms, report.T[FIRST_TERM:FIRST_READING], strict=True))
+        info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:REPORT_SIZE], strict=True))
         if self.episodes.names is not None:
             info["device"] = self.episodes.names_of(devices)
         return info

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 import subprocess
 import sys
 import warnings
@@ -19,7 +20,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from numpy.typing import NDArray
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.errors import AmulettError
 
 STEPS = 120
@@ -96,11 +97,25 @@ def _bounds(subject: Subject) -> None:
     for space in (env.observation_space, env.action_space):
         assert isinstance(space, gym.spaces.Box)
         _assert(bool(np.isfinite(space.low).all() and np.isfinite(space.high).all()), f"{space} is not bounded")
-    size = 2 if subject.env_id == DRIVES_ID else 1
+    size = 2 if subject.env_id in (DRIVES_ID, WORN_ID) else 1
     expected = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     _assert(env.action_space == expected, f"the action space is {env.action_space}")
     for observation, *_ in _steps(env, 2):
         _assert(env.observation_space.contains(observation), f"{observation} is outside the observation space")
+
+
+def _documented(subject: Subject) -> None:
+    """Compare each space's box and table in the class's docstring with the space; a class may leave one out."""
+    env = subject.make()
+    sections = (type(env.unwrapped).__doc__ or "").split("\n    ## ")
+    spaces = {"Action Space": env.action_space, "Observation Space": env.observation_space}
+    found = [(spaces[title], text) for title, _, text in (part.partition("\n") for part in sections) if title in spaces]
+    _assert(bool(found), "the docstring describes no space")
+    for space, text in found:
+        (size,) = space.shape or ()
+        _assert(f"`Box(-1, 1, ({size},), float32)`" in text, f"the docstring describes another space than {space}")
+        numbers = [int(number) for number in re.findall(r"^ *\| (\d+) +\|", text, re.MULTILINE)]
+        _assert(numbers == list(range(size)), f"the docstring's table has the entries {numbers}, not 0 to {size - 1}")
 
 
 def _reward_terms(subject: Subject) -> None:
@@ -199,6 +214,7 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "Stable-Baselines3's check_env, without a warning": _sb3,
     "EnvSpec survives JSON, keywords included": _spec,
     "Finite bounds, actions in [-1, 1], observations float32 within their space": _bounds,
+    "The docstring's boxes and tables are those of the spaces": _documented,
     "Reward terms in info sum to the reward": _reward_terms,
     "Same seed, same trajectory, in this process and another one": _same_seed,
     "Another seed, and another reset, give another episode": _other_seed,

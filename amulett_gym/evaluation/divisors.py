@@ -14,14 +14,14 @@ from typing import Any
 
 from amulett_gym.envs.eq6_costs import Eq6Costs, measure
 from amulett_gym.errors import AmulettError
-from amulett_gym.profile import load_profile, profile_names
+from amulett_gym.profile import device_names, load_profile
 from amulett_gym.storage.writing import write_json
 from amulett_gym.tasks.suites import suite_names
 
 
 def measure_shipped() -> dict[str, Any]:
     """Return eq. 6's mean costs: ``divisors``, profile -> suite -> term, and ``divisors_in_mixed``, by family."""
-    found = {name: {suite: _measured(name, suite) for suite in suite_names()} for name in profile_names()}
+    found = {name: {suite: _measured(name, suite) for suite in suite_names()} for name in device_names()}
     return {
         "divisors": {
             name: {suite: costs.mean.model_dump() for suite, costs in suites.items()} for name, suites in found.items()

@@ -14,11 +14,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, Track
 from amulett_gym.envs.transition import METRICS
-from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.errors import AmulettError, refuse_worn, unknown
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.remarks import device_remarks, loop_remarks
 from amulett_gym.laws.bundle import read_bundle
@@ -96,6 +96,8 @@ class Protocol:
     unit: Profile | None = None
 
     def __post_init__(self) -> None:
+        if self.env_id == WORN_ID:
+            raise refuse_worn("a comparison of laws")
         for kind, name, choices in (
             ("environment", self.env_id, ENV_IDS),
             ("suite", self.suite, suite_names()),
@@ -138,6 +140,8 @@ class Protocol:
 
         In a comparison in `Amulett/Drives-v0`, laws for a tension, eq. 6 among them, act in the first of `ENV_IDS`.
         """
+        if contender.env_id == WORN_ID:
+            raise refuse_worn(f"a comparison with '{contender.name}', which acts there alone,")
         if contender.env_id is not None:
             return contender.env_id
         own = isinstance(contender, Own)

@@ -19,7 +19,7 @@ from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, m
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
 from amulett_gym.firmware.protocol import MODES, REASONS, Report
 from amulett_gym.firmware.recording import Reader, begin_of
-from amulett_gym.simulation.layout import BY_STIFFNESS, RUNNING, Loop, Paths
+from amulett_gym.simulation.layout import BY_STIFFNESS, RUNNING
 
 _DEVICE = np.zeros(1, dtype=np.int64)
 
@@ -61,15 +61,15 @@ class FirmwareEpisodes(Episodes):
     def _step(
         self,
         arrays: Arrays,
-        paths: Paths | None,
-        loop: Loop | None,
-        means: NDArray[np.floating[Any]] | None,
+        memory: tuple[Any, ...],
+        others: NDArray[np.floating[Any]] | None,
         actions: NDArray[np.floating[Any]],
         observations: Observations,
         report: NDArray[np.float64],
     ) -> None:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
         parameters, constants, _, scenarios, states = arrays
+        _, loop = memory
         open_step(constants, states, report)
         for _ in range(int(constants["ticks"][0])):
             if states["failure"][0, 0] != RUNNING:

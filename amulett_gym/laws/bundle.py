@@ -35,11 +35,11 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 from safetensors import SafetensorError
 
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import AgentPeriod, MeanAngle, Steps, TensionList
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError, other_version, unknown
+from amulett_gym.errors import AmulettError, other_version, refuse_worn, unknown
 from amulett_gym.fleet import fleet_names
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY
@@ -151,6 +151,8 @@ class TrainingEnv(Group):
         """Refuse an id that would make Gymnasium import a module, and a profile that would have a file read."""
         if self.id not in ENV_IDS:
             raise unknown("environment", self.id[:100], ENV_IDS)
+        if self.id == WORN_ID:
+            raise refuse_worn("a policy bundle")
         fleet = self.keywords.get("fleet") or []
         if not isinstance(fleet, list):
             if fleet not in fleet_names():

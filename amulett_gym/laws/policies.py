@@ -11,11 +11,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError, OtherLoopWarning
+from amulett_gym.errors import AmulettError, OtherLoopWarning, refuse_worn
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
@@ -98,8 +98,9 @@ def _policy_and_bundle(name_or_folder: str | Path | Callable[..., Any], env: Any
         raise AmulettError(f"'{name}' acts inside the loop: make the environment with {key}='{value}' instead")
     if is_law(name) and base.episodes.action_size > 1:
         raise AmulettError(
-            f"'{name}' chooses a tension and cannot act in {DRIVES_ID}, whose action also has a mean drive angle; "
-            "use a policy bundle that was trained there, a function of your own, or another environment"
+            f"'{name}' chooses a tension and cannot act in {base.env_id}, whose action has another entry; use a "
+            f"{'policy bundle that was trained there, a ' if base.env_id == DRIVES_ID else ''}function of your own, or "
+            "another environment"
         )
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
@@ -226,6 +227,8 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
             f"policy bundle '{bundle.folder}' needs privileged observations of the device; make the environment with "
             "fleet=[...]"
         )
+    if env.env_id == WORN_ID:
+        raise refuse_worn(f"policy bundle '{bundle.folder}'")
     mine, theirs = bundle.policy.mean_angle_range, getattr(env, "mean_angle_range", None)
     if (mine is None and theirs is not None) or (mine is not None and theirs is None):
         needed = DRIVES_ID if theirs is None else "an environment in which an action is a tension"

@@ -13,7 +13,7 @@ from amulett_gym.profile import STABLE_STEP, Profile
 from amulett_gym.simulation import worn
 from amulett_gym.simulation.batch import Simulation, max_stiffness
 from amulett_gym.simulation.layout import LANES, Control, words, zeros
-from amulett_gym.simulation.worn_layout import PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
+from amulett_gym.simulation.worn_layout import PERSON, PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
 
 
 class WornSimulation(Simulation):
@@ -115,6 +115,14 @@ class WornSimulation(Simulation):
     def read_worn(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the wearers (see `worn_layout.WORN_NAMES`), shape (num_devices,)."""
         return self.worn[2][name].reshape(-1)[: self.num_devices].copy()
+
+    def read_wearers(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
+        """Return a copy of the given devices' wearers, `PERSON` records of shape (len(devices),)."""
+        block, lane = np.divmod(devices, LANES)
+        copies = np.zeros(block.size, dtype=PERSON)
+        for copy, own in zip(words(copies, 1), words(self.worn[1], LANES), strict=True):
+            copy[..., 0] = own[block, :, lane]
+        return copies
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""

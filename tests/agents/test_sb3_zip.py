@@ -161,7 +161,7 @@ def test_the_recipe_beside_a_zip_says_what_its_actions_mean(tmp_path):
     (tmp_path / "config.yaml").write_text(
         "env: {agent_period: 0.1, tension_range: [5.0, 8.0]}\nnetwork: {features: false}"
     )
-    for env_id in ENV_IDS:
+    for env_id in ENV_IDS[:3]:
         contender = load_sb3_zip(path, TESTBED, env_id, trust_pickle=True)
         assert contender.env_keywords == {"agent_period": 0.1, "tension_range": [5.0, 8.0]}
 

@@ -18,7 +18,7 @@ from helpers import HELD_DRIVES, device
 from amulett_gym import ENV_IDS
 from amulett_gym.envs import eq6_costs as module
 from amulett_gym.envs.eq6_costs import NO_CONTACT, Eq6Costs, device_digest, eq6_costs, measure, shipped_costs
-from amulett_gym.profile import Profile, load_profile, profile_names
+from amulett_gym.profile import Profile, device_names, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.tasks.suites import episode_keys, families_of, sample
@@ -102,10 +102,10 @@ def test_each_family_of_the_mix_has_its_own_costs():
     assert [family for family, costs in found.families.items() if costs.contact != NO_CONTACT] == ["contact"]
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", device_names())
 def test_names_sources_and_gains_of_other_loops_make_no_other_device(name):
     shipped = load_profile(name)
-    other = next(each for each in profile_names() if each != name)
+    other = next(each for each in device_names() if each != name)
     plain = {key: value for key, value in shipped.model_dump().items() if key != "loops"}
     plain["drives"] = {**plain["drives"], "sources": {}}
     same = load_profile({**plain, "name": other, "base": None, "description": "x"})

@@ -14,7 +14,7 @@ from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import LANES
 
-SCALING, TENSION, DRIVES = amulett_gym.ENV_IDS
+SCALING, TENSION, DRIVES = amulett_gym.ENV_IDS[:3]
 QUICK = device(
     "simulation",
     plant={"joint_pulley_radius": 0.03, "masses": [{"mass": 0.4, "arm": 0.1}]},

@@ -11,14 +11,14 @@ from amulett_gym import ENV_IDS
 from amulett_gym.envs.eq6_costs import measure
 from amulett_gym.envs.prices import divisors, divisors_are, divisors_owner, prices
 from amulett_gym.envs.reward import COST_TERMS, FULL_CONTROL
-from amulett_gym.profile import load_profile, profile_names
+from amulett_gym.profile import device_names, load_profile
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.tasks.suites import families_of, suite_names
 
 SLOW = device("testbed", drives={"lag": 0.2}, plant={"masses": [{"mass": 1.0, "arm": 0.25}]})
 
 
-@pytest.mark.parametrize("name", profile_names())
+@pytest.mark.parametrize("name", device_names())
 def test_shipped_devices_have_frozen_divisors_under_any_name(name):
     shipped = load_profile(name)
     mine = load_profile({"name": "mine", "base": name})

@@ -20,7 +20,7 @@ from amulett_gym.laws.contenders import Own, parse_contender
 from amulett_gym.laws.own import load_own
 from amulett_gym.profile import load_profile
 
-SCALING, TENSION, DRIVES = amulett_gym.ENV_IDS
+SCALING, TENSION, DRIVES = amulett_gym.ENV_IDS[:3]
 SETPOINT = OBSERVATIONS.index("setpoint")
 
 
