@@ -61,6 +61,8 @@ def values(name: str, annotation: Any, field: FieldInfo, shipped: Any = None) ->
         return st.lists(groups(arguments[0]), min_size=sizes.get("min_length", 0), max_size=3)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return groups(annotation, shipped)
+    if annotation is bool:
+        return st.booleans() if shipped is None else st.one_of(st.just(shipped), st.booleans())
     low, high = range_of(field)
     if annotation is int:
         drawn: Values = st.integers(int(low), int(high))

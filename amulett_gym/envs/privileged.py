@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
-from amulett_gym.model.spring import look_up
+from amulett_gym.model.spring import inverse_look_up, look_up
 from amulett_gym.simulation.layout import LANES, Family
 
 _SOON = 2.0
@@ -111,7 +111,10 @@ def describe_devices(parameters: NDArray[np.void], bare_inertia: NDArray[np.floa
     """Return the entries of `FLEET_PRIVILEGED`, a row for each of `layout.PARAMETERS` and arm's inertia [kg m2]."""
     rows = []
     for p, of_arm in zip(parameters, bare_inertia, strict=True):
-        forces = [look_up(p["force_table"], share) for share in (1.0 / 3.0, 2.0 / 3.0, 1.0)]
+        table, end = p["force_table"], 1.0
+        if look_up(table, end) > p["max_force"]:  # with an elastic structure it may go on beyond the springs' range
+            end = inverse_look_up(table, p["max_force"])
+        forces = [look_up(table, share * end) for share in (1.0 / 3.0, 2.0 / 3.0, 1.0)]
         fit = [p[f"damping_{name}"] for name in "abcd"]
         rows.append(
             [
@@ -119,7 +122,7 @@ def describe_devices(parameters: NDArray[np.void], bare_inertia: NDArray[np.floa
                 of_arm,
                 1.0 / p["inverse_lag"] if p["inverse_lag"] > 0.0 else 0.0,
                 p["rate_limit"],
-                1.0 / p["inverse_max_deflection"],
+                end / p["inverse_max_deflection"],
                 *forces,
                 *(decay_rate(preload, *fit) for preload in (2.0, 15.0)),
                 p["encoder_noise"],

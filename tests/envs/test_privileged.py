@@ -11,8 +11,9 @@ from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEG
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.plant import inertia
-from amulett_gym.model.spring import build_tables, look_up
+from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
+from amulett_gym.simulation.reference import string_force
 from amulett_gym.tasks.suites import suite_names
 
 SCALING, TENSION = amulett_gym.ENV_IDS[:2]
@@ -195,37 +196,40 @@ def test_with_a_fleet_the_device_itself_is_observed_last():
             spring={"measured_curve": "deflection_m,force_N\n0,0\n0.002,3\n0.004,10\n0.006,20\n"},
             sensors={"encoder_noise_deg": 0.25, "potentiometer_noise": 2e-5},
         ),
+        changed("testbed", structure={"stiffness": 2e4}, spring={"beyond": "continued"}),
     ]
-    env = gym.make_vec(TENSION, num_envs=16, fleet=fleet, privileged=True, suite="reach")
+    env = gym.make_vec(TENSION, num_envs=24, fleet=fleet, privileged=True, suite="reach")
     observations, _ = env.reset(seed=0)
-    assert observations.shape == (16, SENSED + len(PRIVILEGED) + len(FLEET_PRIVILEGED))
-    observations, *_ = env.step(np.zeros((16, 1)))
-    for profile, rows in zip(fleet, (observations[:8], observations[8:]), strict=True):
+    assert observations.shape == (24, SENSED + len(PRIVILEGED) + len(FLEET_PRIVILEGED))
+    observations, *_ = env.step(np.zeros((24, 1)))
+    for profile, rows in zip(fleet, (observations[:8], observations[8:16], observations[16:]), strict=True):
         expected = describe(profile)
         entries = rows[:, SENSED + len(PRIVILEGED) :]
         np.testing.assert_allclose(entries, np.tile([expected[name] for name in FLEET_PRIVILEGED], (8, 1)), rtol=1e-5)
     alone = gym.make_vec(TENSION, num_envs=8, profile=fleet[1], privileged=True, suite="reach")
     alone.reset(seed=list(range(8, 16)))
     found = alone.step(np.zeros((8, 1)))[0]
-    assert observations[8:, : found.shape[1]].tobytes() == found.tobytes()
+    assert observations[8:16, : found.shape[1]].tobytes() == found.tobytes()
 
 
 def describe(profile):
     """Return the entries of a fleet's device from its profile."""
-    tables, plant, damping = build_tables(profile.spring), profile.plant, profile.damping
+    springs, plant, damping = build_tables(profile.spring), profile.plant, profile.damping
+    give = 0.0 if profile.structure is None else springs.max_force / profile.structure.stiffness
+    most, force = springs.max_deflection + give, string_force(profile)
     values = {
         "device_radius_ratio": plant.drive_pulley_radius / plant.joint_pulley_radius,
         "device_inertia": inertia([m.mass for m in plant.masses], [m.arm for m in plant.masses]),
         "device_lag": profile.drives.lag,
         "device_rate_limit": np.radians(profile.drives.rate_limit_deg or np.inf),
-        "device_max_deflection": tables.max_deflection,
+        "device_max_deflection": most,
         "device_encoder_noise": np.radians(profile.sensors.encoder_noise_deg),
         "device_slider_noise": profile.sensors.potentiometer_noise,
         "device_control_period": profile.loop.control_period,
-        "device_force_end": tables.max_force,
+        "device_force_end": springs.max_force,
     }
     for name, share in (("third", 1 / 3), ("two_thirds", 2 / 3)):
-        values[f"device_force_{name}"] = look_up(tables.force, share)
+        values[f"device_force_{name}"] = force(share * most)
     for name, preload in (("low", 2.0), ("high", 15.0)):  # both profiles have the shifted fit
         rate = damping.a * np.exp(damping.b * (preload + damping.c)) + damping.d
         values[f"device_damping_{name}"] = max(rate, 0.0)

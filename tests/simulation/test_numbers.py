@@ -324,6 +324,13 @@ def test_a_device_too_quick_for_its_integration_steps_is_refused(changes, messag
     TensionEnv(profile=device("testbed", **changes, loop={"substeps": least})).reset(seed=0)
 
 
+def test_an_elastic_structure_counts_in_the_check_of_the_integration_step():
+    stop = {"beyond": "hard-stop", "stop_stiffness": 5e6}
+    TensionEnv(profile=device("testbed", spring=stop, structure={}))  # rigid, it is refused
+    with pytest.raises(AmulettError, match="oscillates by .* rad in an integration step"):
+        TensionEnv(profile=device("testbed", spring=stop, structure={"stiffness": 5e6}))
+
+
 def test_a_lag_shorter_than_an_integration_step_is_refused():
     with pytest.raises(AmulettError, match=r"drives.lag is 0.0005 s; .* it has to be 0, or at least 0.001 s"):
         device("testbed", drives={"lag": 5e-4})
