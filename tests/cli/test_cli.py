@@ -9,9 +9,13 @@ from importlib import import_module
 
 import pytest
 
+from amulett_gym import ENV_IDS, WORN_ID
 from amulett_gym.cli import COMMANDS, main
+from amulett_gym.profile import device_names
 from amulett_gym.simulation.layout import CONTROLS
 from amulett_gym.studies.speed.rates import contestants, race
+from amulett_gym.tasks.suites import suite_names
+from amulett_gym.tasks.worn_suites import WORN_SUITES
 
 
 def _module(command):
@@ -77,6 +81,8 @@ def test_another_option_is_no_suggestion(capsys):
         (["quickstart", "--seconds", "nan"], "--seconds is nan"),
         (["quickstart", "--seed", "-1"], "--seed is -1"),
         (["train", "--set", "ppo.gama=0.9", "--out", "x"], "did you mean 'gamma'"),
+        (["train", "--set", "env.id=Amulett/Worn-v0", "--out", "x"], "not possible in Amulett/Worn-v0"),
+        (["evaluate", "--policies", "eq6", "--env-id", "Amulett/Worn-v0"], "not possible in Amulett/Worn-v0"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(words, message, capsys, tmp_path, monkeypatch):
@@ -131,7 +137,10 @@ def test_version(capsys):
 def test_list_names_everything(capsys):
     assert main(["list", "--json"]) == 0
     names = json.loads(capsys.readouterr().out)
-    assert set(names) == {"environments", "control loops", "suites", "splits", "laws", "profiles"}
+    worn = "suites of Amulett/Worn-v0"
+    assert set(names) == {"environments", "control loops", "suites", worn, "splits", "laws", "profiles"}
+    assert list(names["environments"]) == list(ENV_IDS)
+    assert "assembly" in names[worn] and "assembly" not in names["suites"]
     assert list(names["control loops"]) == list(CONTROLS)
     assert "steps" in names["suites"]
     assert "eq6" in names["laws"]
@@ -141,6 +150,22 @@ def test_list_names_everything(capsys):
 def test_check_passes_and_says_so(capsys):
     assert main(["check", "Amulett/Tension-v0", "--profile", "testbed"]) == 0
     assert "\n  failed" not in capsys.readouterr().out
+
+
+def test_check_takes_each_environment_with_its_own_suites(capsys, monkeypatch):
+    from amulett_gym.evaluation import conformance
+
+    monkeypatch.setattr(conformance, "CHECKS", {"nothing": lambda subject: None})
+    assert main(["check", "--json"]) == 0
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    worn = [(check["profile"], check["suite"]) for check in checks if check["env_id"] == WORN_ID]
+    assert worn == [("worn", suite) for suite in WORN_SUITES]
+    assert len(checks) == len(worn) + 3 * len(device_names()) * len(suite_names())
+    assert main(["check", "--suite", "assembly", "--profile", "testbed", "--json"]) == 0
+    [only] = json.loads(capsys.readouterr().out)["checks"]
+    assert (only["env_id"], only["profile"]) == (WORN_ID, "testbed")
+    assert main(["check", WORN_ID, "--suite", "steps"]) == 2
+    assert "unknown suite 'steps'" in capsys.readouterr().err
 
 
 def test_check_fails_with_exit_code_1(capsys, monkeypatch):
