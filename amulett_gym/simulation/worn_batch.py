@@ -52,14 +52,22 @@ class WornSimulation(Simulation):
             As of `Simulation.reset`.
         wearers : ndarray of `worn_layout.PERSON`, optional
             One for each of the devices; None: those of the last reset.
+
+        Raises
+        ------
+        AmulettError
+            As `Simulation.reset`, or if cuff and arm are too fast for the integration step; nothing changes then.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
-        block, lane = np.divmod(devices, LANES)
+        before = self.read_wearers(devices)
         if wearers is not None:
-            self._check_step(scenarios, wearers, self.which[block])
-            for own, new in zip(words(self.worn[1], LANES), words(np.ascontiguousarray(wearers), 1), strict=True):
-                own[block, :, lane] = new[..., 0]
-        super().reset(scenarios, devices, paths)
+            self._check_step(scenarios, wearers, self.which[devices // LANES])
+            self._put_wearers(devices, wearers)
+        try:
+            super().reset(scenarios, devices, paths)
+        except AmulettError:
+            self._put_wearers(devices, before)
+            raise
 
     def _check_step(self, scenarios: NDArray[np.void], wearers: NDArray[np.void], which: NDArray[np.int64]) -> None:
         """Refuse arms and cuffs that oscillate too fast for the integration step, or are damped too much."""
@@ -123,6 +131,11 @@ class WornSimulation(Simulation):
         for copy, own in zip(words(copies, 1), words(self.worn[1], LANES), strict=True):
             copy[..., 0] = own[block, :, lane]
         return copies
+
+    def _put_wearers(self, devices: NDArray[np.int64], wearers: NDArray[np.void]) -> None:
+        block, lane = np.divmod(devices, LANES)
+        for own, new in zip(words(self.worn[1], LANES), words(np.ascontiguousarray(wearers), 1), strict=True):
+            own[block, :, lane] = new[..., 0]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import pickle
 import re
 
@@ -12,10 +13,16 @@ import pytest
 from amulett_gym import ENV_IDS, WORN_ID
 from amulett_gym.envs.rendering.frame import frame_of
 from amulett_gym.envs.reward import COST_CAP
+from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.worn import WornEnv
 from amulett_gym.envs.worn_reward import WORN_WEIGHTS, doffed_costs, worn_divisors
+from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.envs.worn_transition import METRICS, OBSERVATIONS, READINGS
 from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.runner import evaluate
+from amulett_gym.laws.bundle import TrainingEnv
+from amulett_gym.laws.contenders import Own
+from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.tasks.worn_suites import WORN_SUITES
@@ -218,6 +225,57 @@ def test_a_frame_shows_the_device():
 def test_wrong_keywords_are_refused(keywords, message):
     with pytest.raises(AmulettError, match=message):
         gym.make(WORN_ID, **keywords)
+
+
+def test_docstring_and_settings_name_the_same_keywords():
+    table = inspect.getdoc(WornEnv).partition("## Arguments")[2].partition("## ")[0]
+    rows = dict(re.findall(r"^\| `(\w+)` +\| (\S.*?) +\|", table, re.M))
+    defaults = {name: field.default for name, field in WornSettings.model_fields.items()}
+    own = {
+        name
+        for name, field in WornSettings.model_fields.items()
+        if field.default != Settings.model_fields[name].default
+    }
+    assert own | {"tension_law", "reward_weights", "track", "privileged"} == rows.keys()
+    assert {name: default.strip('`"') for name, default in rows.items()} == {
+        name: str(defaults[name]) for name in rows
+    } | {"tension_range": "(0, 15)"}
+
+
+def test_laws_of_a_tension_and_bundles_are_refused_and_functions_act():
+    env = gym.make(WORN_ID)
+    observation, _ = env.reset(seed=0)
+    for name, message in (
+        ("constant:10", "chooses a tension and cannot act in Amulett/Worn-v0"),
+        ("equilibrium-point/constant:10", "cannot act in Amulett/Worn-v0"),
+        ("pretrained", "not possible in Amulett/Worn-v0"),
+    ):
+        with pytest.raises(AmulettError, match=message):
+            load_policy(name, env)
+    policy = load_policy(lambda observations: np.zeros((len(observations), 2)), env)
+    assert env.step(policy(observation))[0].shape == (16,)
+    with pytest.raises(AmulettError, match="has to be .1, 2."):
+        load_policy(lambda observations: np.zeros(len(observations)), env)(observation)
+
+
+def test_comparisons_and_bundles_refuse_the_environment():
+    mine = Own("mine", act=lambda observations: np.zeros((len(observations), 2)), env_id=WORN_ID)
+    with pytest.raises(AmulettError, match="'mine', which acts there alone, is not possible in Amulett/Worn-v0"):
+        evaluate([mine], episodes=2)
+    with pytest.raises(AmulettError, match="not possible in Amulett/Worn-v0"):
+        evaluate(["eq6"], episodes=2, env_id=WORN_ID)
+    with pytest.raises(ValueError, match="policy bundle is not possible in Amulett/Worn-v0"):
+        TrainingEnv(id=WORN_ID, keywords={}, max_episode_steps=500)
+
+
+def test_a_reset_that_fails_leaves_the_old_episode_with_its_wearer():
+    env = gym.make(WORN_ID).unwrapped
+    env.reset(seed=0)
+    before = env.scenario
+    high = {"initial_angle_deg": 80.0, "orientation": "vertical", "initial_tension": 21.6, "wearer": {"mass": 40.0}}
+    with pytest.raises(AmulettError, match="starts with a string force"):
+        env.reset(options={"scenario": high})
+    assert env.scenario == before
 
 
 def test_bare_environments_refuse_worn_suites_and_wearers():
