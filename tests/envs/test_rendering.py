@@ -77,7 +77,8 @@ def play_command(*words):
 
 @pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
 def test_a_picture_is_an_array_of_bytes_that_changes_as_the_arm_moves(env_id):
-    with gym.make(env_id, suite="paper-step", render_mode="rgb_array") as env:
+    suite = "assembly" if env_id == amulett_gym.WORN_ID else "paper-step"
+    with gym.make(env_id, suite=suite, render_mode="rgb_array") as env:
         env.reset(seed=0)
         before = env.render()
         for _ in range(60):
