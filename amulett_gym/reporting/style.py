@@ -116,8 +116,9 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
         with _settings():
             figure = draw(*args, **keywords)
             FigureCanvasAgg(figure)  # not the canvas of the user's backend
-            # Only once: the layout engine moves things a little in every run.
-            figure.draw_without_rendering()
+            engine = figure.get_layout_engine()
+            if engine is not None:  # only once: it moves things a little in every run
+                engine.execute(figure)
             figure.set_layout_engine(None)
             return figure
 
