@@ -18,7 +18,21 @@ from amulett_gym.jit.notice import announce_compilation
 
 COMMANDS = (
     *("quickstart", "train", "tune", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
-    *("play", "loops", "reproduce", "identify", "fit", "config", "log", "check", "list", "bench", "export", "hil"),
+    *(
+        "play",
+        "loops",
+        "wearer",
+        "reproduce",
+        "identify",
+        "fit",
+        "config",
+        "log",
+        "check",
+        "list",
+        "bench",
+        "export",
+        "hil",
+    ),
 )
 
 _EXAMPLES = "examples:"

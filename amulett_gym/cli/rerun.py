@@ -289,6 +289,7 @@ _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], N
     "tune": (_command_again, _reader("trials.json")),
     "tune-law": (_tune_law_again, _tuned),
     "loops": (_command_again, _reader("loops.json")),
+    "wearer": (_command_again, _reader("results.json")),
     "reproduce": (_command_again, _reader("reproduction.json")),
     "bench": (_command_again, _measured),
 }

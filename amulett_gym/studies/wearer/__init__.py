@@ -1,0 +1,1 @@
+"""The study of worn devices: baselines, headroom, and learned policies against them."""

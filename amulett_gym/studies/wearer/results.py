@@ -1,0 +1,131 @@
+"""The study's numbers as plain data, with intervals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.evaluation.statistics import Estimate, draw_weights, ratio_of_sums
+from amulett_gym.studies.wearer.baselines import BASELINES
+from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
+from amulett_gym.studies.wearer.headroom import Headroom
+from amulett_gym.studies.wearer.study import NO_CABLE, Played, Study
+
+Values = NDArray[np.float64]
+Content = dict[str, Any]
+
+_COUNTED = 9.5  # [s] of an episode, from the task's begin on
+
+
+def content(study: Study) -> Content:
+    """Return all numbers as plain data: that of ``results.json``."""
+    description = study.description
+    cells = [_cell(cell, description.resamples) for cell in study.headroom]
+    plain = study.played[NO_CABLE]
+    return {
+        "profile": study.device.name,
+        "description": description.model_dump(mode="json"),
+        "headroom": cells,
+        "suites": _suites(cells, description.headroom.least),
+        "best_baseline": study.best,
+        "baselines": {
+            kind: {
+                "control": searches[0].control,
+                "values": searches[0].values,
+                "searches": [{"train": each.train, "validation": each.validation} for each in searches],
+            }
+            for kind, searches in study.baselines.items()
+        },
+        "policies": {each.name: {"control": each.control, "device": each.device.name} for each in study.policies},
+        "comparison": {name: _row(study, plain, name) for name in plain if name not in GUARDS},
+        "guards": {name: _row(study, plain, name) for name in plain if name in GUARDS},
+        "cables": _cables(study),
+    }
+
+
+def _cell(cell: Headroom, resamples: int) -> Content:
+    costs = cell.costs
+    few = costs["clairvoyant"].size
+
+    def ratio(name: str, reference: str) -> Content:
+        count = few if "clairvoyant" in (name, reference) else costs[name].size
+        weights = draw_weights(count, resamples)
+        return ratio_of_sums(costs[name][:count], costs[reference][:count], weights).plain()
+
+    return {
+        "suite": cell.suite,
+        "control": cell.control,
+        "scenarios": costs["doffed"].size,
+        "foreseen": few,
+        "costs": {name: float(values.mean()) for name, values in costs.items()},
+        "values": {"constant": cell.constant.values, "two_level": cell.two_level.values},
+        **{f"{name}_over_doffed": ratio(name, "doffed") for name in ("constant", "two-level", "clairvoyant")},
+        **{f"{name}_over_constant": ratio(name, "constant") for name in ("two-level", "clairvoyant")},
+    }
+
+
+def _suites(cells: list[Content], least: float) -> Content:
+    """Return for each suite the loop in which the best constant costs least, and whether there is headroom."""
+    found: Content = {}
+    for suite in dict.fromkeys(cell["suite"] for cell in cells):
+        best = min((cell for cell in cells if cell["suite"] == suite), key=lambda cell: cell["costs"]["constant"])
+        gain = 1.0 - best["clairvoyant_over_constant"]["mean"]
+        two_level = 1.0 - best["two-level_over_constant"]["mean"]
+        found[suite] = {"control": best["control"], "clairvoyant_gain": gain, "two_level_gain": two_level}
+        found[suite]["headroom"] = bool(gain >= least)
+    return found
+
+
+def _row(study: Study, played: dict[str, Played], name: str) -> Content:
+    values, doffed, best = played[name], played[DOFFED], played[study.best]
+    weights = draw_weights(values["cost"].size, study.description.resamples)
+
+    def ratio(key: str, reference: Played) -> dict[str, float | None]:
+        found: Estimate = ratio_of_sums(values[key], reference[key], weights)
+        return found.plain()
+
+    cost, effort = (values[key] / doffed[key] for key in ("cost", "muscle_effort"))
+    moving = values["moving_time"].sum()
+    return {
+        "cost": float(values["cost"].mean()),
+        "terms": {key: float(values[key].mean()) for key in ("muscle", "tracking", "cuff", "drives", "failure")},
+        "cost_over_doffed": ratio("cost", doffed),
+        "cost_over_best": ratio("cost", best),
+        "effort_over_doffed": ratio("muscle_effort", doffed),
+        "effort_over_best": ratio("muscle_effort", best),
+        "moving_cuff_rms": float(np.sqrt(values["moving_cuff_ise"].sum() / moving)) if moving > 0.0 else None,
+        "cuff_peak": float(values["cuff_peak"].mean()),
+        "cuff_peak_over_best": ratio("cuff_peak", best),
+        "largest_cuff_peak": float(values["cuff_peak"].max()),
+        "tracking_rms": float(np.sqrt(values["tracking_ise"].mean() / _COUNTED)),
+        "isav": float(values["isav"].mean()),
+        "failed": int(values["failed"].sum()),
+        "wearers": cost.size,
+        "worse_off": {"count": int((cost > 1.0).sum()), "worst": float(cost.max()), "median": float(np.median(cost))},
+        "worse_off_by_effort": {"count": int((effort > 1.0).sum()), "worst": float(effort.max())},
+        "cost_ratios": cost.tolist(),
+    }
+
+
+def _cables(study: Study) -> Content:
+    """Return costs with each cable, and what is left of each contender's lead over the best baseline."""
+    names = [name for name in study.played[NO_CABLE] if name not in GUARDS]
+    cables = [cable.name for cable in study.description.cables]
+    found: Content = {}
+    for name in names:
+        each = {cable: float(study.played[cable][name]["cost"].mean()) for cable in cables}
+        own, best = (np.concatenate([study.played[cable][k]["cost"] for cable in cables]) for k in (name, study.best))
+        wearers = study.description.held_out
+        # The cables of a wearer are resampled together.
+        sums = [values.reshape(-1, wearers).sum(axis=0) for values in (own, best)]
+        ratio = ratio_of_sums(sums[0], sums[1], draw_weights(wearers, study.description.resamples)).plain()
+        plain = study.played[NO_CABLE]
+        lead = 1.0 - plain[name]["cost"].sum() / plain[study.best]["cost"].sum()
+        left = 1.0 - sums[0].sum() / sums[1].sum()
+        found[name] = {"costs": each, "cost_over_best": ratio, "lead": float(lead), "lead_with_cables": float(left)}
+        found[name]["baseline"] = name in BASELINES
+        doffed = np.tile(plain[DOFFED]["cost"], len(cables))
+        found[name]["worse_off"] = {"count": int((own > doffed).sum()), "of": own.size}
+    return found

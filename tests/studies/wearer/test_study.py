@@ -1,0 +1,227 @@
+"""The study of worn devices: its parts against the environment, its stages, and the files of the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from amulett_gym import WORN_ID
+from amulett_gym.cli import main
+from amulett_gym.laws.worn import Constant, WornLaw
+from amulett_gym.profile import load_profile
+from amulett_gym.reporting.document import marks
+from amulett_gym.studies.wearer import study
+from amulett_gym.studies.wearer.baselines import BASELINES, TWO_LEVEL, Tuned, device_of, space_of, tune
+from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
+from amulett_gym.studies.wearer.description import Description, load_description, quick
+from amulett_gym.studies.wearer.episodes import STEPS, Schedule, draw, play
+from amulett_gym.studies.wearer.headroom import foresee
+from amulett_gym.studies.wearer.results import content
+from amulett_gym.studies.wearer.search import Budget, cross_entropy
+from amulett_gym.studies.wearer.tables import answer, tables
+
+LOOP = "co-rotation"
+
+
+@pytest.fixture(scope="module")
+def device():
+    return load_profile("worn")
+
+
+@pytest.fixture(scope="module")
+def scenarios(device):
+    return draw(device, "assembly", "held-out", 3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return the folder of a quick study, which the command wrote."""
+    folder = tmp_path_factory.mktemp("wearer") / "out"
+    assert main(["wearer", "--quick", "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return json.loads((folder / "results.json").read_text())
+
+
+def test_the_cost_is_minus_the_environments_return(device, scenarios):
+    law = WornLaw(Constant(co_contraction=6.0))
+    env = gym.make_vec(WORN_ID, num_envs=3, profile=device, suite="assembly", control=LOOP, split="held-out")
+    observations, _ = env.reset(seed=0)
+    returns, law_of_env = np.zeros(3), WornLaw(Constant(co_contraction=6.0))
+    for _ in range(STEPS):
+        observations, rewards, _, _, info = env.step(law_of_env(observations))
+        returns += rewards
+    played = play(device, LOOP, scenarios, law)
+    assert played["cost"] == pytest.approx(-returns, rel=1e-12)
+    assert np.array_equal(played["muscle_effort"], info["metrics"]["muscle_effort"])
+    assert np.array_equal(played["cuff_peak"], info["metrics"]["cuff_peak"])
+
+
+def test_a_doffed_wearer_has_neither_cuff_nor_drives(scenarios):
+    doffed = scenarios.doffed
+    assert (doffed["cuff_peak"] == 0.0).all() and (doffed["failed"] == 0.0).all()
+    assert doffed["cost"] == pytest.approx(doffed["muscle"] + doffed["tracking"])
+    assert (doffed["cost"] > 0.3).all()
+    assert scenarios.moving.mean() == pytest.approx(doffed["moving_time"].mean() / 10.0, abs=0.02)
+
+
+def test_two_levels_follow_the_true_intention(scenarios):
+    values = {"moving_tension": 2.0, "holding_tension": 12.0, "holding_assistance": 0.0}
+    act = Tuned(TWO_LEVEL, LOOP, values, 0.0).act(scenarios)
+    for step in range(100):
+        actions = act(np.zeros((3, 16), dtype=np.float32))
+        moving = scenarios.moving[:, step]
+        assert actions[:, 1] == pytest.approx(np.where(moving, 1.0, -1.0))
+        assert 7.5 * (actions[:, 0] + 1.0) == pytest.approx(np.where(moving, 2.0, 12.0), abs=1e-5)
+
+
+def test_a_clairvoyant_begins_with_the_two_levels(device, scenarios):
+    space = space_of(TWO_LEVEL, LOOP)
+    tuned = Tuned(TWO_LEVEL, LOOP, {p.name: p.start for p in space.parameters}, 0.0)
+    cost = tuned.play(device, scenarios)["cost"]
+    alone = foresee(device, tuned, scenarios, Budget(1, 1))
+    assert alone == pytest.approx(cost, rel=1e-6)
+    assert (foresee(device, tuned, scenarios, Budget(6, 2)) <= alone).all()
+
+
+def test_a_search_finds_the_least_cost_of_each_problem():
+    targets = np.array([[0.2, 0.9], [0.7, 0.1], [0.0, 0.5]])
+
+    def costs_of(points):
+        return ((points - targets[:, None]) ** 2).sum(axis=2)
+
+    points, costs = cross_entropy(costs_of, np.full((3, 2), 0.5), Budget(24, 20), seed=0)
+    assert points == pytest.approx(targets, abs=0.03)
+    assert costs == pytest.approx(costs_of(points[:, None])[:, 0])
+    start, _ = cross_entropy(lambda points: points.sum(axis=2) * 0.0, targets, Budget(4, 1), seed=0)
+    assert np.array_equal(start, targets)  # the start is the first candidate
+
+
+def test_tuning_lowers_the_cost_and_names_its_parameters(device):
+    train = draw(device, "assembly", "train", 2)
+    bad = {"co_contraction": 15.0, "gain": 0.2, "carry": 0.0}
+    before = Tuned("constant", LOOP, {p.name: p.start for p in space_of("constant", LOOP).parameters} | bad, 0.0)
+    after = tune("constant", device, LOOP, train, Budget(6, 3), start=bad)
+    assert after.train < before.play(device, train)["cost"].mean()
+    assert after.train == pytest.approx(after.play(device, train)["cost"].mean())
+    changed = device_of(device, after.values)
+    assert changed.wearer.admittance.gain == after.values["gain"]
+    assert changed.wearer.cuff == device.wearer.cuff
+
+
+def test_a_transparent_device_has_no_virtual_spring(device):
+    changed = device_of(device, {"co_contraction": 5.0, "torque_time": 0.05})
+    gains = changed.loops.torque
+    assert (gains.virtual_stiffness, gains.virtual_damping, gains.torque_time) == (0.0, 0.0, 0.05)
+
+
+def test_the_papers_loop_is_played_in_its_own_range(device, scenarios):
+    space = space_of("constant", "decentralized")
+    assert (space.parameters[0].low, space.parameters[0].high) == (4.0, 15.0)
+    seen = []
+
+    def look(step, episodes):
+        seen.append(episodes.simulation.read("tension_setpoint"))
+
+    play(device, "decentralized", scenarios, Schedule(np.full((3, 1), 5.5), np.ones((3, 1)), (4.0, 15.0)), look)
+    assert seen[10] == pytest.approx([5.5] * 3, abs=1e-5)
+
+
+def test_the_recipe_is_the_default():
+    assert load_description("configs/wearer.yaml") == load_description(None) == Description()
+
+
+def test_the_command_writes_numbers_tables_and_figures(folder, found, capsys, tmp_path):
+    written = {path.name for path in folder.iterdir()}
+    pictures = {"wearer_headroom.png", "wearer_ratios.png"}
+    assert written == {"results.json", "tables.md", "command.json", "stages", *pictures}
+    assert [*found["comparison"]] == [DOFFED, *BASELINES, TWO_LEVEL]
+    assert [*found["guards"]] == [*GUARDS]
+    document = tmp_path / "wearer.md"
+    document.write_text("before\n" + "\n".join(marks("amulett wearer")) + "\nafter\n")
+    capsys.readouterr()
+    words = ["wearer", "--quick", "--out", str(folder), "--doc", str(document), "--json"]
+    assert main(words) == 0  # finished stages are not repeated
+    again = json.loads(capsys.readouterr().out)
+    assert {key: again[key] for key in again if key != "machine"} == {k: found[k] for k in found if k != "machine"}
+    text = document.read_text()
+    assert "wearer_headroom.png" in text and text.startswith("before") and text.endswith("after\n")
+    assert (tmp_path / "images" / "wearer_headroom.png").is_file()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    assert main(["wearer", "--quick", "--out", str(tmp_path / "other")]) == 2
+
+
+def test_finished_stages_are_read_back(folder, found):
+    before = {path: path.stat().st_mtime_ns for path in (folder / "stages").rglob("*.json")}
+    description, done = quick(load_description(None)), []
+    again = study.run(description, folder=folder, report=done.append)
+    assert {path: path.stat().st_mtime_ns for path in (folder / "stages").rglob("*.json")} == before
+    assert len(done) == study.parts(description, [])
+    numbers = json.loads(json.dumps(content(again), allow_nan=False))
+    assert numbers == {key: value for key, value in found.items() if key not in ("command", "machine")}
+
+
+def test_ratios_are_those_of_the_costs(folder, found):
+    description = quick(load_description(None))
+    again = study.run(description, folder=folder)
+    plain = again.played[study.NO_CABLE]
+    for name in BASELINES:
+        row = found["comparison"][name]
+        doffed = plain[DOFFED]
+        assert row["cost_over_doffed"]["mean"] == pytest.approx(plain[name]["cost"].sum() / doffed["cost"].sum())
+        assert row["worse_off"]["count"] == (plain[name]["cost"] > doffed["cost"]).sum()
+        assert row["cuff_peak"] == pytest.approx(plain[name]["cuff_peak"].mean())
+    assert found["comparison"][again.best]["cost_over_best"]["mean"] == pytest.approx(1.0)
+    cell = found["headroom"][0]
+    assert cell["costs"]["clairvoyant"] <= cell["costs"]["constant"] * 2.0
+    assert cell["clairvoyant_over_constant"]["mean"] <= 1.0 + 1e-12
+
+
+def test_a_suite_without_headroom_is_named_so(folder, found):
+    assert not any("without headroom" in line for line in answer({**found, "suites": {}}))
+    description = quick(load_description(None))
+    again = study.run(description, folder=folder)
+    cell = again.headroom[0]
+    flat = replace(cell, costs={**cell.costs, "clairvoyant": 0.97 * cell.costs["constant"][:2]})
+    numbers = content(replace(again, headroom=[flat]))
+    assert numbers["suites"]["assembly"]["headroom"] is False
+    assert any(line.startswith("assembly: **without headroom**") for line in answer(numbers))
+
+
+def test_tables_name_every_contender(found):
+    shown = tables(found)
+    assert [row[0].split(" (")[0] for row in shown["comparison"].rows] == [DOFFED, *BASELINES, TWO_LEVEL]
+    assert len(shown["guards"].rows) == len(GUARDS)
+    assert all(len(row) == len(table.head) for table in shown.values() for row in table.rows)
+
+
+def test_cables_change_the_costs(found):
+    (cable,) = [f"mu {c['friction']:g}, {c['bend_deg']:g} deg" for c in found["description"]["cables"]]
+    assert found["cables"][DOFFED]["costs"][cable] == pytest.approx(found["comparison"][DOFFED]["cost"])
+    for name in BASELINES:
+        assert found["cables"][name]["costs"][cable] != found["comparison"][name]["cost"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"suite": "assembley"}, {"control": "decentralized"}, {"headroom": {"loops": {"assembly": ["cascad"]}}}]
+)
+def test_a_wrong_description_is_refused(wrong, tmp_path, capsys):
+    file = tmp_path / "study.json"
+    file.write_text(json.dumps(wrong))
+    assert main(["wearer", "--config", str(file)]) == 2
+    assert "unknown" in capsys.readouterr().err
+
+
+def test_a_policy_of_another_environment_is_refused(capsys):
+    assert main(["wearer", "--quick", "--policy", "pretrained"]) == 2
+    assert "Amulett/Worn-v0" in capsys.readouterr().err
+    assert main(["wearer", "--quick", "--policy", "constant"]) == 2
+    assert "./constant" in capsys.readouterr().err
