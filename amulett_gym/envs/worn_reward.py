@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from amulett_gym.envs.reward import check_weights
 from amulett_gym.profile import Profile
 
-WORN_WEIGHTS = {"muscle": 0.5, "tracking": 0.3, "cuff": 0.2, "drives": 0.02}
+WORN_WEIGHTS = {"muscle": 0.5, "tracking": 0.3, "cuff": 0.2, "drives": 0.001}
 """Default weights of the reward's terms."""
 
 WORN_TERMS = (*WORN_WEIGHTS, "failure")

@@ -62,7 +62,7 @@ ORANGE, SKY, GREEN, BLUE, RED, PURPLE = "#E69F00", "#56B4E9", "#009E73", "#0072B
 INDIGO, OLIVE, BROWN = "#5B4BA8", "#9AA51E", "#8A5A33"
 
 JOINT, BICEPS, TRICEPS, SETPOINT = "#1F2937", "#0F76B2", "#C76214", "#1C915A"
-"""The renderer's colours (`envs.rendering.picture`): a string has the same colour everywhere."""
+"""The renderer's colours (`envs.rendering.canvas`): a string has the same colour everywhere."""
 
 WIDTH = 10.0
 """Width of a comparison's figures [in]: one text size on the page."""
@@ -116,8 +116,9 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
         with _settings():
             figure = draw(*args, **keywords)
             FigureCanvasAgg(figure)  # not the canvas of the user's backend
-            # Only once: the layout engine moves things a little in every run.
-            figure.draw_without_rendering()
+            engine = figure.get_layout_engine()
+            if engine is not None:  # only once: it moves things a little in every run
+                engine.execute(figure)
             figure.set_layout_engine(None)
             return figure
 

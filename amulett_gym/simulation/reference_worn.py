@@ -131,6 +131,7 @@ def replay_worn(
 
     names = STATES + CABLES if cabled else STATES
     state = np.array([float(trajectory[name][0]) for name in names])
+    correction = 0.0
     rows, errors, delay = [[*state, cuff(state)]], [], round(wearer.reflex_delay / period)
     for tick in range(len(trajectory) - 1):
         intended = [float(trajectory[name][tick]) for name in ("intention", "intention_rate", "intention_acceleration")]
@@ -140,7 +141,9 @@ def replay_worn(
         slow = 0.5 + 2 * (b0 + h * habit)
         torque = hand_weight * math.sin(intended[0])
         torque += wearer.anticipation * (inertia * intended[2] + slow * intended[1])
-        torque += wearer.feedback_stiffness * late[0] + wearer.feedback_damping * late[1]
+        answer = wearer.feedback_stiffness * late[0] + wearer.feedback_damping * late[1]
+        correction += period * (answer / wearer.correction_time - correction / wearer.relaxation_time)
+        torque += answer + correction
         wanted = (habit, habit) if wearer.guided else _activations(torque, habit, k0, g)
         held = float(tick * period > wearer.payload_time - 0.5 * period)
         drives = float(trajectory["command_biceps"][tick + 1]), float(trajectory["command_triceps"][tick + 1])

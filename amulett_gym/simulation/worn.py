@@ -106,7 +106,9 @@ def excite(p, c, s, m, h, w, k, first, end):
         w.rate_line[now, i] = w.intention_rate[i] - w.elbow_rate[i]
         then = (s.tick[i] - min(h.delay[i], s.tick[i])) % DELAY
         answer = h.feedback_stiffness[i] * w.error_line[then, i] + h.feedback_damping[i] * w.rate_line[then, i]
-        excite_muscles(h, w, i, answer)
+        lost = w.correction[i] / h.relaxation_time[i]
+        w.correction[i] += p.control_period * (answer / h.correction_time[i] - lost)
+        excite_muscles(h, w, i, answer + w.correction[i])
         loaded = choose(s.tick[i] >= h.load_tick[i], 1.0, 0.0)
         k.inertia[i] = h.inertia[i] + loaded * h.load_inertia[i]
         k.weight[i] = h.weight[i] + loaded * h.load_weight[i]
@@ -124,7 +126,7 @@ def excite(p, c, s, m, h, w, k, first, end):
 
 @compiled
 def excite_muscles(h, w, i, answer):
-    """Set the excitations for the motion and the weight that the wearer expects, and for the reflexes' answer.
+    """Set the excitations for the motion and the weight that the wearer expects, and for the answer to errors.
 
     A guided wearer is relaxed.
     """
@@ -140,15 +142,17 @@ def excite_muscles(h, w, i, answer):
 
 @compiled
 def shiver(p, c, s, h, w, i):
-    """Set the tremor's torque [N m] for this tick: white noise through a resonance (semi-implicit Euler steps)."""
+    """Set the tremor's torque [N m] for this tick: white noise through a resonance (semi-implicit Euler steps).
+
+    The torque is the resonator's rate, which has no slow part; `tremor_lag` follows it by a quarter of a period.
+    """
     if h.tremor_torque[i] > 0.0:
-        speed = 2.0 * math.pi * h.tremor_frequency[i]
+        turn = 2.0 * math.pi * h.tremor_frequency[i] * p.control_period
         # Noise of this strength gives the oscillation a standard deviation of tremor_torque.
-        kick = h.tremor_torque[i] * math.sqrt(4.0 * TREMOR_DAMPING * speed**3 * p.control_period)
+        kick = h.tremor_torque[i] * math.sqrt(4.0 * TREMOR_DAMPING * turn)
         white = noise(c.noise_key[i] ^ TREMOR_STREAM, np.uint64(s.tick[i]))
-        slowing = 2.0 * TREMOR_DAMPING * speed * w.tremor_rate[i] + speed * speed * w.tremor[i]
-        w.tremor_rate[i] += kick * white - p.control_period * slowing
-        w.tremor[i] += p.control_period * w.tremor_rate[i]
+        w.tremor[i] += kick * white - turn * (2.0 * TREMOR_DAMPING * w.tremor[i] + w.tremor_lag[i])
+        w.tremor_lag[i] += turn * w.tremor[i]
 
 
 @compiled

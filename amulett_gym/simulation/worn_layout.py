@@ -32,7 +32,7 @@ FITTING = record(
 _PERSON_FIELDS = [
     *fields("mass height"),  # of the body; the simulation does not read them
     *fields("inertia weight tone strength rest_angle co_contraction"),
-    *fields("feedback_stiffness feedback_damping anticipation"),
+    *fields("feedback_stiffness feedback_damping correction_time relaxation_time anticipation"),
     *fields("delay", "i8"),  # [control ticks]
     *fields("tremor_torque tremor_frequency"),
     *fields("load_inertia load_weight"),  # of the payload, which is in the hand from this tick on
@@ -50,7 +50,7 @@ WORN_METRICS = tuple(name for name, *_ in _METRICS)
 _WORN_FIELDS = [
     # the arm
     *fields("elbow elbow_rate flexor extensor excitation_flexor excitation_extensor"),
-    *fields("tremor tremor_rate hand_torque cuff_torque"),
+    *fields("correction tremor tremor_lag hand_torque cuff_torque"),
     *fields("loss_biceps loss_triceps"),  # of the cables, 1 - T_out/T_in
     # what the wearer wants, and the past errors that the reflex answers
     *fields("intention intention_rate intention_acceleration"),

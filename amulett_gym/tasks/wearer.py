@@ -40,8 +40,14 @@ class Wearer(Group):
     reflex_delay: float = Field(default=0.05, ge=0, le=0.5, description="from an error to its answer [s]")
     feedback_stiffness: float = Field(default=4.0, ge=0, le=500, description="of the delayed answer [N m/rad]")
     feedback_damping: float = Field(default=0.4, ge=0, le=50, description="of the delayed answer [N m s/rad]")
+    correction_time: float = Field(
+        default=0.4, ge=0.01, le=1e6, description="in which a lasting error's answer is given once more [s]"
+    )
+    relaxation_time: float = Field(
+        default=0.8, ge=0.01, le=1e6, description="in which the wearer relaxes a correction that no error needs [s]"
+    )
     anticipation: float = Field(
-        default=0.9, ge=0, le=2, description="share of the own inertia and friction that the wearer feeds forward [1]"
+        default=0.7, ge=0, le=2, description="share of the own inertia and friction that the wearer feeds forward [1]"
     )
     tremor_torque: float = Field(default=0.0, ge=0, le=10, description="standard deviation of the tremor [N m]")
     tremor_frequency: float = Field(default=9.0, ge=1, le=20, description="of the tremor [Hz]")
@@ -99,15 +105,26 @@ POPULATION = {
     "rest_angle_deg": Quantity(
         "deg", 38.0, 50.0, (30.0, 36.0), 1, "assumed: about the middle of the workspace; shifted: more extended"
     ),
-    "co_contraction": Quantity("1", 0.02, 0.1, (0.12, 0.2), 3, "assumed: a few percent; shifted: as of older people"),
+    "co_contraction": Quantity("1", 0.01, 0.05, (0.08, 0.15), 3, "assumed: a few percent; shifted: as of older people"),
     "reflex_delay": Quantity(
         "s", 0.03, 0.07, (0.08, 0.11), 3, "assumed: about the 50 ms of PMC4191878; shifted: slower"
     ),
     "feedback_stiffness": Quantity(
-        "N m/rad", 2.0, 6.0, (0.8, 1.8), 2, "assumed: stiffness in movement is 2 to 15 N m/rad, muscles included"
+        "N m/rad", 3.0, 6.0, (1.5, 2.5), 2, "assumed: stiffness in movement is 2 to 15 N m/rad, muscles included"
     ),
-    "feedback_damping": Quantity("N m s/rad", 0.2, 0.6, (0.05, 0.18), 3, "assumed: 0.1 s times the stiffness"),
-    "anticipation": Quantity("1", 0.75, 1.05, (0.5, 0.7), 3, "assumed: error of the wearer's model of the own arm"),
+    "feedback_damping": Quantity("N m s/rad", 0.3, 0.6, (0.1, 0.25), 3, "assumed: 0.1 s times the stiffness"),
+    "correction_time": Quantity(
+        "s", 0.3, 0.6, (0.7, 1.0), 3, "assumed: voluntary answers to a lasting load begin after 0.1 to 0.2 s"
+    ),
+    "relaxation_time": Quantity(
+        "s",
+        0.6,
+        1.2,
+        (1.3, 1.8),
+        3,
+        "assumed: the motor system forgets effort that is not needed (slacking, from memory)",
+    ),
+    "anticipation": Quantity("1", 0.5, 0.9, (0.2, 0.45), 3, "assumed: how well the wearer knows the own arm"),
     "tremor_torque": Quantity("N m", 0.02, 0.08, (0.1, 0.2), 3, "assumed: of hundredths of a degree"),
     "tremor_frequency": Quantity("Hz", 8.0, 12.0, (6.0, 7.5), 2, "assumed: physiological, 8 to 12 Hz (from memory)"),
     "endpoint_spread": Quantity(

@@ -197,9 +197,9 @@ class _Movements:
 
 
 def _assembly(meant: _Movements) -> None:
-    """Four cycles: reach 20 to 45 deg in 0.6 to 1.2 s, hold 0.8 to 1.6 s, reach back, dwell 0.5 to 0.9 s.
+    """Four cycles: reach 20 to 40 deg in 0.8 to 1.4 s, hold 2 to 3 s, reach back, dwell 0.4 to 0.7 s.
 
-    Where the hand has arrived, up to 0.15 s later, a tool pushes it with 0.6 to 1.8 N m and ramps of 0.2 to 0.4 s, as
+    Where the hand has arrived, up to 0.15 s later, a tool pushes it with 0.6 to 1.6 N m and ramps of 0.2 to 0.4 s, as
     long as it holds, always in one direction. At 0.35 m from the elbow this is 1.7 to 5.1 N, as of a light screwdriver
     or of parts that are joined (assumed). Torque (5 %) and times vary from cycle to cycle. Elements take as long as in
     predetermined motion times (MTM) of light assembly.
@@ -207,12 +207,12 @@ def _assembly(meant: _Movements) -> None:
     draws, errors = meant.draws, meant.errors
     out, way, how_long, hold = meant.four(0)
     strong, pause, ramp, against = meant.four(1)
-    size = between(out, 20.0, 45.0, 2)
+    size = between(out, 20.0, 40.0, 2)
     low = between(draws[_ANGLE], meant.lowest, meant.highest - size, 2)
     home, far = (np.where((way < 0.5) == (side == 0), low, rounded(low + size, 2)) for side in (0, 1))
-    reach, holding = between(how_long, 0.6, 1.2, 3), between(hold, 0.8, 1.6, 3)
-    dwell, rise = between(pause, 0.5, 0.9, 3), between(ramp, 0.2, 0.4, 3)
-    torque = between(strong, 0.6, 1.8, 3) * np.where(against < 0.5, 1.0, -1.0)
+    reach, holding = between(how_long, 0.8, 1.4, 3), between(hold, 2.0, 3.0, 3)
+    dwell, rise = between(pause, 0.4, 0.7, 3), between(ramp, 0.2, 0.4, 3)
+    torque = between(strong, 0.6, 1.6, 3) * np.where(against < 0.5, 1.0, -1.0)
     meant.start(home)
     for k in range(_CYCLES):
         late, length, rest = meant.four(2 + k)[:3]

@@ -205,10 +205,8 @@ class Died(Exception):
     """In the place of a kill: nothing after it is done."""
 
 
-@pytest.fixture
-def broken_off(tmp_path, monkeypatch, request):
-    """Return the folder of a run that stopped dead after its fifth checkpoint, before its fifth rollout."""
-    changes = RECIPES[getattr(request, "param", "plain")]
+def break_off(out: Path, changes: list[str]) -> None:
+    """Train until a run stops dead after its fifth checkpoint, before its fifth rollout."""
     write, written = module.write_checkpoint, []
 
     def write_and_die(*arguments):
@@ -216,11 +214,29 @@ def broken_off(tmp_path, monkeypatch, request):
         if len(written) == 5:
             raise Died
 
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "write_checkpoint", write_and_die)
         with pytest.raises(Died):
-            train(recipe(changes), tmp_path / "run", progress=False, command=["amulett", "train"])
-    return tmp_path / "run"
+            train(recipe(changes), out, progress=False, command=["amulett", "train"])
+
+
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory):
+    """Return the folders of runs that stopped dead, one of each recipe, made when it is first asked for."""
+    folder = tmp_path_factory.mktemp("stopped")
+
+    def of(name: str) -> Path:
+        if not (folder / name).exists():
+            break_off(folder / name, RECIPES[name])
+        return folder / name
+
+    return of
+
+
+@pytest.fixture
+def broken_off(tmp_path, stopped, request):
+    """Return a copy of the folder of a run that stopped dead."""
+    return shutil.copytree(stopped(getattr(request, "param", "plain")), tmp_path / "run")
 
 
 # --- killed

@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+from helpers import blank_figures
+
 from amulett_gym.cli import main
 
 INLINE = "module://matplotlib_inline.backend_inline"  # what a notebook leaves in the environment of its shells
@@ -37,6 +39,7 @@ def test_own_scenarios_are_compared_kept_by_content_and_run_again(tmp_path, monk
     assert "own, 2 in turn, seeds 0 to 1, 1.0 s each" in (tmp_path / "own" / "report.html").read_text()
     for file in ("lift.yaml", "push.json"):
         (tmp_path / file).unlink()
+    blank_figures(monkeypatch)
     assert main(["rerun", "own", "--out", "again"]) == 0
     assert "numbers are the same" in capsys.readouterr().out
 

@@ -180,13 +180,13 @@ def test_learned_policies_have_colours_that_no_law_has():
 
 
 def test_a_string_has_the_renderers_colour():
-    from amulett_gym.envs.rendering import picture
+    from amulett_gym.envs.rendering import canvas
 
     for ours, theirs in (
-        (style.BICEPS, picture._BICEPS),
-        (style.TRICEPS, picture._TRICEPS),
-        (style.SETPOINT, picture._SETPOINT),
-        (style.JOINT, picture._INK),
+        (style.BICEPS, canvas.BICEPS),
+        (style.TRICEPS, canvas.TRICEPS),
+        (style.SETPOINT, canvas.SETPOINT),
+        (style.JOINT, canvas.INK),
     ):
         assert mpl.colors.to_rgb(ours) == pytest.approx([value / 255 for value in theirs])
 

@@ -1,12 +1,15 @@
 """Firmware that several tests use, compiled once."""
 
+import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
+from amulett_gym.firmware import host
 from amulett_gym.firmware.export import firmware_files, manifest
-from amulett_gym.firmware.host import Controller
+from amulett_gym.firmware.host import Controller, compile_controller
 from amulett_gym.firmware.laws import choose, firmware_law, with_delay
 from amulett_gym.firmware.recording import record
 from amulett_gym.profile import load_profile
@@ -28,7 +31,17 @@ class Firmware:
         (folder / "manifest.json").write_text(manifest(self.contender, self.settings, self.files))
 
     def controller(self, real="double") -> Controller:
-        return Controller(self.folder, real)
+        """Return a controller of its own; sources that did not change are compiled once."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(host, "compile_controller", self._compile)
+            return Controller(self.folder, real)
+
+    def _compile(self, folder: Path, library: Path, real) -> None:
+        sources = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(folder.glob("*.[ch]"))))
+        kept = folder.with_name(f"{folder.name}-{real}-{sources.hexdigest()[:16]}.so")
+        if not kept.exists():
+            compile_controller(folder, kept, real)
+        shutil.copy(kept, library)  # another file is loaded with a memory of its own
 
     def record(self, steps=60, num_devices=6, **environment):
         options = {key: environment.pop(key) for key in ("seed", "scenarios") if key in environment}

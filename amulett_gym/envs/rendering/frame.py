@@ -4,13 +4,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from amulett_gym.envs.episodes import Episodes
 from amulett_gym.simulation.batch import max_force, max_stiffness
 from amulett_gym.simulation.kernel import joint_stiffness, stretch_biceps, stretch_triceps
 from amulett_gym.simulation.layout import FAILURES, LANES
+from amulett_gym.simulation.worn_batch import WornSimulation
 
 STRIP_SECONDS = 5.0
 """Length of the curves below the arm [s]."""
+
+
+@dataclass(frozen=True)
+class WearerFrame:
+    """The true state of the arm that wears the device."""
+
+    elbow_angle: float  # flexion is positive [rad]
+    intention: float | None  # what the wearer wants the elbow's angle to be [rad]; None if the device guides the arm
+    flexor: float  # activations, 0 to 1
+    extensor: float
+    cuff_torque: float | None  # of the device on the elbow [N m]; None if the arm is outside the device
+    assistance: float  # how much the device follows the wearer, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -37,8 +52,9 @@ class Frame:
     obstacle_side: float  # +1 if it blocks flexion, -1 if it blocks extension
     push_torque: float  # external torques, positive in flexion [N m]
     contact_torque: float
-    payload_mass: float  # carried by the forearm [kg]
+    payload_mass: float  # carried by the forearm, or by the wearer's hand once it is there [kg]
     failure: str  # why the device left its limits; empty while it runs
+    wearer: WearerFrame | None = None  # None: the device is not worn
 
 
 _COPIED = (
@@ -66,6 +82,10 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
     angle, biceps, triceps = state("angle"), copied["drive_biceps"], copied["drive_triceps"]
     reach = 1.0 / float(parameters["inverse_max_deflection"])
     controls_tension = bool(parameters["tension_loop"])
+    payload, wearer = float(scenario["payload_mass"]), None
+    if isinstance(simulation, WornSimulation):
+        wearer, held = _wearer_of(simulation, device)
+        payload *= held
     return Frame(
         **copied,
         time=state("tick") * float(parameters["control_period"]),
@@ -81,6 +101,22 @@ def frame_of(episodes: Episodes, device: int) -> Frame:
         max_stiffness=max_stiffness(parameters),
         obstacle_angle=float(scenario["obstacle_angle"]) if scenario["obstacle_stiffness"] > 0 else None,
         obstacle_side=float(scenario["obstacle_side"]),
-        payload_mass=float(scenario["payload_mass"]),
+        payload_mass=payload,
         failure=FAILURES[int(state("failure"))],
+        wearer=wearer,
     )
+
+
+def _wearer_of(simulation: WornSimulation, device: int) -> tuple[WearerFrame, bool]:
+    """Return the wearer's part of a frame, and whether the payload is in the hand."""
+    person, live = simulation.read_wearers(np.array([device]))[0], simulation.live(device)
+    guided, worn = bool(person["guided"]), bool(person["worn"])
+    frame = WearerFrame(
+        elbow_angle=float(live["elbow"]),
+        intention=None if guided else float(live["intention"]),
+        flexor=float(live["flexor"]),
+        extensor=float(live["extensor"]),
+        cuff_torque=float(live["cuff_torque"]) if worn else None,
+        assistance=float(live["assistance"]),
+    )
+    return frame, bool(live["tick"] >= person["load_tick"])

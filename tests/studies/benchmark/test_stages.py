@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from helpers import keep_network, make_bundle
+from helpers import forkserver, keep_network, make_bundle
 
 from amulett_gym.cli import build_parser, main
 from amulett_gym.envs import prices
@@ -361,18 +361,26 @@ KILLED_AT = (
 """A process is killed as soon as one of these is there, and started again."""
 
 
+def silently(words: list[str]) -> None:
+    with Path(os.devnull).open("w") as sys.stdout:
+        code = main(words)
+    raise SystemExit(code)
+
+
 def test_killed_at_any_time_nothing_is_lost_or_done_twice(found, one_figure, tmp_path, faults):
     words, out = (
         ["benchmark", "--config", str(described(tmp_path, TINY)), "--out", str(tmp_path / "out")],
         tmp_path / "out",
     )
-    command = [sys.executable, "-m", "amulett_gym", *words]
     written: dict[Path, int] = {}
     for pattern in KILLED_AT:
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-            while process.poll() is None and not list(out.glob(pattern)):
-                time.sleep(0.005)
-            os.kill(process.pid, signal.SIGKILL)
+        process = forkserver().Process(target=silently, args=(words,))
+        process.start()
+        while process.is_alive() and not list(out.glob(pattern)):
+            time.sleep(0.005)
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL, f"it ended before there was {pattern}"
         files = [
             *out.glob("episodes/*/*/[!.]*.npz"),
             *out.glob("clairvoyant*/*/[!.]*.npz"),
