@@ -20,15 +20,18 @@ from stable_baselines3.sac.policies import SACPolicy
 from amulett_agents.critic_file import Critic, critic_of_bundle, pack_critic
 from amulett_agents.networks import ACTIVATIONS, AsymmetricPolicy, StandardInputs, policy_inputs, visible_entries
 from amulett_agents.wrappers import ActorView, ScaledRewards
+from amulett_gym import WORN_ID
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import NO_LIMIT, VectorSettings
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import name_or_contents
 from amulett_gym.laws.bundle import MAX_WEIGHT, Bundle, Layers, Network, PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.card import model_card
-from amulett_gym.laws.features import FEATURES
-from amulett_gym.laws.memory import MEMORY
+from amulett_gym.laws.features import FEATURES, WORN_FEATURES
+from amulett_gym.laws.memory import MEMORY, WORN_MEMORY
+from amulett_gym.laws.worn_inputs import WORN_ACTIONS, WORN_SCALES
 from amulett_gym.storage.provenance import git_revision, versions
 
 
@@ -146,8 +149,9 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     assert env is not None
     layers, network = extract_network(model.policy)
     settings = env.get_attr("settings")[0]
-    names: tuple[str, ...] = OBSERVATIONS
-    scales = OBSERVATION_SCALES
+    worn = env.get_attr("env_id")[0] == WORN_ID
+    names: tuple[str, ...] = WORN_OBSERVATIONS if worn else OBSERVATIONS
+    scales = WORN_SCALES if worn else OBSERVATION_SCALES
     if settings.privileged and not isinstance(model.policy, AsymmetricPolicy):
         names, scales = OBSERVATIONS + PRIVILEGED, {**OBSERVATION_SCALES, **PRIVILEGED_SCALES}
         if settings.fleet is not None:
@@ -155,8 +159,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
     stack = unwrap_vec_wrapper(env, VecFrameStack)
     history = 1 if stack is None else stack.stacked_obs.n_stack
     view = unwrap_vec_wrapper(env, ActorView)
-    seen = FEATURES if view is not None and view.features else ()
-    remembered = MEMORY if view is not None and view.memory is not None else ()
+    seen, remembered = _added(view)
     if view is not None and view.mean_unit != 1.0:
         layers[-1] = tuple(_scaled(values, view.mean_unit) for values in layers[-1])  # type: ignore[assignment]
     size = len(names) + len(seen) + len(remembered)
@@ -170,6 +173,7 @@ def describe_policy(model: BaseAlgorithm) -> tuple[Layers, PolicyDescription]:
         observations=list(names),
         observation_scales=dict(scales),
         features=list(seen),
+        actions=list(WORN_ACTIONS) if worn else None,
         memory=list(remembered) or None,
         follow=1.0 if view is None else view.share,
         history=history,
@@ -194,6 +198,7 @@ def start_from(model: PPO, bundle: Bundle) -> None:
         ("the output", mine.network.output, theirs.network.output),
         ("hidden layers", mine.network.layers[1:-1], theirs.network.layers[1:-1]),
         ("observations of the hidden state (privileged)", mine.is_privileged or not theirs.is_privileged, True),
+        ("actions", mine.actions, theirs.actions),
         ("features", bool(mine.features), bool(theirs.features)),
         ("memory", bool(mine.memory), bool(theirs.memory)),
         ("history", mine.history, theirs.history),
@@ -230,9 +235,9 @@ def describe_critic(model: PPO) -> Critic:
     settings = env.get_attr("settings")[0]
     view, stack = unwrap_vec_wrapper(env, ActorView), unwrap_vec_wrapper(env, VecFrameStack)
     scaled, extractor = unwrap_vec_wrapper(env, ScaledRewards), policy.vf_features_extractor
-    names: tuple[str, ...] = OBSERVATIONS  # in the order of `laws.features.with_features`
-    if view is not None:
-        names += (FEATURES if view.features else ()) + (MEMORY if view.memory is not None else ())
+    # in the order of `laws.features.with_features`
+    names: tuple[str, ...] = WORN_OBSERVATIONS if env.get_attr("env_id")[0] == WORN_ID else OBSERVATIONS
+    names += sum(_added(view), ())
     if settings.privileged:
         names += PRIVILEGED + (() if settings.fleet is None else FLEET_PRIVILEGED)
     linear = [module for module in policy.mlp_extractor.value_net if isinstance(module, torch.nn.Linear)]
@@ -296,6 +301,14 @@ def start_critic(model: PPO, bundle: Bundle) -> bool:
     linear = [module for module in model.policy.mlp_extractor.value_net if isinstance(module, torch.nn.Linear)]
     _set_layers([*linear, model.policy.value_net], layers)
     return True
+
+
+def _added(view: ActorView | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of the features and of the means that a network sees."""
+    if view is None:
+        return (), ()
+    features, memory = (WORN_FEATURES, WORN_MEMORY) if view.worn else (FEATURES, MEMORY)
+    return features if view.features else (), memory if view.memory is not None else ()
 
 
 def _set_layers(modules: Sequence[torch.nn.Module], layers: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> None:

@@ -12,6 +12,7 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
@@ -20,17 +21,11 @@ from pydantic import (
 from amulett_agents.critic_file import critic_of_bundle
 from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.action import TENSION_RANGE
-from amulett_gym.envs.settings import (
-    NO_LIMIT,
-    ActionDelay,
-    ControlLoop,
-    CostTrack,
-    MeanAngle,
-    Suite,
-    TensionList,
-    Weights,
-)
-from amulett_gym.errors import AmulettError, refuse_worn, unknown
+from amulett_gym.envs.reward import check_weights
+from amulett_gym.envs.settings import NO_LIMIT, ActionDelay, ControlLoop, CostTrack, MeanAngle, TensionList
+from amulett_gym.envs.worn_reward import DOFFED_SECONDS, check_worn_weights, doffed_cost
+from amulett_gym.envs.worn_settings import WornSettings
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.fleet import load_fleet, name_or_contents
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import bundle_folder
@@ -38,6 +33,8 @@ from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.simulation.layout import LANES
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
+from amulett_gym.tasks.suites import suite_names
+from amulett_gym.tasks.worn_suites import WORN_SUITES
 
 
 class RecipeError(AmulettError):
@@ -60,7 +57,7 @@ class EnvSettings(Group):
     fleet: Fleet = Field(
         None, description="devices instead of a profile: a name, a file or a list of profiles (kept whole)"
     )
-    suite: Suite = Field("mixed", description="scenarios; see `amulett list`")
+    suite: str = Field("mixed", description="scenarios; see `amulett list`")
     control: ControlLoop = Field("decentralized", description="control loop; see `amulett list`")
     track: CostTrack = Field("schedule", description="cost in the reward: schedule, or full-control to compare loops")
     tension_range: TensionList = Field([*TENSION_RANGE], description="tension setpoint at action -1 and +1 [N]")
@@ -80,7 +77,9 @@ class EnvSettings(Group):
         "policy's output [s]",
     )
     max_episode_steps: int = Field(500, ge=1, le=10**6, description="length of an episode [agent steps]")
-    reward_weights: Weights = Field({}, description="reward term -> weight, where it differs from the default [1]")
+    reward_weights: dict[str, float] = Field(
+        {}, description="reward term -> weight, where it differs from the default [1]"
+    )
     observation_noise: float = Field(0.0, ge=0, le=100, description="standard deviation of noise on observations [1]")
     history: int = Field(1, ge=1, le=100, description="observations in the policy's input, newest last [agent steps]")
     privileged: bool = Field(False, description="also observe what no device measures: for the causal reference")
@@ -100,8 +99,6 @@ class EnvSettings(Group):
         name = name.removeprefix("amulett_gym:")
         if name not in ENV_IDS:
             raise unknown("environment", name, ENV_IDS)
-        if name == WORN_ID:
-            raise refuse_worn("training by a recipe")
         return name
 
     @model_validator(mode="after")
@@ -109,6 +106,30 @@ class EnvSettings(Group):
         if self.mean_angle_range is not None and self.id != DRIVES_ID:
             raise ValueError(f"mean_angle_range is {self.mean_angle_range}; only {DRIVES_ID} has it, not {self.id}")
         return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_worn(cls, given: Any) -> Any:
+        """Give a worn device the defaults of its environment."""
+        if not isinstance(given, Mapping) or str(given.get("id")).removeprefix("amulett_gym:") != WORN_ID:
+            return given
+        names = ("profile", "suite", "control", "tension_range")
+        chosen = names if given.get("fleet") is None else names[1:]
+        defaults: dict[str, Any] = {name: WornSettings.model_fields[name].default for name in chosen}
+        return {**defaults, "tension_range": [*defaults["tension_range"]], **given}
+
+    @field_validator("suite")
+    @classmethod
+    def _check_suite(cls, name: str, info: ValidationInfo) -> str:
+        suites = WORN_SUITES if info.data.get("id") == WORN_ID else suite_names()
+        if name not in suites:
+            raise unknown("suite", name, suites)
+        return name
+
+    @field_validator("reward_weights")
+    @classmethod
+    def _check_reward_weights(cls, weights: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+        return (check_worn_weights if info.data.get("id") == WORN_ID else check_weights)(weights)
 
     @field_validator("profile")
     @classmethod
@@ -126,6 +147,16 @@ class EnvSettings(Group):
     def devices(self) -> tuple[Profile, ...]:
         """The fleet, or the one profile."""
         return (load_profile(self.profile),) if self.fleet is None else load_fleet(self.fleet)
+
+    @property
+    def doffed_cost(self) -> float | None:
+        """Mean cost of an episode of the same wearers without the device, in Amulett/Worn-v0 only.
+
+        Episodes of 10 s are those by which it is known; that of others is proportional to their length.
+        """
+        if self.id != WORN_ID:
+            return None
+        return doffed_cost(self.reward_weights) * self.max_episode_steps * self.agent_period / DOFFED_SECONDS
 
     @property
     def share(self) -> float:
@@ -243,12 +274,23 @@ class NetworkSettings(Group):
     initial_tension: float | None = Field(
         7.0, gt=0, le=1e6, description="initial policy's tension [N]; null: mid-range"
     )
+    initial_assistance: float | None = Field(
+        None, ge=0, le=1, description="initial policy's assistance, in Amulett/Worn-v0 only [1]; null: 1"
+    )
     start: str | None = Field(
         None,
         min_length=1,
         description="bundle (a folder, or pretrained) that PPO starts from instead of a constant; inputs that it lacks "
         "start with weight 0",
     )
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is for worn devices only where it is not given: records that are older do not have it."""
+        content: dict[str, Any] = serialize(self)
+        if content.get("initial_assistance") is None:
+            content.pop("initial_assistance", None)
+        return content
 
     @field_validator("hidden", "critic_hidden")
     @classmethod
@@ -333,6 +375,8 @@ class TrainConfig(Group):
             raise ValueError(
                 f"sac.buffer_size is {self.sac.buffer_size}; it has to be at least num_envs, {self.num_envs}"
             )
+        if self.network.initial_assistance is not None and self.env.id != WORN_ID:
+            raise ValueError(f"network.initial_assistance is given; only {WORN_ID} has it, not {self.env.id}")
         if start is not None and not low <= start <= high:
             raise ValueError(f"network.initial_tension is {start} N; env.tension_range is {low} to {high} N")
         return self

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs.privileged import FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
-from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import CRITIC, MAX_BYTES, Bundle, Layers
+from amulett_gym.laws.worn_inputs import WORN_SCALES
 from amulett_gym.storage.reading import parse_arrays
 
 _VERSION = 1
-_SCALES = {**OBSERVATION_SCALES, **PRIVILEGED_SCALES, **FLEET_SCALES}
+_SCALES = {**WORN_SCALES, **PRIVILEGED_SCALES, **FLEET_SCALES}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
+from amulett_gym import WORN_ID
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.laws.contenders import PRETRAINED, bundle_folder
@@ -48,13 +49,15 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
     keywords = settings.keywords() | {"privileged": settings.privileged or has_privileged_critic(config)}
     steps = settings.max_episode_steps
     low, high = settings.tension_range
-    first = first_policy(settings, config.network.initial_tension)
+    first = first_policy(settings, config.network.initial_tension, config.network.initial_assistance)
     devices = make_sb3_env(settings.id, config.num_envs, split="train", max_episode_steps=steps, **keywords)
     env: VecEnv = Staggered(devices, first.constant, steps, progress) if config.staggered else devices
     mean_angle = devices.venv.settings.mean_angle_deg
     unit = config.ppo.mean_exploration if config.algorithm == "ppo" and mean_angle is not None else 1.0
     network = config.network
-    env = ActorView(env, (low, high), network.features, settings.share, mean_angle, first.gain, unit, network.memory)
+    worn = settings.id == WORN_ID
+    about_angle = mean_angle, first.gain, unit
+    env = ActorView(env, (low, high), network.features, settings.share, *about_angle, network.memory, worn)
     if settings.history > 1:
         env = VecFrameStack(env, settings.history)
     env = ScaledRewards(env, algorithm.reward_scale)

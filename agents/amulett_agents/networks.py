@@ -15,6 +15,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor, create_mlp
 
 from amulett_agents.config import NetworkSettings
+from amulett_gym import WORN_ID
 from amulett_gym.laws.features import with_features
 from amulett_gym.laws.memory import ClockedMemory
 from amulett_gym.reporting.progress import Progress
@@ -75,7 +76,7 @@ def measure_inputs(
             if step:
                 observations = env.step(first(observations))[0]
             means = None if remembered is None else remembered.add(observations)
-            seen.append(with_features(observations.astype(np.float64), tension_range, means))
+            seen.append(with_features(observations.astype(np.float64), tension_range, means, env_id == WORN_ID))
             bar.update()
     env.close()
     shown = np.concatenate(seen)

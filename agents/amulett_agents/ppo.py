@@ -11,6 +11,7 @@ from amulett_agents.config import TrainConfig
 from amulett_agents.first_policy import FirstPolicy
 from amulett_agents.networks import AsymmetricPolicy, Inputs, policy_keywords, visible_entries
 from amulett_agents.schedules import learning_rate
+from amulett_gym import WORN_ID
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY
@@ -55,5 +56,6 @@ def make_ppo(config: TrainConfig, env: VecEnv, first: FirstPolicy, inputs: Input
 
 
 def has_privileged_critic(config: TrainConfig) -> bool:
-    """Return whether a recipe's critic gets more observations than its policy."""
-    return config.algorithm == "ppo" and config.ppo.privileged_critic and not config.env.privileged
+    """Return whether a recipe's critic gets more observations than its policy; there are none in `Amulett/Worn-v0`."""
+    wanted = config.ppo.privileged_critic and config.env.id != WORN_ID
+    return config.algorithm == "ppo" and wanted and not config.env.privileged

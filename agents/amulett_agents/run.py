@@ -18,8 +18,7 @@ from amulett_agents.checkpoint import BUNDLES, Checkpoint, RunState, restore, wr
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import Model
 from amulett_agents.run_folder import CONFIG, TrainResult, put_back, write_validations
-from amulett_agents.validation import evaluate
-from amulett_gym.envs.reward import TERMS
+from amulett_agents.validation import evaluate, reward_terms
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import atomic_path
@@ -104,7 +103,7 @@ class Run(BaseCallback):
             return
         self.logger.record("time/rollout_steps_per_second", self._collected / self._collecting)
         self._collected, self._collecting = 0, 0.0
-        for term in TERMS:
+        for term in reward_terms(self.validation):
             self._record_mean(f"reward/{term}", term, self._episodes)
         if is_sac:
             for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
@@ -203,6 +202,8 @@ class Run(BaseCallback):
         write_validations(self.out, self._rows)
         for name, value in scores.items():
             model.logger.record(f"validation/{name}", value)
+        if (doffed := self.config.env.doffed_cost) is not None:  # what the cost is compared with
+            model.logger.record("validation/doffed_cost", doffed)
         self._validated_steps = model.num_timesteps
 
     def _save(self, model: Model, name: str) -> None:

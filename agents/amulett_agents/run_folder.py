@@ -13,6 +13,7 @@ from pathlib import Path
 from amulett_agents.checkpoint import BUNDLES, FOLDER
 from amulett_agents.config import TrainConfig
 from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.worn_reward import WORN_TERMS
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.storage.provenance import COMMAND, read_provenance, software_changes, write_provenance
@@ -21,7 +22,7 @@ from amulett_gym.storage.safe_yaml import to_yaml
 from amulett_gym.storage.writing import write_json, write_text
 
 COLUMNS = ("steps", "seconds", "cost", *TERMS, "failures", "exploration_std")
-"""Columns of ``evaluations.csv``; a term is its mean cost per episode."""
+"""Columns of ``evaluations.csv``; a term, of which `Amulett/Worn-v0` has others, is its mean cost per episode."""
 
 CONFIG, EVALUATIONS = "config.yaml", "evaluations.csv"
 
@@ -43,10 +44,10 @@ class TrainResult:
 
     `out`, `best` and `last` are the folders of the run and its two bundles. `best_steps` is the training of `best`, and
     `steps` that of the run [agent steps]. `best_cost` and `last_cost` are mean capped costs (minus the return) on the
-    validation scenarios, on which eq. 6 costs about 1. `seconds` includes validation, but neither compilation nor work
-    that a resumed run had lost. `interrupted`: Ctrl-C or SIGTERM ended the run. `diverged`: the agent steps after which
-    a weight was not finite, or too large to store, which ended the run (else None); the bundles are those of the
-    validations before.
+    validation scenarios, on which eq. 6 costs about 1 (in `Amulett/Worn-v0` the wearers without the device do).
+    `seconds` includes validation, but neither compilation nor work that a resumed run had lost. `interrupted`: Ctrl-C
+    or SIGTERM ended the run. `diverged`: the agent steps after which a weight was not finite, or too large to store,
+    which ended the run (else None); the bundles are those of the validations before.
     """
 
     out: Path
@@ -118,10 +119,15 @@ def put_back(bundle: Path, place: Path) -> None:
 def write_validations(out: Path, rows: Sequence[Mapping[str, float]]) -> None:
     """Write ``evaluations.csv``."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer = csv.DictWriter(text, _columns(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
     write_text(out / EVALUATIONS, text.getvalue())
+
+
+def _columns(row: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the columns for rows like this one, by the terms that it has."""
+    return (*COLUMNS[:3], *(WORN_TERMS if WORN_TERMS[0] in row else TERMS), *COLUMNS[-2:])
 
 
 def is_finished(out: str | Path) -> bool:

@@ -17,7 +17,8 @@ from amulett_agents.config import load_train_config
 from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.settings import ControlLoop, MeanAngle
 from amulett_gym.envs.transition import OBSERVATIONS
-from amulett_gym.errors import AmulettError, refuse_worn, unknown
+from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
+from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.laws.contenders import Own, own_loop
 from amulett_gym.profile import Profile
 from amulett_gym.settings import Group, describe
@@ -40,8 +41,6 @@ class About(Group):
     def _check_id(cls, name: str) -> str:
         if name not in ENV_IDS:
             raise unknown("environment", name, ENV_IDS)
-        if name == WORN_ID:
-            raise refuse_worn("a policy from a zip")
         return name
 
 
@@ -62,7 +61,8 @@ def load_sb3_zip(
     Parameters
     ----------
     path : str or Path
-        Zip of any algorithm, also recurrent, whose policy maps 13 observations to the environment's actions.
+        Zip of any algorithm, also recurrent, whose policy maps 13 observations (in `Amulett/Worn-v0` 16) to the
+        environment's actions.
     profile : Profile
         Unused, as `env_id`: the meaning of an action is stored in N.
     env_id : str
@@ -87,9 +87,10 @@ def load_sb3_zip(
     if not path.is_file():
         raise AmulettError(f"cannot read SB3 zip '{path}': there is no such file")
     found = _about(path, about)
-    drives = found.env_id == DRIVES_ID
     keywords = found.model_dump(exclude={"env_id", "control"}, exclude_none=True) | own_loop(found.control)
-    return Own(str(path), keywords, act=_Acting(_load(path, 2 if drives else 1)), env_id=DRIVES_ID if drives else None)
+    only = found.env_id if found.env_id in (DRIVES_ID, WORN_ID) else None
+    seen = len(WORN_OBSERVATIONS if only == WORN_ID else OBSERVATIONS)
+    return Own(str(path), keywords, act=_Acting(_load(path, seen, 1 if only is None else 2)), env_id=only)
 
 
 class _Acting:
@@ -111,7 +112,7 @@ class _Acting:
         return actions
 
 
-def _load(path: Path, actions: int) -> BasePolicy:
+def _load(path: Path, observations: int, actions: int) -> BasePolicy:
     try:
         data, parameters, _ = load_from_zip_file(path, device="cpu")
         if data is None:
@@ -124,7 +125,7 @@ def _load(path: Path, actions: int) -> BasePolicy:
     except Exception as error:  # a pickle may raise anything
         raise AmulettError(f"'{path}' holds no model that this Stable-Baselines3 can load: {error!r}"[:500]) from error
     for name, found, shape in (
-        ("observation", policy.observation_space.shape, (len(OBSERVATIONS),)),
+        ("observation", policy.observation_space.shape, (observations,)),
         ("action", policy.action_space.shape, (actions,)),
     ):
         if found != shape:

@@ -15,7 +15,7 @@ from stable_baselines3 import PPO
 from amulett_agents.bundles import describe_policy
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import Model
-from amulett_gym.envs.reward import TERMS
+from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.laws.actor import Actor
 
 _WATCHED = 50
@@ -43,17 +43,24 @@ def evaluate(
     std = exploration_std(model, act.inputs(observations))
     playing = np.ones(env.num_envs, dtype=bool)
     step = failures = 0
-    costs = dict.fromkeys(TERMS, 0.0)
+    costs = dict.fromkeys(reward_terms(env), 0.0)
     while playing.any():
         if step % _WATCHED == 0:
             watch()
         step += 1
         observations, _, terminated, truncated, info = env.step(act(observations))
-        for term in TERMS:
+        for term in costs:
             costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
         failures += int((terminated & playing).sum())
         playing &= ~(terminated | truncated)
     return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}
+
+
+def reward_terms(env: gym.vector.VectorEnv[Any, Any, Any]) -> tuple[str, ...]:
+    """Return the names of the reward's terms in an environment of `make_validation_env`."""
+    unwrapped = env.unwrapped
+    assert isinstance(unwrapped, TensionVectorEnv)
+    return unwrapped.episodes.terms
 
 
 def exploration_std(model: Model, observations: NDArray[np.floating[Any]]) -> float:

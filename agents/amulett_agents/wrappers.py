@@ -11,8 +11,8 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from amulett_agents.adapter import SB3VecEnv
 from amulett_gym.laws.actor import beyond_setpoint, follow
-from amulett_gym.laws.features import FEATURES, with_features
-from amulett_gym.laws.memory import MEMORY, Memory
+from amulett_gym.laws.features import FEATURES, WORN_FEATURES, with_features
+from amulett_gym.laws.memory import MEMORY, WORN_MEMORY, Memory
 from amulett_gym.reporting.progress import Progress
 
 
@@ -68,6 +68,8 @@ class ActorView(VecEnvWrapper):
         both of its entries, that of the mean drive angle is smaller.
     memory : bool
         Whether means over the episode so far are appended, too.
+    worn : bool
+        Whether the devices are those of `Amulett/Worn-v0`.
 
     Attributes
     ----------
@@ -87,13 +89,19 @@ class ActorView(VecEnvWrapper):
         setpoint_gain: float | None = None,
         mean_unit: float = 1.0,
         memory: bool = False,
+        worn: bool = False,
     ) -> None:
         assert venv.observation_space.shape is not None
-        self.memory = Memory(venv.num_envs) if memory else None
-        size = venv.observation_space.shape[0] + (len(FEATURES) if features else 0) + (len(MEMORY) if memory else 0)
+        assert venv.action_space.shape is not None
+        self.memory = Memory(venv.num_envs, worn) if memory else None
+        size = venv.observation_space.shape[0] + (len(WORN_FEATURES if worn else FEATURES) if features else 0)
+        size += len(WORN_MEMORY if worn else MEMORY) if memory else 0
         shown = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
-        bounds = np.array([1.0] if mean_angle_range is None else [1.0 / mean_unit, 1.0], dtype=np.float32)
+        bounds = np.ones(venv.action_space.shape, dtype=np.float32)
+        if mean_angle_range is not None:
+            bounds[0] = 1.0 / mean_unit
         super().__init__(venv, shown, gym.spaces.Box(-bounds, bounds))
+        self.worn = worn
         self.tension_range, self.features, self.share = tension_range, features, share
         self.mean_angle_range, self.setpoint_gain, self.mean_unit = mean_angle_range, setpoint_gain, mean_unit
         self.seen: NDArray[np.float32] = np.zeros((venv.num_envs, size), dtype=np.float32)
@@ -111,7 +119,7 @@ class ActorView(VecEnvWrapper):
             actions = actions * np.array([self.mean_unit, 1.0], dtype=np.float32)
         if self.setpoint_gain is not None:
             actions = beyond_setpoint(actions, self.seen, self.setpoint_gain)
-        self.venv.step_async(follow(actions, self.seen, self.share, self.mean_angle_range))
+        self.venv.step_async(follow(actions, self.seen, self.share, self.mean_angle_range, self.worn))
 
     def step_wait(self) -> Any:
         """Take one step with all devices."""
@@ -129,7 +137,7 @@ class ActorView(VecEnvWrapper):
     def _show(self, observations: Any, devices: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.float32]:
         """Return what the network sees of the present observations of some devices, which are remembered."""
         remembered = None if self.memory is None else self.memory.add(observations, devices)
-        return with_features(observations, self.tension_range if self.features else None, remembered)
+        return with_features(observations, self.tension_range if self.features else None, remembered, self.worn)
 
 
 class ScaledRewards(VecEnvWrapper):

@@ -45,8 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Train; return 130 if Ctrl-C or SIGTERM ended it, 1 if it diverged (the policies until then are kept)."""
     check_installed()
     from dataclasses import asdict
+    from pathlib import Path
 
-    from amulett_gym import DRIVES_ID
+    from amulett_gym import DRIVES_ID, WORN_ID
     from amulett_gym.evaluation.remarks import device_remarks, print_remarks, start_remarks
     from amulett_gym.profile import load_profile
     from amulett_gym.simulation.layout import DRIVES
@@ -70,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
         loops = () if config.env.id == DRIVES_ID else (config.env.control,)
         if config.env.fleet is None:  # those of a fleet are taken as they are
             device = load_profile(config.env.profile)
-            print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=config.env.suite))
+            suite = None if config.env.id == WORN_ID else config.env.suite  # eq. 6 divides no costs there
+            print_remarks(device_remarks(device, tension_range=tensions, loops=loops, suite=suite))
         if config.network.start is not None:
             control = DRIVES if config.env.id == DRIVES_ID else config.env.control
             print_remarks(start_remarks(config.network.start, config.env.devices, control))
@@ -86,6 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
             show(f"diverged after {result.diverged:,} steps; earlier policies are kept. Try a lower learning rate")
         if finished:
             show("this run is finished; there is nothing to resume")
+        doffed = load_learning("recipes").load_train_config(Path(result.out) / "config.yaml").env.doffed_cost
+        if doffed is not None:
+            show(f"for comparison: without the device, the same wearers cost {doffed:.4g}")
         show(f"{result.steps:,} steps in {result.seconds:.0f} s, seed {result.seed}")
         show(f"best   cost {result.best_cost:.4f} on the validation scenarios, after {result.best_steps:,} steps")
         show(f"       {result.best}")

@@ -23,6 +23,9 @@ WORN_WEIGHTS = {"muscle": 0.5, "tracking": 0.3, "cuff": 0.2, "drives": 0.001}
 
 WORN_TERMS = (*WORN_WEIGHTS, "failure")
 
+DOFFED_SECONDS = 10.0
+"""Length of the episodes of which the divisors are costs [s]."""
+
 DOFFED = "doffed.json"
 """File with the frozen costs without the device."""
 
@@ -60,6 +63,15 @@ def worn_prices(profile: Profile, suite: str, weights: Mapping[str, float] | Non
     divisors = worn_divisors(profile, suite)
     weighed = {**WORN_WEIGHTS, **(weights or {})}
     return np.array([weighed[term] / divisors[term] for term in WORN_WEIGHTS])
+
+
+def doffed_cost(weights: Mapping[str, float] | None = None) -> float:
+    """Return the mean cost of an episode of `DOFFED_SECONDS` without the device: all terms but the drives' cost 1.
+
+    `weights` replace the default ones, as in `worn_prices`.
+    """
+    weighed = {**WORN_WEIGHTS, **(weights or {}), "drives": 0.0}
+    return sum(weighed.values())
 
 
 @cache

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.transition import OBSERVATION_SCALES
@@ -100,6 +100,11 @@ def choose(name: str, profile: Profile, control: str | None = None) -> tuple[Con
         raise AmulettError(
             f"'{name}' drives both motors directly ({DRIVES_ID}); the firmware has laws that choose a tension. Export "
             "one of those, for example pretrained or eq6"
+        )
+    if contender.env_id == WORN_ID:
+        raise AmulettError(
+            f"'{name}' needs the cuff of a worn device ({WORN_ID}), which the firmware lacks. Export another law, "
+            "for example pretrained or eq6"
         )
     if control is not None:
         contender = in_loop(contender, control)

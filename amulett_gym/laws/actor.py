@@ -13,6 +13,7 @@ from amulett_gym.laws.bundle import Layers, PolicyDescription, forward
 from amulett_gym.laws.features import with_features
 from amulett_gym.laws.history import History
 from amulett_gym.laws.memory import ClockedMemory
+from amulett_gym.laws.worn_inputs import ASSISTANCE
 
 TENSION_SETPOINT = OBSERVATIONS.index("tension_setpoint")
 _SETPOINT = OBSERVATIONS.index("setpoint")
@@ -37,13 +38,15 @@ class Actor:
         wanted = forward(self._layers, self._policy.network, self.inputs(observations))
         if self._policy.setpoint_gain is not None:
             wanted = beyond_setpoint(wanted, observations, self._policy.setpoint_gain)
-        return follow(wanted, observations, self._policy.follow, self._policy.mean_angle_range)
+        policy = self._policy
+        return follow(wanted, observations, policy.follow, policy.mean_angle_range, policy.is_worn)
 
     def inputs(self, observations: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Return the network's inputs, shape (N, inputs)."""
         found = observations[:, : len(self._policy.observations)].astype(np.float64)
         remembered = None if self._memory is None else self._memory.add(found)
-        found = with_features(found, self._range if self._policy.features else None, remembered)
+        shown = self._range if self._policy.features else None
+        found = with_features(found, shown, remembered, self._policy.is_worn)
         return found if self._history is None else self._history.add(found)
 
 
@@ -63,19 +66,22 @@ def follow(
     observations: NDArray[np.floating[Any]],
     share: float,
     mean_angle_range: float | None = None,
+    worn: bool = False,
 ) -> NDArray[np.float32]:
     """Return the actions, a share of the way from the present setpoints to the wanted ones.
 
     Parameters
     ----------
     wanted : ndarray, shape (N, 1) or (N, 2)
-        Tension, or mean drive angle and tension, as actions.
+        Tension; or mean drive angle and tension; or tension and assistance: as actions.
     observations : ndarray, shape (N, 13) or wider
         They hold the present tension setpoint, and the commands, whose mean is the present mean drive angle.
     share : float
         From 0 to 1; 1 returns `wanted`.
     mean_angle_range : float, optional
         Mean drive angle at action +1 [deg], if there is one.
+    worn : bool
+        Whether the second entry is the assistance, which the observations of `Amulett/Worn-v0` hold.
     """
     if share == 1.0:
         return wanted
@@ -84,4 +90,7 @@ def follow(
         scale = math.degrees(OBSERVATION_SCALES["command"]) / mean_angle_range
         mean = scale * observations[:, _COMMANDS].astype(np.float64).mean(axis=1, keepdims=True)
         present = np.concatenate([mean, present], axis=1)
+    if worn:
+        assistance = observations[:, ASSISTANCE : ASSISTANCE + 1].astype(np.float64)
+        present = np.concatenate([present, 2.0 * assistance - 1.0], axis=1)
     return (present + share * (wanted - present)).astype(np.float32)

@@ -39,10 +39,12 @@ from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, FLEET_SCALES, PRIVILEGED, PRIVILEGED_SCALES
 from amulett_gym.envs.settings import AgentPeriod, MeanAngle, Steps, TensionList
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError, other_version, refuse_worn, unknown
+from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
+from amulett_gym.errors import AmulettError, other_version, unknown
 from amulett_gym.fleet import fleet_names
-from amulett_gym.laws.features import FEATURES
-from amulett_gym.laws.memory import MEMORY
+from amulett_gym.laws.features import FEATURES, WORN_FEATURES
+from amulett_gym.laws.memory import MEMORY, WORN_MEMORY
+from amulett_gym.laws.worn_inputs import WORN_ACTIONS, WORN_SCALES
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path, visible
@@ -83,7 +85,9 @@ class PolicyDescription(Group):
     version: Literal[1] = Field(default=1, description="version of this format")
     network: Network
     observations: list[str] = Field(description="names of the observation's entries, in order; all in [-1, 1]")
-    observation_scales: dict[str, float] = Field(description="what an entry of 1 stands for [rad, rad/s, s, N]")
+    observation_scales: dict[str, float] = Field(
+        description="what an entry of 1 stands for [rad, rad/s, s, N, N m, N m/s]"
+    )
     features: list[str] = Field(
         default=[], description="names of the features after an observation's first 13 entries: all, or none"
     )
@@ -91,7 +95,10 @@ class PolicyDescription(Group):
         default=None, description="names of the means over the episode (laws.memory) after the features: all, or none"
     )
     tension_range: TensionList = Field(
-        description="tension setpoint at action -1 and +1 [N]; also scales the last entry"
+        description="tension setpoint at action -1 and +1 [N]; also scales the entry `tension_setpoint`"
+    )
+    actions: list[str] | None = Field(
+        default=None, description="names of the action's entries, in Amulett/Worn-v0 only: tension and assistance"
     )
     mean_angle_range: MeanAngle | None = Field(
         default=None, description="mean drive angle at action +1 [deg], in Amulett/Drives-v0 only"
@@ -110,8 +117,14 @@ class PolicyDescription(Group):
     @model_validator(mode="after")
     def _check_sizes(self) -> PolicyDescription:
         inputs, outputs = self.network.layers[0], self.network.layers[-1]
-        actions = 1 if self.mean_angle_range is None else 2
-        if self.setpoint_gain is not None and actions == 1:
+        actions = 1 if self.mean_angle_range is None and not self.is_worn else 2
+        if (self.actions is not None) != self.is_worn or (self.is_worn and tuple(self.actions or ()) != WORN_ACTIONS):
+            raise ValueError(
+                f"actions are {self.actions}; a policy that observes a cuff has {list(WORN_ACTIONS)}, others none"
+            )
+        if self.is_worn and self.mean_angle_range is not None:
+            raise ValueError("a policy that observes a cuff has no mean_angle_range")
+        if self.setpoint_gain is not None and self.mean_angle_range is None:
             raise ValueError("setpoint_gain needs mean_angle_range: only a mean drive angle can follow the setpoint")
         if (inputs, outputs) != (self.history * self.size, actions):
             times = f"{self.history} times " if self.history > 1 else ""
@@ -127,9 +140,14 @@ class PolicyDescription(Group):
         return len(self.observations) + len(self.features) + len(self.memory or ())
 
     @property
+    def is_worn(self) -> bool:
+        """Whether the policy observes a cuff, as in Amulett/Worn-v0."""
+        return tuple(self.observations[len(OBSERVATIONS) :]) == WORN_OBSERVATIONS[len(OBSERVATIONS) :]
+
+    @property
     def is_privileged(self) -> bool:
         """Whether the policy needs observations that no device can measure (see `envs.privileged`)."""
-        return len(self.observations) > len(OBSERVATIONS)
+        return len(self.observations) > len(OBSERVATIONS) and not self.is_worn
 
     @property
     def knows_device(self) -> bool:
@@ -151,8 +169,6 @@ class TrainingEnv(Group):
         """Refuse an id that would make Gymnasium import a module, and a profile that would have a file read."""
         if self.id not in ENV_IDS:
             raise unknown("environment", self.id[:100], ENV_IDS)
-        if self.id == WORN_ID:
-            raise refuse_worn("a policy bundle")
         fleet = self.keywords.get("fleet") or []
         if not isinstance(fleet, list):
             if fleet not in fleet_names():
@@ -242,6 +258,11 @@ def read_bundle(folder: str | Path) -> Bundle:
         raise AmulettError(
             f"'{folder / POLICY}': mean_angle_range is {policy.mean_angle_range}; a policy has one exactly if it was "
             f"trained in {DRIVES_ID}, and '{folder / ENV}' names {env.id}"
+        )
+    if (env.id == WORN_ID) != policy.is_worn:
+        raise AmulettError(
+            f"'{folder / POLICY}': a policy observes a cuff exactly if it was trained in {WORN_ID}, and "
+            f"'{folder / ENV}' names {env.id}"
         )
     return Bundle(
         folder=folder,
@@ -380,16 +401,21 @@ def _check_observations(policy: PolicyDescription, path: Path) -> None:
         (
             "observations",
             policy.observations,
-            (OBSERVATIONS, OBSERVATIONS + PRIVILEGED, OBSERVATIONS + PRIVILEGED + FLEET_PRIVILEGED),
+            (
+                (WORN_OBSERVATIONS,)
+                if policy.is_worn
+                else (OBSERVATIONS, OBSERVATIONS + PRIVILEGED, OBSERVATIONS + PRIVILEGED + FLEET_PRIVILEGED)
+            ),
         ),
-        ("features", policy.features, (FEATURES, ())),
-        ("memory", policy.memory or (), (MEMORY, ())),
+        ("features", policy.features, (WORN_FEATURES if policy.is_worn else FEATURES, ())),
+        ("memory", policy.memory or (), (WORN_MEMORY if policy.is_worn else MEMORY, ())),
     ):
         if tuple(theirs) not in ours:
             different = ", ".join(sorted(set(theirs) ^ set(ours[0]))) or "their order"
             raise AmulettError(f"'{path}': the {what} are not those of this amulett-gym; different: {different}")
     of_device = FLEET_SCALES if policy.knows_device else {}
-    scales = {**OBSERVATION_SCALES, **(PRIVILEGED_SCALES if policy.is_privileged else {}), **of_device}
+    own = WORN_SCALES if policy.is_worn else OBSERVATION_SCALES
+    scales = {**own, **(PRIVILEGED_SCALES if policy.is_privileged else {}), **of_device}
     for name, scale in scales.items():
         found = policy.observation_scales.get(name, math.nan)
         if not math.isclose(found, scale, rel_tol=1e-12):

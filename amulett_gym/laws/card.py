@@ -9,14 +9,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
+from amulett_gym.envs.worn_reward import WORN_TERMS, doffed_cost
 from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import ranges
 from amulett_gym.laws.bundle import Bundle, PolicyDescription, TrainingEnv, read_bundle, write_bundle
 from amulett_gym.laws.training import control_of, devices_in_words, trained_on
 from amulett_gym.profile import Profile, loop_configuration
 
-_SHOWN = ("cost", "position", "effort", "tension", "contact", "failures")
+_SHOWN = ("cost", "position", "effort", "tension", "contact", *WORN_TERMS[:-1], "failures")
 """Scores on validation that a card shows, where a bundle has them."""
 
 
@@ -33,7 +34,7 @@ def model_card(
         "Trained on": _training(devices, env, policy, provenance),
         "For which loop": _loop(env, profiles),
         "Inputs and outputs": _interface(policy, env),
-        "Scores": _scores(provenance),
+        "Scores": _scores(provenance, env),
         "Limits": [*_limits(policy, profiles, env), *limits],
     }
     parts = [f"# Model card: {algorithm}, trained on {devices}"]
@@ -94,6 +95,8 @@ def _interface(policy: PolicyDescription, env: TrainingEnv) -> list[str]:
     output = f"Output: every {policy.agent_period:g} s, a tension setpoint from {low:g} to {high:g} N"
     if env.id == DRIVES_ID:
         output += f" and a mean drive angle up to {policy.mean_angle_range:g} deg"
+    if policy.is_worn:
+        output += " and an assistance from 0 to 1"
     if policy.follow < 1.0:
         output += f"; it moves {100.0 * policy.follow:.0f} % of the way to the output of the network"
     if delay := env.keywords.get("action_delay"):
@@ -102,14 +105,18 @@ def _interface(policy: PolicyDescription, env: TrainingEnv) -> list[str]:
     return [f"Input: {inputs}{stack}.", f"{output}.", f"Network: {layers}, {policy.network.activation}; numpy runs it."]
 
 
-def _scores(provenance: Mapping[str, Any]) -> list[str]:
+def _scores(provenance: Mapping[str, Any], env: TrainingEnv) -> list[str]:
     validation = _dict(provenance, "validation")
     scores = [f"{name} {_word(validation[name])}" for name in _SHOWN if name in validation]
     if not scores:
         return ["None were recorded."]
     where = f"{validation.get('episodes', 'some')} scenarios of the split `{validation.get('split', 'validation')}`"
     fleet = f" on the fleet {validation['fleet']}" if isinstance(validation.get("fleet"), str) else ""
-    return [f"In {where}{fleet}, by which the policy was chosen: {', '.join(scores)} (1 is the cost of eq. 6)."]
+    unit = "1 is the cost of eq. 6"
+    if env.id == WORN_ID:
+        doffed = doffed_cost(_dict(env.keywords, "reward_weights"))
+        unit = f"{_word(doffed)} is that of the same wearers in 10 s without the device"
+    return [f"In {where}{fleet}, by which the policy was chosen: {', '.join(scores)} ({unit})."]
 
 
 def _limits(policy: PolicyDescription, profiles: Sequence[Profile], env: TrainingEnv) -> list[str]:
@@ -122,19 +129,23 @@ def _limits(policy: PolicyDescription, profiles: Sequence[Profile], env: Trainin
         around = " and what its suite draws around it" if env.keywords.get("suite") == "mixed" else ""
         found.append(f"It knows one device, the {profiles[0].name}{around}; nothing is known of other physics.")
     floors = {profile.sensors.force_floor for profile in profiles}
-    if floors and policy.tension_range[0] < max(floors):
+    if floors and policy.tension_range[0] < max(floors) and not policy.is_worn:
         floor = _word(max(floors))
         found.append(
             f"Setpoints below {floor} N, where the force cannot be estimated, command a release of the string, not a "
             'force (docs/environments.md, "Setpoints below the floor").'
+        )
+    if policy.is_worn:
+        found.append(
+            "Its wearers are models with parameters from the literature (docs/wearer.md); nobody has worn the device."
         )
     if policy.is_privileged:
         found.append("It observes hidden state, which no real device measures: a reference, not a controller.")
     return found
 
 
-def _dict(provenance: Mapping[str, Any], key: str) -> dict[str, Any]:
-    found = provenance.get(key)
+def _dict(content: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = content.get(key)
     return found if isinstance(found, dict) else {}
 
 

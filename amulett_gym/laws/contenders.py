@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.errors import AmulettError, nearest, unknown
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_loop, tuned_names
@@ -191,7 +191,7 @@ def parse_contender(name: str) -> Contender:
             keywords |= {"control": DRIVES, "mean_angle_range": policy.mean_angle_range}
             return Contender(name, keywords, str(folder), env_id=DRIVES_ID)
         keywords |= own_loop(bundle.env.keywords.get("control"))
-        return Contender(name, keywords, str(folder))
+        return Contender(name, keywords, str(folder), env_id=WORN_ID if policy.is_worn else None)
     return Contender(name, policy_name=name)
 
 

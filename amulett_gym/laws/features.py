@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.action import TENSION_RANGE, tension_of
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
+from amulett_gym.laws.worn_inputs import cuff_features
 
 Values = NDArray[np.floating[Any]]
 
@@ -72,8 +74,11 @@ def _columns(observations: Values, tension_range: tuple[float, float]) -> dict[s
 FEATURES = tuple(_columns(np.zeros((1, len(OBSERVATIONS))), TENSION_RANGE))
 """Names of the features, in order; all are in [-1, 1]."""
 
+WORN_FEATURES = (*FEATURES, *cuff_features(np.zeros((1, len(WORN_OBSERVATIONS)))))
+"""Names of the features in `Amulett/Worn-v0`."""
 
-def features(observations: Values, tension_range: tuple[float, float]) -> Values:
+
+def features(observations: Values, tension_range: tuple[float, float], worn: bool = False) -> Values:
     """Return the features of a batch of observations, shape (N, len(FEATURES)), of the observations' type.
 
     Parameters
@@ -82,12 +87,18 @@ def features(observations: Values, tension_range: tuple[float, float]) -> Values
         Entries after those of `transition.OBSERVATIONS` are ignored.
     tension_range : (float, float)
         Tension setpoints at action -1 and +1 [N], by which the last of these entries is scaled.
+    worn : bool
+        Whether the observations are those of `Amulett/Worn-v0`; the features are then `WORN_FEATURES`.
     """
-    return np.stack(list(_columns(observations, tension_range).values()), axis=1)
+    found = _columns(observations, tension_range) | (cuff_features(observations) if worn else {})
+    return np.stack(list(found.values()), axis=1)
 
 
 def with_features(
-    observations: Values, tension_range: tuple[float, float] | None, remembered: Values | None = None
+    observations: Values,
+    tension_range: tuple[float, float] | None,
+    remembered: Values | None = None,
+    worn: bool = False,
 ) -> NDArray[Any]:
     """Return the inputs of a network, shape (N, 13 + features + means + privileged entries), of the observations' type.
 
@@ -98,9 +109,11 @@ def with_features(
         As for `features`; None: there are none.
     remembered : ndarray, shape (N, means), optional
         What the policy remembers (`laws.memory`), which follows the features; privileged entries come last.
+    worn : bool
+        Whether the observations are those of `Amulett/Worn-v0`: 16 entries instead of 13.
     """
-    known = len(OBSERVATIONS)
-    found = [] if tension_range is None else [features(observations, tension_range)]
+    known = len(WORN_OBSERVATIONS if worn else OBSERVATIONS)
+    found = [] if tension_range is None else [features(observations, tension_range, worn)]
     if remembered is not None:
         found.append(remembered.astype(observations.dtype))
     return np.concatenate([observations[:, :known], *found, observations[:, known:]], axis=1) if found else observations

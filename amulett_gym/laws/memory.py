@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from amulett_gym import WORN_ID
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
+from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
 from amulett_gym.laws.history import check_all_devices
+from amulett_gym.laws.worn_inputs import cuff_quantities
 
 Values = NDArray[np.float64]
 
@@ -27,7 +30,7 @@ SPANS = (25, 250)
 
 def _quantities(rows: Values, before: Values) -> dict[str, Values]:
     """Return the averaged quantities by name, each of shape (N,), from two observations in turn."""
-    now, last = dict(zip(OBSERVATIONS, rows.T, strict=True)), dict(zip(OBSERVATIONS, before.T, strict=True))
+    now, last = dict(zip(OBSERVATIONS, rows.T, strict=False)), dict(zip(OBSERVATIONS, before.T, strict=False))
     flexes = now["agonist"] > 0.0
 
     def sides(name: str) -> tuple[Values, Values]:
@@ -71,9 +74,14 @@ NAMES = tuple(_quantities(*np.zeros((2, 1, _KNOWN))))
 MEMORY = tuple(f"{name}_{span}" for span in SPANS for name in NAMES)
 """Names of the means, in order; all are in [-1, 1]."""
 
+WORN_NAMES = (*NAMES, *cuff_quantities(np.zeros((1, len(WORN_OBSERVATIONS)))))
+
+WORN_MEMORY = tuple(f"{name}_{span}" for span in SPANS for name in WORN_NAMES)
+"""Names of the means in `Amulett/Worn-v0`."""
+
 
 class Memory:
-    """The running means of a batch of devices.
+    """The running means of a batch of devices; `worn`: of those in `Amulett/Worn-v0`, with `WORN_MEMORY`.
 
     Attributes
     ----------
@@ -84,9 +92,9 @@ class Memory:
         Observations of its episode so far.
     """
 
-    def __init__(self, devices: int) -> None:
-        self.means = np.zeros((devices, len(MEMORY)))
-        self.last = np.zeros((devices, _KNOWN))
+    def __init__(self, devices: int, worn: bool = False) -> None:
+        self.means = np.zeros((devices, len(WORN_MEMORY if worn else MEMORY)))
+        self.last = np.zeros((devices, len(WORN_OBSERVATIONS) if worn else _KNOWN))
         self.steps = np.zeros(devices, dtype=np.int64)
 
     def forget(self, devices: NDArray[Any] | slice) -> None:
@@ -96,13 +104,14 @@ class Memory:
 
     def add(self, observations: ArrayLike, devices: NDArray[np.int64] | slice = slice(None)) -> Values:
         """Add an observation of each of some devices, shape (K, 13) or wider; return their means, (K, len(MEMORY))."""
-        rows = np.asarray(observations, dtype=np.float64)[:, :_KNOWN]
+        rows = np.asarray(observations, dtype=np.float64)[:, : self.last.shape[1]]
         steps = self.steps[devices]
         found = _quantities(rows, np.where(steps[:, None] > 0, self.last[devices], rows))
-        values = np.stack(list(found.values()), axis=1)
+        cuff = cuff_quantities(rows) if rows.shape[1] > _KNOWN else {}
+        values = np.stack([*found.values(), *cuff.values()], axis=1)
         shares = 1.0 / np.minimum(steps[:, None] + 1, SPANS)
         means = self.means[devices]
-        means = means + np.repeat(shares, len(NAMES), axis=1) * (np.tile(values, len(SPANS)) - means)
+        means = means + np.repeat(shares, values.shape[1], axis=1) * (np.tile(values, len(SPANS)) - means)
         self.means[devices], self.last[devices], self.steps[devices] = means, rows, steps + 1
         return means
 
@@ -116,7 +125,8 @@ class ClockedMemory:
     def __init__(self, env: Any) -> None:
         self._episodes = env.unwrapped.episodes
         devices = self._episodes.simulation.num_devices
-        self._memory, self._steps = Memory(devices), np.full(devices, -1)
+        self._memory = Memory(devices, env.unwrapped.env_id == WORN_ID)
+        self._steps = np.full(devices, -1)
 
     def add(self, observations: Values) -> Values:
         """Add the present observations of all devices; return their means, shape (N, len(MEMORY)).

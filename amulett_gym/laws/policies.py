@@ -15,7 +15,7 @@ from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
 from amulett_gym.envs.action import action_to_tension, tension_to_action
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
-from amulett_gym.errors import AmulettError, OtherLoopWarning, refuse_worn
+from amulett_gym.errors import AmulettError, OtherLoopWarning
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.laws.actor import TENSION_SETPOINT, Actor
 from amulett_gym.laws.bundle import Bundle, read_bundle
@@ -52,7 +52,8 @@ def load_policy(name_or_folder: str | Path | Callable[..., Any], env: Any) -> Po
     -------
     callable
         Observation of shape (13,) -> action of shape (1,); a batch (N, 13) -> (N, 1); float32, in [-1, 1]. In
-        `Amulett/Drives-v0`, where only bundles trained there and your functions act, actions have two entries. In a
+        `Amulett/Drives-v0` and `Amulett/Worn-v0`, where only bundles trained there and your functions act, actions have
+        two entries, and observations in the latter have 16. In a
         privileged environment observations are longer; a policy ignores entries that it was not made for.
 
     Raises
@@ -99,8 +100,7 @@ def _policy_and_bundle(name_or_folder: str | Path | Callable[..., Any], env: Any
     if is_law(name) and base.episodes.action_size > 1:
         raise AmulettError(
             f"'{name}' chooses a tension and cannot act in {base.env_id}, whose action has another entry; use a "
-            f"{'policy bundle that was trained there, a ' if base.env_id == DRIVES_ID else ''}function of your own, or "
-            "another environment"
+            "policy bundle that was trained there, a function of your own, or another environment"
         )
     if name.startswith(CONSTANT):
         act = _constant(constant_tension(name), tension_range)
@@ -227,8 +227,9 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
             f"policy bundle '{bundle.folder}' needs privileged observations of the device; make the environment with "
             "fleet=[...]"
         )
-    if env.env_id == WORN_ID:
-        raise refuse_worn(f"policy bundle '{bundle.folder}'")
+    if (env.env_id == WORN_ID) != bundle.policy.is_worn:
+        needed = f"{WORN_ID}, whose cuff it observes" if bundle.policy.is_worn else "an environment without a wearer"
+        raise AmulettError(f"policy bundle '{bundle.folder}' needs {needed}; this is {env.env_id}")
     mine, theirs = bundle.policy.mean_angle_range, getattr(env, "mean_angle_range", None)
     if (mine is None and theirs is not None) or (mine is not None and theirs is None):
         needed = DRIVES_ID if theirs is None else "an environment in which an action is a tension"
@@ -255,8 +256,9 @@ def _from_bundle(bundle: Bundle, env: Any) -> Act:
         setpoint = action_to_tension(batch[:, TENSION_SETPOINT], tension_range)
         converted[:, TENSION_SETPOINT] = np.clip(tension_to_action(setpoint, own_range), -1.0, 1.0)
         actions = actor(converted)
-        tension = action_to_tension(actions[:, -1], own_range)
-        actions[:, -1] = tension_to_action(tension, tension_range)
+        entry = 0 if bundle.policy.is_worn else -1
+        tension = action_to_tension(actions[:, entry], own_range)
+        actions[:, entry] = tension_to_action(tension, tension_range)
         return actions
 
     return act

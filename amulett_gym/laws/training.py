@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
-from amulett_gym import DRIVES_ID
+from amulett_gym import DRIVES_ID, WORN_ID
+from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import in_words, load_fleet, name_or_contents, outside
 from amulett_gym.laws.bundle import TrainingEnv
@@ -44,7 +45,8 @@ def _loaded(fleet: str) -> tuple[Profile, ...]:
 
 def control_of(env: TrainingEnv) -> str:
     """Return the control loop that a policy was trained in."""
-    return str(env.keywords.get("control", DRIVES if env.id == DRIVES_ID else CONTROLS[0]))
+    others = {DRIVES_ID: DRIVES, WORN_ID: WornSettings.model_fields["control"].default}
+    return str(env.keywords.get("control", others.get(env.id, CONTROLS[0])))
 
 
 def devices_in_words(env: TrainingEnv) -> str:

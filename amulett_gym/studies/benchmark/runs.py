@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE
-from amulett_gym.errors import AmulettError
+from amulett_gym.errors import AmulettError, refuse_worn
 from amulett_gym.laws.contenders import bundle_folder, split_loop
 from amulett_gym.laws.copies import policy_digest
 from amulett_gym.learning import advice, load_learning, not_installed
@@ -90,6 +90,8 @@ def _check_period(description: Benchmark, name: str, config: Any) -> None:
 def _check_loop(description: Benchmark, name: str, config: Any) -> None:
     """Refuse a recipe whose policy would act in another loop than it was trained in, or by another track's cost."""
     control = config.env.control
+    if config.env.id == WORN_ID:
+        raise refuse_worn(f"learned entry '{name}'")
     own = named(control, split_loop(name)[1])
     if description.track == FULL_CONTROL and config.env.track != FULL_CONTROL:
         raise AmulettError(
