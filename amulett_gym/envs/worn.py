@@ -77,7 +77,8 @@ class WornEnv(TensionEnv):
     - `tracking` (0.3): integral of the squared difference of the elbow's angle and the intention;
     - `cuff` (0.2): integral of the squared torque on the cuff while the intention moves, over that of the muscles'
       torque, without the device, while it moves;
-    - `drives` (0.001): ISAV (eq. 8) of both drives' commands, over that of drives that follow the intention exactly;
+    - `drives` (0.001): ISAV (eq. 8) of both drives' commands, over that of drives that follow the intention of the
+      suite assembly exactly;
     - `failure`: if the device left its limits, minus `COST_CAP` for each remaining step of `failure_horizon`.
 
     A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info["reward_terms"]`

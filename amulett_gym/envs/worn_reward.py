@@ -1,8 +1,8 @@
 """The reward of worn devices: minus the cost of an agent step, in units of the same wearers' cost without the device.
 
 The divisors are the mean costs of an episode of 10 s, over 400 training episodes of the suite in which the arm is
-outside the exoskeleton and moves as intended on its own. They are versioned data, fixed before any training; ``python
--m amulett_gym.evaluation.doffed`` measures them again.
+outside the exoskeleton: a relaxed one, which no device guides, does not move. They are versioned data, fixed before any
+training; ``python -m amulett_gym.evaluation.doffed`` measures them again.
 """
 
 from __future__ import annotations
@@ -49,13 +49,14 @@ def doffed_costs(suite: str) -> dict[str, float]:
 def worn_divisors(profile: Profile, suite: str) -> dict[str, float]:
     """Return the divisors of the costs: muscle [s], tracking [deg2 s], cuff [N2 m2 s], drives [deg2/s].
 
-    All but the last are the same for all devices. `drives` is the cost of drives that follow the intention exactly:
-    both turn by R_2 / R_1 of it.
+    All but the last are the same for all devices. `drives` is the cost of drives that follow the intention in the suite
+    assembly exactly, since in a suite of slow movements the sensors' noise is all that drives turn by: both turn by
+    R_2 / R_1 of it.
     """
     found = doffed_costs(suite)
     ratio = profile.plant.joint_pulley_radius / profile.plant.drive_pulley_radius
-    drives = 2.0 * ratio**2 * found.pop("intention")
-    return {**found, "drives": drives}
+    drives = 2.0 * ratio**2 * doffed_costs("assembly")["intention"]
+    return {**{name: cost for name, cost in found.items() if name != "intention"}, "drives": drives}
 
 
 def worn_prices(profile: Profile, suite: str, weights: Mapping[str, float] | None = None) -> NDArray[np.float64]:

@@ -39,7 +39,8 @@ _torques: Callable[..., Any] = getattr(muscle_torque, "py_func", muscle_torque)
 def measure(suite: str, episodes: int = EPISODES) -> dict[str, float]:
     """Return the mean costs of an episode of a suite as in `worn_reward.doffed_costs`, rounded to 4 digits.
 
-    The arms are outside the device, and those of a guided suite move as their device would.
+    The arms are outside the device; those of a guided suite are relaxed and do not move: the torque of their muscles is
+    that which would move them.
 
     Raises
     ------
@@ -49,7 +50,7 @@ def measure(suite: str, episodes: int = EPISODES) -> dict[str, float]:
     profile = load_profile(PROFILE)
     keys = episode_keys(np.arange(episodes, dtype=np.uint64), np.zeros(episodes, dtype=np.uint64), "train")
     rows, wearers = sample_worn(suite, keys, profile, "train")
-    wearers["worn"] = wearers["guided"] = 0.0
+    wearers["worn"] = 0.0
     simulation = WornSimulation(profile, episodes, "equilibrium-point")
     simulation.reset(rows, wearers=wearers)
     period, read = simulation.control_period, simulation.read_worn

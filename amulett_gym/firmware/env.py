@@ -19,7 +19,7 @@ from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, m
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
 from amulett_gym.firmware.protocol import MODES, REASONS, Report
 from amulett_gym.firmware.recording import Reader, begin_of
-from amulett_gym.simulation.layout import BY_STIFFNESS, RUNNING
+from amulett_gym.simulation.layout import BY_STIFFNESS, MOTION_BLOCK, RUNNING
 
 _DEVICE = np.zeros(1, dtype=np.int64)
 
@@ -47,6 +47,7 @@ class FirmwareEpisodes(Episodes):
         parameters = self.simulation.parameters[0]
         # A count's reciprocal is not exact; the reading over the resolution is rounded, as the sensor rounded it.
         self._resolutions = float(parameters["encoder_resolution"]), float(parameters["slider_resolution"])
+        self._motion = np.zeros(1, dtype=MOTION_BLOCK)
         self._reader: Reader | None = None
 
     def start(self, *arguments: Any, **keywords: Any) -> Observations:
@@ -104,7 +105,7 @@ class FirmwareEpisodes(Episodes):
         if not read["late"]:
             commands = np.array(report.commands)
             paper, values = simulation.loop is None, (commands, report.tension_setpoint, float(report.agonist))
-            command_device(simulation.parameters, scenarios, states, paper, *values)
+            command_device(simulation.parameters, scenarios, states, self._motion, paper, *values)
         own = scenarios["late_probability"][0, 0]
         scenarios["late_probability"][0, 0] = ALWAYS
         try:

@@ -14,7 +14,7 @@ from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.spring import find_position, look_up_curve
 from amulett_gym.simulation.commands import command_drives
 from amulett_gym.simulation.kernel import next_late, setpoint_kick, start_counting
-from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
+from amulett_gym.simulation.layout import LANES
 
 ALWAYS = 2.0
 """A `late_probability` with which the kernel's loop misses every tick."""
@@ -28,14 +28,14 @@ def misses_tick(c_blocks, s_blocks, device):
 
 
 @compiled
-def command_device(p, c_blocks, s_blocks, paper, commands, tension, agonist):
+def command_device(p, c_blocks, s_blocks, motion, paper, commands, tension, agonist):
     """Let the first device command its drives as a loop outside wants, with the metrics that the kernel's loop has.
 
-    `paper`: whether that is the paper's loop, in which a jump of the setpoint kicks the commands. `commands` [rad] has
-    shape (2,), `tension` is its setpoint [N], `agonist` 1 or -1.
+    `motion` is an array of one `layout.MOTION_BLOCK` to work in. `paper`: whether that is the paper's loop, in which a
+    jump of the setpoint kicks the commands. `commands` [rad] has shape (2,), `tension` is its setpoint [N], `agonist` 1
+    or -1.
     """
-    m = np.empty(1, dtype=MOTION_BLOCK)[0]
-    c, s, i = c_blocks[0], s_blocks[0], np.uint64(0)
+    m, c, s, i = motion[0], c_blocks[0], s_blocks[0], np.uint64(0)
     start_counting(p[0], c, s, m, i, i + np.uint64(1))
     s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
     s.agonist[i], s.tension_setpoint[i] = agonist, tension
