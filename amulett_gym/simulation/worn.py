@@ -133,11 +133,17 @@ def excite_muscles(h, w, i, answer):
     tone, strength, co_contraction = h.tone[i], h.strength[i], h.co_contraction[i]
     friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, tone, strength)
     motion = h.inertia[i] * w.intention_acceleration[i] + friction * w.intention_rate[i]
-    torque = h.weight[i] * math.sin(w.intention[i]) + h.anticipation[i] * motion + answer
+    torque = weight_torque(h.weight[i], w.intention[i]) + h.anticipation[i] * motion + answer
     flexor, extensor = excitations(torque, co_contraction, tone, strength)
     guided = h.guided[i] > 0.0
     w.excitation_flexor[i] = choose(guided, co_contraction, flexor)
     w.excitation_extensor[i] = choose(guided, co_contraction, extensor)
+
+
+@compiled
+def weight_torque(weight, angle):
+    """Return the torque that an arm's weight needs at the elbow [N m]; no sine, which takes long, if it weighs none."""
+    return weight * math.sin(angle) if weight != 0.0 else 0.0
 
 
 @compiled
@@ -183,16 +189,16 @@ def evaluate(p, c, s, m, f, h, w, k, first, end, reach, weight, extended):
         cuff = h.worn[i] * cuff_torque(x - y, v - u, f.stiffness, f.damping, f.slack)
         biceps, triceps = string_forces(p, c, i, x, a, b, extended)
         left_biceps, left_triceps = 1.0 - w.loss_biceps[i], 1.0 - w.loss_triceps[i]
+        # The cables are on either side of the springs: at the joint is what they leave of the drive's tension.
+        at_biceps = choose(f.at_drive, biceps, biceps * left_biceps)
+        at_triceps = choose(f.at_drive, triceps, triceps * left_triceps)
         m.angle_rate[i] = v
-        if f.at_drive:
-            m.velocity_rate[i] = joint_rate(p, c, i, x, v, biceps, triceps, -cuff)
-            biceps, triceps = biceps / left_biceps, triceps / left_triceps
-        else:
-            m.velocity_rate[i] = joint_rate(p, c, i, x, v, biceps * left_biceps, triceps * left_triceps, -cuff)
+        m.velocity_rate[i] = joint_rate(p, c, i, x, v, at_biceps, at_triceps, -cuff)
+        biceps, triceps = at_biceps / left_biceps, at_triceps / left_triceps
         m.biceps_rate[i], m.triceps_rate[i] = drive_rates(p, c, s, i, a, b, biceps, triceps, extended)
         k.elbow_slope[i] = u
         torque = muscle_torque(flexor, extensor, y - k.rest[i], u, h.tone[i], h.strength[i])
-        torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - k.weight[i] * math.sin(y)
+        torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - weight_torque(k.weight[i], y)
         k.elbow_rate_slope[i] = torque / k.inertia[i]
         k.flexor_slope[i] = activation_rate(flexor, w.excitation_flexor[i])
         k.extensor_slope[i] = activation_rate(extensor, w.excitation_extensor[i])
