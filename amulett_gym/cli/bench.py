@@ -16,7 +16,7 @@ from amulett_gym.storage.writing import check_writable, write_json
 
 HELP = "measure speed: kernel, environments, learning, scale; compare with C and with other environments"
 EXAMPLES = """  amulett bench
-  amulett bench --loops --c --ppo --peers --out runs/bench
+  amulett bench --loops --worn --c --ppo --peers --out runs/bench
   amulett bench --time-to-beat --seeds 3 --out runs/bench
   amulett bench --scale --out runs/bench --doc docs/performance.md
 """
@@ -27,8 +27,8 @@ _READ_BY = {
     "seeds": ("time-to-beat",),
     "limit": ("time-to-beat",),
     "simulated": ("scale",),
-    "turns": ("speed", "loops", "c", "ppo", "scale", "peers"),
-    "devices": ("speed", "loops", "c", "scale"),
+    "turns": ("speed", "loops", "worn", "c", "ppo", "scale", "peers"),
+    "devices": ("speed", "loops", "worn", "c", "scale"),
 }
 """Option -> the sections that read it; all sections read the other options."""
 
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     sections = parser.add_argument_group("measured on request, besides kernel and environments")
     sections.add_argument("--loops", action="store_true", help="every control loop, compared with the paper's")
+    sections.add_argument("--worn", action="store_true", help="devices with a wearer, compared with the same ones bare")
     sections.add_argument("--c", action="store_true", help="the same tick in C (needs a C compiler)")
     sections.add_argument("--ppo", action="store_true", help="PPO, compared with PPO on a null environment")
     sections.add_argument(

@@ -12,7 +12,7 @@ from typing import Any
 from amulett_gym.reporting.document import Marks, marks
 from amulett_gym.reporting.table import Table
 
-SECTIONS = ("speed", "loops", "c", "ppo", "time-to-beat", "scale", "peers")
+SECTIONS = ("speed", "loops", "worn", "c", "ppo", "time-to-beat", "scale", "peers")
 
 Data = Mapping[str, Any]
 
@@ -50,6 +50,24 @@ def _loops(data: Data) -> list[Table]:
     note = "One core: medians of alternating turns. Ratio per turn to `decentralized`: median (minimum-maximum)."
     title = f"Control loops, kernel of {data['loops_devices']:,}, testbed"
     return [Table(title, ("loop", "million ticks/s", "speed / that of the paper's loop"), rows, note)]
+
+
+def _worn(data: Data) -> list[Table]:
+    rows = [
+        [
+            f"`{control}`",
+            f"{row['bare_ticks_per_s'] / 1e6:.2f}",
+            f"{row['worn_ticks_per_s'] / 1e6:.2f}",
+            _spread(**row["worn_tick_over_bare"], digits=2),
+        ]
+        for control, row in data["worn"].items()
+    ]
+    note = (
+        "One core: medians of alternating turns, with the same devices and scenarios. Ratio of the times per turn: "
+        "median (minimum-maximum)."
+    )
+    title = f"The worn tick compared with the bare one, kernel of {data['worn_devices']:,}, worn, assembly"
+    return [Table(title, ("loop", "bare [million ticks/s]", "worn", "worn tick / bare tick"), rows, note)]
 
 
 def _c(data: Data) -> list[Table]:
@@ -213,6 +231,7 @@ def _bytes(value: float | None) -> str:
 _TABLES = {
     "speed": ("environments", _speed),
     "loops": ("loops", _loops),
+    "worn": ("worn", _worn),
     "c": ("ratio_to_c", _c),
     "ppo": ("ppo", _ppo),
     "time-to-beat": ("time_to_beat", _time_to_beat),

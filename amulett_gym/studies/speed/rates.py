@@ -13,11 +13,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import Control
+from amulett_gym.simulation.worn_batch import WornSimulation
 from amulett_gym.tasks.suites import sample
+from amulett_gym.tasks.worn_suites import sample_worn
 
 PROFILES = ("testbed", "simulation")
 TURNS = 7
@@ -107,10 +110,34 @@ def kernel(profile: str, devices: int, seed: int = 0, control: Control = "decent
     """Return the kernel alone with a control loop, an agent's period a call, eq. 6 inside the loop."""
     device = load_profile(profile)
     simulation = Simulation(device, devices, control, tension_law="eq6")
-    keys = np.random.default_rng(seed).integers(2**63, size=devices, dtype=np.uint64)
-    simulation.reset(sample("steps", keys, device))
+    simulation.reset(sample("steps", _keys(devices, seed), device))
+    name = f"kernel of {devices}, {profile}" + (f", {control}" if control != "decentralized" else "")
+    return _kernel(name, simulation)
+
+
+def worn_kernels(control: Control, devices: int, seed: int = 0) -> tuple[Contestant, Contestant]:
+    """Return the kernel with the same devices and scenarios worn and bare, a control loop and eq. 6 in both.
+
+    Bare devices make the wearers' moves on their own.
+    """
+    device = load_profile("worn")
+    rows, wearers = sample_worn("assembly", _keys(devices, seed), device)
+    worn = WornSimulation(device, devices, control, tension_law="eq6")
+    worn.reset(rows, wearers=wearers)
+    worn.assist(1.0)
+    bare = Simulation(device, devices, control, tension_law="eq6")
+    bare.reset(rows)
+    return _kernel(f"worn, {control}", worn), _kernel(f"bare, {control}", bare)
+
+
+def _keys(devices: int, seed: int) -> NDArray[np.uint64]:
+    return np.random.default_rng(seed).integers(2**63, size=devices, dtype=np.uint64)
+
+
+def _kernel(name: str, simulation: Simulation) -> Contestant:
+    """Return a simulation as a contestant, which starts its scenarios again after an episode."""
     start = simulation.get_state()
-    ticks = _ticks(profile)
+    ticks = round(AGENT_PERIOD / simulation.control_period)
     calls = 0
 
     def step() -> None:
@@ -121,8 +148,7 @@ def kernel(profile: str, devices: int, seed: int = 0, control: Control = "decent
             simulation.set_state(start)
             calls = 0
 
-    name = f"kernel of {devices}, {profile}" + (f", {control}" if control != "decentralized" else "")
-    return Contestant(name, step, devices, ticks)
+    return Contestant(name, step, simulation.num_devices, ticks)
 
 
 def race(

@@ -13,7 +13,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.learning import check_installed, load_learning
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.kernel import advance
-from amulett_gym.simulation.layout import CONTROLS
+from amulett_gym.simulation.layout import CONTROLS, LOOPS
 from amulett_gym.studies.speed import peers, rates, scale, yardstick
 
 Data = dict[str, Any]
@@ -79,6 +79,21 @@ def _loops(settings: Settings, data: Data, recipe: Any) -> None:
     data["loops"] = {
         control: {**speed.numbers(), "ratio": rates.spread(rates.ratios(speed, speeds["decentralized"]))}
         for control, speed in speeds.items()
+    }
+
+
+def _worn(settings: Settings, data: Data, recipe: Any) -> None:
+    pairs = [rates.worn_kernels(control, settings.devices, settings.seed) for control in LOOPS]
+    with Progress(2 * settings.turns * len(pairs), "worn", "turns") as bar:
+        speeds = rates.race([each for pair in pairs for each in pair], settings.turns, watch=bar.update)
+    data["worn_devices"] = settings.devices
+    data["worn"] = {
+        control: {
+            "worn_ticks_per_s": worn.ticks_per_second,
+            "bare_ticks_per_s": bare.ticks_per_second,
+            "worn_tick_over_bare": rates.spread(rates.ratios(bare, worn)),
+        }
+        for control, worn, bare in zip(LOOPS, speeds[::2], speeds[1::2], strict=True)
     }
 
 
@@ -149,6 +164,7 @@ def _peers(settings: Settings, data: Data, recipe: Any) -> None:
 MEASURE: dict[str, Callable[[Settings, Data, Any], None]] = {
     "speed": _speed,
     "loops": _loops,
+    "worn": _worn,
     "c": _c,
     "ppo": _ppo,
     "time-to-beat": _time_to_beat,

@@ -19,11 +19,12 @@ from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import update_document
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import CONTROLS
+from amulett_gym.simulation.layout import CONTROLS, LOOPS
+from amulett_gym.simulation.worn_batch import WornSimulation
 from amulett_gym.studies.speed import document as performance
 from amulett_gym.studies.speed import peers, scale, sections
 from amulett_gym.studies.speed.document import SECTIONS, section_marks, tables
-from amulett_gym.studies.speed.rates import Contestant, Speed, kernel, race, ratios
+from amulett_gym.studies.speed.rates import Contestant, Speed, kernel, race, ratios, worn_kernels
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "performance.md"
 MEMORY = {"devices": 100, "simulation": 800.0, "arrays": 900.0, "resident": 1000.0}
@@ -79,6 +80,35 @@ def test_every_loop_is_compared_with_the_papers_in_the_same_turns(brief, tmp_pat
     (table,) = tables("loops", data)
     assert table.title == "Control loops, kernel of 4, testbed"
     assert [row[0] for row in table.rows] == [f"`{control}`" for control in CONTROLS]
+
+
+def test_the_worn_tick_is_compared_with_the_bare_one(brief, tmp_path):
+    assert main([*QUICK, "--worn", "--turns", "3", "--json", str(tmp_path / "bench.json")]) == 0
+    data = json.loads((tmp_path / "bench.json").read_text())
+    assert tuple(data["worn"]) == LOOPS
+    for row in data["worn"].values():
+        ratio = row["worn_tick_over_bare"]
+        assert 0.0 < ratio["least"] <= ratio["median"] <= ratio["most"]
+    (table,) = tables("worn", data)
+    assert [row[0] for row in table.rows] == [f"`{control}`" for control in LOOPS]
+    spread = {"median": 1.5, "least": 1.0, "most": 2.0}
+    row = {"bare_ticks_per_s": 3e6, "worn_ticks_per_s": 2e6, "worn_tick_over_bare": spread}
+    (table,) = tables("worn", {"worn_devices": 4, "worn": {"torque": row}})
+    assert table.rows == [["`torque`", "3.00", "2.00", "1.50 (1.00-2.00)"]]
+
+
+def test_worn_and_bare_contestants_have_the_same_devices_and_scenarios(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        "amulett_gym.studies.speed.rates._kernel", lambda name, simulation: made.append((name, simulation))
+    )
+    worn_kernels("torque", 5, seed=3)
+    (first, worn), (second, bare) = made
+    assert (first, second) == ("worn, torque", "bare, torque")
+    assert isinstance(worn, WornSimulation) and not isinstance(bare, WornSimulation)
+    np.testing.assert_array_equal(worn.scenarios, bare.scenarios)
+    assert worn.profile == bare.profile and worn.control == bare.control and worn.num_devices == bare.num_devices == 5
+    assert (worn.read_wearers(np.arange(5))["worn"] == 1.0).all() and (worn.read_worn("assistance") == 1.0).all()
 
 
 def test_a_kernel_runs_the_loop_that_it_is_asked_for(monkeypatch):
