@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from PIL import Image
 
 from amulett_gym import WORN_ID
 from amulett_gym.envs.rendering.canvas import EXTERNAL, FOREARM, INK, polar
@@ -14,6 +17,7 @@ from amulett_gym.envs.rendering.frame import frame_of
 from amulett_gym.envs.rendering.wearer import CUFF_RANGE, ELBOW, HAND, INTENTION, cuff_color
 from amulett_gym.envs.rendering.window import Renderer
 
+DOCS = Path(__file__).parents[2] / "docs"
 SHAPE = (560, 720, 3)
 LOADED = {
     "initial_angle_deg": 20.0,
@@ -174,3 +178,15 @@ def test_many_wearers_are_drawn_one_by_one():
     with gym.make(WORN_ID, render_mode="rgb_array") as single:
         single.reset(seed=3 + 8)
         np.testing.assert_array_equal(single.render(), pictures[8])
+
+
+def test_the_documents_picture_is_made_by_the_code_below_it(tmp_path, monkeypatch):
+    page = (DOCS / "environments.md").read_text()
+    (code,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "worn.png" in block)
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    with Image.open("worn.png") as made, Image.open(DOCS / "images" / "worn.png") as shown:
+        assert made.size == shown.size == (720, 560)
+        changed = np.abs(np.asarray(made).astype(int) - np.asarray(shown)).max(axis=-1) > 40
+    assert changed[:340].mean() < 0.05  # the arm, which may move a little with the device's constants
+    assert (DOCS / "images" / "worn.png").stat().st_size < 60_000
