@@ -50,7 +50,7 @@ def test_commands_parse(command: str):
 
 
 def test_simulate_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    (command,) = [line for line in commands() if "simulate" in line and "configs/my_device.yaml" in line]
+    (command,) = [line for line in commands() if "simulate" in line and "runs/mine.png" in line]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").symlink_to(ROOT / "configs")
     assert main(shlex.split(command)[1:]) == 0
