@@ -38,6 +38,8 @@ class Search(Group):
 class Tuning(Search):
     """How each baseline is tuned."""
 
+    population: int = Field(default=14, ge=2, le=1000, description="candidates in each iteration")
+    iterations: int = Field(default=11, ge=1, le=1000, description="iterations")
     episodes: Count = Field(default=64, description="training scenarios of each candidate")
     validation: Count = Field(default=64, description="validation scenarios, on which one of the searches is chosen")
     starts: int = Field(default=2, ge=1, le=20, description="searches, from the device's admittance and from elsewhere")
@@ -47,8 +49,8 @@ class Clairvoyant(Search):
     """Search for each scenario."""
 
     population: int = Field(default=16, ge=2, le=1000, description="candidates in each iteration")
-    iterations: int = Field(default=12, ge=1, le=1000, description="iterations")
-    scenarios: Count = Field(default=16, description="held-out scenarios")
+    iterations: int = Field(default=10, ge=1, le=1000, description="iterations")
+    scenarios: Count = Field(default=12, description="held-out scenarios")
 
 
 class HeadroomPlan(Search):
