@@ -26,6 +26,11 @@ TRANSPARENT = "transparent"
 TWO_LEVEL = "two-level"
 """A schedule by the wearer's true intention, which no device knows: two levels of co-contraction and of assistance."""
 
+TWO_ASSISTANCES = "two-assistances"
+"""The same with a single co-contraction."""
+
+BY_INTENTION = (TWO_ASSISTANCES, TWO_LEVEL)
+
 BASELINES = (*WORN_LAWS, TRANSPARENT)
 
 ADMITTANCE = (
@@ -70,6 +75,7 @@ def space_of(kind: str, control: Control) -> Space:
         ),
         TRANSPARENT: (_tension("co_contraction", *ends, 6.0), _TORQUE_TIME),
         TWO_LEVEL: (*levels, *at_rest, *ADMITTANCE),
+        TWO_ASSISTANCES: (_tension("co_contraction", *ends, 6.0), *at_rest, *ADMITTANCE),
     }
     return Space(kind, "a baseline of a worn device", parameters[kind])
 
@@ -92,7 +98,7 @@ class Tuned:
     Attributes
     ----------
     kind : str
-        One of `BASELINES`, or `TWO_LEVEL`.
+        One of `BASELINES` or `BY_INTENTION`.
     control : str
     values : dict of str to float
         The parameters of `space_of`.
@@ -117,12 +123,13 @@ class Tuned:
         return play(device_of(profile, self.values), self.control, scenarios, self.act(scenarios))
 
     def act(self, scenarios: Scenarios) -> Act:
-        """Return the policy; the two-level schedule knows the scenarios."""
+        """Return the policy; schedules by the true intention know the scenarios."""
         ends = tension_range_of(self.control)
-        if self.kind != TWO_LEVEL:
+        if self.kind not in BY_INTENTION:
             return WornLaw(self.settings, tension_range=ends)
         of = self.values
-        tensions = np.where(scenarios.moving, of["moving_tension"], of["holding_tension"])
+        levels = ("co_contraction",) * 2 if self.kind == TWO_ASSISTANCES else ("moving_tension", "holding_tension")
+        tensions = np.where(scenarios.moving, of[levels[0]], of[levels[1]])
         return Schedule(tensions, np.where(scenarios.moving, 1.0, of["holding_assistance"]), ends)
 
 

@@ -13,7 +13,7 @@ from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, Control
 from amulett_gym.storage.safe_yaml import read_yaml
-from amulett_gym.studies.wearer.baselines import BASELINES, TWO_LEVEL
+from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION
 from amulett_gym.studies.wearer.search import Budget
 from amulett_gym.tasks.worn_suites import WORN_SUITES
 
@@ -183,6 +183,6 @@ def loops_of(description: Description) -> list[tuple[str, Control]]:
 
 def distinct(policies: list[str]) -> list[str]:
     """Return policies' names without repetitions; refuse one that a baseline has."""
-    if taken := [name for name in policies if name in (*BASELINES, TWO_LEVEL)]:
+    if taken := [name for name in policies if name in (*BASELINES, *BY_INTENTION)]:
         raise AmulettError(f"a policy is called '{taken[0]}', as a baseline is; a folder of this name is ./{taken[0]}")
     return list(dict.fromkeys(policies))

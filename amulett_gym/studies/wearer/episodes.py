@@ -76,12 +76,12 @@ class Scenarios:
 def draw(profile: Profile, suite: str, split: str, count: int, seed: int = 0) -> Scenarios:
     """Return the first scenarios of a suite's split, and play them without the device.
 
-    Guided wearers then make the moves on their own.
+    Guided wearers are relaxed, so that they then do not move.
     """
     keys = keys_from_seeds(np.arange(seed, seed + count).astype(object))
     rows, people = sample_worn(suite, episode_keys(keys, np.zeros(count, dtype=np.uint64), split), profile, split)
     bare = people.copy()
-    bare["worn"] = bare["guided"] = 0.0
+    bare["worn"] = 0.0
     moving = np.zeros((count, STEPS), dtype=bool)
 
     def look(step: int, episodes: WornEpisodes) -> None:

@@ -6,17 +6,17 @@ import numpy as np
 
 from amulett_gym.reporting import style
 from amulett_gym.reporting.style import Figure
-from amulett_gym.studies.wearer.baselines import TWO_LEVEL
+from amulett_gym.studies.wearer.baselines import BY_INTENTION, TWO_ASSISTANCES, TWO_LEVEL
 from amulett_gym.studies.wearer.comparison import DOFFED
 from amulett_gym.studies.wearer.results import Content
 
 CAPTIONS = {
     "wearer_headroom": "Cost over that of the same wearers without the device, per suite and loop: the best constant, "
-    "two levels by the true intention, and a clairvoyant. Lines: 95 % intervals.",
+    "two assistances, or two levels of both, by the true intention, and a clairvoyant. Lines: 95 % intervals.",
     "wearer_ratios": "Each held-out wearer's cost over that without the device, from the best off to the worst.",
 }
 
-_KINDS = {"constant": style.GREY, TWO_LEVEL: style.BLUE, "clairvoyant": style.GREEN}
+_KINDS = {"constant": style.GREY, TWO_ASSISTANCES: style.SKY, TWO_LEVEL: style.BLUE, "clairvoyant": style.GREEN}
 _COLOURS = (style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.SKY, style.RED, style.BROWN, style.OLIVE)
 
 
@@ -31,8 +31,8 @@ def headroom_figure(found: Content) -> Figure:
     cells = found["headroom"]
     figure, panel = style.one_panel(0.9 + 0.32 * max(len(cells), 4))
     for k, (name, colour) in enumerate(_KINDS.items()):
-        ratios = [cell[f"{name}_over_doffed"] for cell in cells]
-        places = np.arange(len(cells)) + 0.2 * (k - 1)
+        ratios = [cell["over_doffed"][name] for cell in cells]
+        places = np.arange(len(cells)) + 0.18 * (k - 1.5)
         means = np.array([ratio["mean"] for ratio in ratios], dtype=float)
         ends = np.array([[ratio["low"], ratio["high"]] for ratio in ratios], dtype=float).T
         panel.errorbar(means, places, xerr=np.abs(ends - means), fmt="o", markersize=4, color=colour, label=name)
@@ -51,7 +51,7 @@ def ratios_figure(found: Content) -> Figure:
     rows = {name: row for name, row in found["comparison"].items() if name != DOFFED}
     for k, (name, row) in enumerate(rows.items()):
         ratios = np.sort(row["cost_ratios"])
-        line = "--" if name == TWO_LEVEL else "-"
+        line = "--" if name in BY_INTENTION else "-"
         shares = 100.0 * (np.arange(ratios.size) + 0.5) / ratios.size
         panel.plot(shares, ratios, line, color=_COLOURS[k % len(_COLOURS)], label=name)
     panel.axhline(1.0, color=style.BLACK, linewidth=0.8)

@@ -1,4 +1,7 @@
-"""How much there is to gain by a schedule: the best constant, two levels by the true intention, and a clairvoyant.
+"""How much there is to gain by a schedule: the best constant, levels by the true intention, and a clairvoyant.
+
+Of two levels by the intention, moving or not, one case has two assistances at one co-contraction: what it costs more
+than two levels of both is what stiffness matters.
 
 A clairvoyant knows the whole scenario, its noise included: it has a co-contraction and an assistance of its own in each
 phase of the intention, in which the wearer moves or does not. So no policy should be expected to reach it.
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import Control
-from amulett_gym.studies.wearer.baselines import TWO_LEVEL, Tuned, device_of, tune
+from amulett_gym.studies.wearer.baselines import BY_INTENTION, TWO_LEVEL, Tuned, device_of, tune
 from amulett_gym.studies.wearer.episodes import Scenarios, Schedule, play, tension_range_of
 from amulett_gym.studies.wearer.search import Budget, cross_entropy
 
@@ -24,7 +27,7 @@ Values = NDArray[np.float64]
 PHASES = 24
 """Most phases of an intention that have levels of their own; later ones have those of the last."""
 
-PARTS = 3
+PARTS = 4
 """Parts of `measure`, after each of which it reports."""
 
 
@@ -36,16 +39,15 @@ class Headroom:
     ----------
     suite : str
     control : str
-    constant, two_level : Tuned
+    tuned : dict of str to Tuned
+        The best constant, and those of `BY_INTENTION`.
     costs : dict of str to ndarray, shape (N,)
-        ``doffed``, ``constant`` and ``two-level`` of held-out scenarios; ``clairvoyant`` of the first of them, shape
-        (M,).
+        ``doffed`` and those of `tuned` in held-out scenarios; ``clairvoyant`` of the first of them, shape (M,).
     """
 
     suite: str
     control: Control
-    constant: Tuned
-    two_level: Tuned
+    tuned: dict[str, Tuned]
     costs: dict[str, Values]
 
 
@@ -59,7 +61,7 @@ def measure(
     foreseen: int,
     report: Callable[[], Any] = lambda: None,
 ) -> Headroom:
-    """Tune the best constant and the two-level schedule on training scenarios, and search the clairvoyant's.
+    """Tune the best constant and the schedules by the intention on training scenarios, and search the clairvoyant's.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ def measure(
     train, held_out : Scenarios
         Of one suite.
     budget, clairvoyant : Budget
-        Of each of both, and of each of the first `foreseen` held-out scenarios.
+        Of each of them, and of each of the first `foreseen` held-out scenarios.
     foreseen : int
     report : callable
         Called after each of `PARTS` parts.
@@ -77,7 +79,7 @@ def measure(
     own = {key: float(value) for key, value in profile.wearer.admittance if key != "sources"} if profile.wearer else {}
     found: dict[str, Tuned] = {}
     costs = {"doffed": held_out.doffed["cost"]}
-    for kind in ("constant", TWO_LEVEL):
+    for kind in ("constant", *BY_INTENTION):
         start = own if kind == "constant" else own | found["constant"].values
         found[kind] = tune(kind, profile, control, train, budget, start=start)
         costs[kind] = found[kind].play(profile, held_out)["cost"]
@@ -86,7 +88,7 @@ def measure(
     # A clairvoyant may also do what the others do, with their admittance.
     costs["clairvoyant"] = np.min([best, *(costs[kind][:foreseen] for kind in found)], axis=0)
     report()
-    return Headroom(train.suite, control, found["constant"], found[TWO_LEVEL], costs)
+    return Headroom(train.suite, control, found, costs)
 
 
 def foresee(profile: Profile, two_level: Tuned, scenarios: Scenarios, budget: Budget) -> Values:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.evaluation.statistics import Estimate, draw_weights, ratio_of_sums
-from amulett_gym.studies.wearer.baselines import BASELINES
+from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION, TWO_ASSISTANCES, TWO_LEVEL
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
 from amulett_gym.studies.wearer.headroom import Headroom
 from amulett_gym.studies.wearer.study import NO_CABLE, Played, Study
@@ -60,9 +60,10 @@ def _cell(cell: Headroom, resamples: int) -> Content:
         "scenarios": costs["doffed"].size,
         "foreseen": few,
         "costs": {name: float(values.mean()) for name, values in costs.items()},
-        "values": {"constant": cell.constant.values, "two_level": cell.two_level.values},
-        **{f"{name}_over_doffed": ratio(name, "doffed") for name in ("constant", "two-level", "clairvoyant")},
-        **{f"{name}_over_constant": ratio(name, "constant") for name in ("two-level", "clairvoyant")},
+        "values": {kind: tuned.values for kind, tuned in cell.tuned.items()},
+        "over_doffed": {name: ratio(name, "doffed") for name in (*cell.tuned, "clairvoyant")},
+        "over_constant": {name: ratio(name, "constant") for name in (*BY_INTENTION, "clairvoyant")},
+        "two_levels_over_two_assistances": ratio(TWO_LEVEL, TWO_ASSISTANCES),
     }
 
 
@@ -71,10 +72,10 @@ def _suites(cells: list[Content], least: float) -> Content:
     found: Content = {}
     for suite in dict.fromkeys(cell["suite"] for cell in cells):
         best = min((cell for cell in cells if cell["suite"] == suite), key=lambda cell: cell["costs"]["constant"])
-        gain = 1.0 - best["clairvoyant_over_constant"]["mean"]
-        two_level = 1.0 - best["two-level_over_constant"]["mean"]
-        found[suite] = {"control": best["control"], "clairvoyant_gain": gain, "two_level_gain": two_level}
-        found[suite]["headroom"] = bool(gain >= least)
+        gains = {name: 1.0 - ratio["mean"] for name, ratio in best["over_constant"].items()}
+        stiffness = 1.0 - best["two_levels_over_two_assistances"]["mean"]
+        found[suite] = {"control": best["control"], "gains": gains, "gain_of_stiffness": stiffness}
+        found[suite]["headroom"] = bool(gains["clairvoyant"] >= least)
     return found
 
 

@@ -11,10 +11,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.envs.worn_reward import worn_prices
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import Control
 from amulett_gym.storage.kept import kept
-from amulett_gym.studies.wearer.baselines import BASELINES, TWO_LEVEL, Tuned, tune_and_choose
+from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION, Tuned, tune_and_choose
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS, Learned, play_guard
 from amulett_gym.studies.wearer.description import Bend, Description, loops_of
 from amulett_gym.studies.wearer.episodes import Scenarios, draw
@@ -85,14 +86,15 @@ def run(
     """
     device = description.device()
     stage = partial(_stage, folder, {"format": FORMAT, "device": device.model_dump(mode="json")})
-    headroom = [_headroom(description, device, suite, loop, stage, report) for suite, loop in loops_of(description)]
     baselines = _baselines(description, device, stage, report)
+    headroom = [_headroom(description, device, suite, loop, stage, report) for suite, loop in loops_of(description)]
     own = {kind: searches[0] for kind, searches in baselines.items()}
     for cell in headroom:
         if (cell.suite, cell.control) == (description.suite, description.control):
-            own[TWO_LEVEL] = cell.two_level
+            own |= {kind: cell.tuned[kind] for kind in BY_INTENTION}
     played: dict[str, dict[str, Played]] = {}
-    inputs = {"suite": description.suite, "held_out": description.held_out, "seed": description.seed}
+    prices = _prices(device, description.suite)
+    inputs = {"suite": description.suite, "prices": prices, "held_out": description.held_out, "seed": description.seed}
     scenarios = _drawn(description, device, "held-out", description.held_out)
     for cable in (None, *description.cables):
         name = NO_CABLE if cable is None else cable.name
@@ -151,7 +153,13 @@ def _headroom(
         return measure(device, loop, train, held_out, plan.budget, plan.clairvoyant.budget, foreseen, finished)
 
     sizes = plan.model_dump(exclude={"loops", "least"})
-    inputs = {"suite": suite, "control": loop, "seed": description.seed, "headroom": sizes}
+    inputs = {
+        "suite": suite,
+        "control": loop,
+        "prices": _prices(device, suite),
+        "seed": description.seed,
+        "headroom": sizes,
+    }
     found: Headroom = stage(f"headroom/{suite}-{loop}", inputs, make, _pack_headroom, _unpack_headroom)
     for _ in range(done[0], PARTS):
         finished()
@@ -178,6 +186,7 @@ def _baselines(
         inputs = {
             "kind": kind,
             "suite": description.suite,
+            "prices": _prices(device, description.suite),
             "control": control,
             "seed": description.seed,
             "tuning": plan.model_dump(),
@@ -210,6 +219,10 @@ def _drawn(description: Description, device: Profile, split: str, count: int, su
     return draw(device, description.suite if suite is None else suite, split, count, description.seed)
 
 
+def _prices(device: Profile, suite: str) -> list[float]:
+    return [float(f"{price:.6g}") for price in worn_prices(device, suite)]
+
+
 def _file(name: str) -> str:
     return "".join(letter if letter.isalnum() else "-" for letter in name).strip("-") or "no-cable"
 
@@ -232,15 +245,11 @@ def _tuned_list(content: Any) -> list[Tuned]:
 
 def _pack_headroom(cell: Headroom) -> Any:
     costs = {name: values.tolist() for name, values in cell.costs.items()}
-    tuned = {key: asdict(each) | {"validation": None} for key, each in _of(cell).items()}
-    return {"suite": cell.suite, "control": cell.control, "costs": costs, **tuned}
+    tuned = {kind: asdict(each) | {"validation": None} for kind, each in cell.tuned.items()}
+    return {"suite": cell.suite, "control": cell.control, "costs": costs, "tuned": tuned}
 
 
 def _unpack_headroom(content: Any) -> Headroom:
     costs = {name: np.array(values) for name, values in content["costs"].items()}
-    tuned = {key: Tuned(**content[key] | {"validation": np.nan}) for key in ("constant", "two_level")}
-    return Headroom(content["suite"], content["control"], costs=costs, **tuned)
-
-
-def _of(cell: Headroom) -> dict[str, Tuned]:
-    return {"constant": cell.constant, "two_level": cell.two_level}
+    tuned = {kind: Tuned(**each | {"validation": np.nan}) for kind, each in content["tuned"].items()}
+    return Headroom(content["suite"], content["control"], tuned, costs)

@@ -7,7 +7,7 @@ from typing import Any
 
 from amulett_gym.reporting.table import Table
 from amulett_gym.reporting.words import number, with_interval
-from amulett_gym.studies.wearer.baselines import TWO_LEVEL
+from amulett_gym.studies.wearer.baselines import TWO_ASSISTANCES, TWO_LEVEL
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
 from amulett_gym.studies.wearer.results import Content
 
@@ -37,10 +37,10 @@ def answer(found: Content) -> list[str]:
     """Return what the numbers say, as sentences."""
     lines = []
     for suite, told in found["suites"].items():
-        gains = (
-            f"a clairvoyant gains {_percent(told['clairvoyant_gain'])} over the best constant in {told['control']}, "
-        )
-        gains += f"two levels by the true intention {_percent(told['two_level_gain'])}"
+        of = {name: _percent(gain) for name, gain in told["gains"].items()}
+        gains = f"a clairvoyant gains {of['clairvoyant']} over the best constant in {told['control']}, "
+        gains += f"two assistances by the true intention {of[TWO_ASSISTANCES]}, with two co-contractions "
+        gains += f"{of[TWO_LEVEL]}: stiffness is worth {_percent(told['gain_of_stiffness'])}"
         lines.append(f"{suite}: {gains}." if told["headroom"] else f"{suite}: **without headroom**; {gains}.")
     best, rows = found["best_baseline"], found["comparison"]
     row = rows[best]
@@ -63,20 +63,21 @@ def answer(found: Content) -> list[str]:
 
 def headroom_table(found: Content) -> Table:
     """Return the headroom per suite and loop."""
-    shares = ("best constant / doffed", "two levels / doffed", "clairvoyant / doffed")
-    head = ("suite", "loop", *shares, "two levels / constant", "clairvoyant / constant")
+    first = ("best constant / doffed", "two assistances / constant", "two levels / constant")
+    head = ("suite", "loop", *first, "clairvoyant / constant", "two levels / two assistances", "clairvoyant / doffed")
     rows = []
     for cell in found["headroom"]:
-        ratios = [cell[f"{name}_over_doffed"] for name in ("constant", TWO_LEVEL, "clairvoyant")]
-        ratios += [cell[f"{name}_over_constant"] for name in (TWO_LEVEL, "clairvoyant")]
+        ratios = [cell["over_doffed"]["constant"], *cell["over_constant"].values()]
+        ratios += [cell["two_levels_over_two_assistances"], cell["over_doffed"]["clairvoyant"]]
         rows.append([cell["suite"], cell["control"], *(with_interval(ratio) for ratio in ratios)])
     plan = found["description"]["headroom"]
     note = (
         f"Ratios of costs on {plan['held_out']} held-out wearers (clairvoyant: the first "
-        f"{plan['clairvoyant']['scenarios']}), with 95 % intervals over wearers. Constant and two levels are tuned "
+        f"{plan['clairvoyant']['scenarios']}), with 95 % intervals over wearers. Constant and levels are tuned "
         f"with their admittance on {plan['episodes']} training wearers, {plan['population']} candidates in each of "
         f"{plan['iterations']} iterations. Two levels: co-contraction and assistance by the wearer's true intention, "
-        "moving or not. Clairvoyant: both in each phase of the intention, searched for each scenario."
+        "moving or not; two assistances: at one co-contraction. Clairvoyant: both in each phase of the intention, "
+        "searched for each scenario."
     )
     return Table("Headroom", head, rows, note, left=(0, 1))
 
@@ -113,7 +114,7 @@ def comparison_table(found: Content) -> Table:
         f"{description['held_out']} held-out wearers of the suite {description['suite']} in the loop "
         f"{description['control']} (a policy: in its own), from seed {description['seed']}. Doffed: the same wearers "
         "without the device; it has no cuff and no drives, so that its cost is that of muscles and tracking alone. "
-        "Two-level knows the true intention, which no device does."
+        "Two-assistances and two-level know the true intention, which no device does."
     )
     return Table("Held-out wearers", head, rows, note)
 

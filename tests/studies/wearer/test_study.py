@@ -15,7 +15,16 @@ from amulett_gym.laws.worn import Constant, WornLaw
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import marks
 from amulett_gym.studies.wearer import study
-from amulett_gym.studies.wearer.baselines import BASELINES, TWO_LEVEL, Tuned, device_of, space_of, tune
+from amulett_gym.studies.wearer.baselines import (
+    BASELINES,
+    BY_INTENTION,
+    TWO_ASSISTANCES,
+    TWO_LEVEL,
+    Tuned,
+    device_of,
+    space_of,
+    tune,
+)
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
 from amulett_gym.studies.wearer.description import Description, load_description, quick
 from amulett_gym.studies.wearer.episodes import STEPS, Schedule, draw, play
@@ -80,6 +89,11 @@ def test_two_levels_follow_the_true_intention(scenarios):
         moving = scenarios.moving[:, step]
         assert actions[:, 1] == pytest.approx(np.where(moving, 1.0, -1.0))
         assert 7.5 * (actions[:, 0] + 1.0) == pytest.approx(np.where(moving, 2.0, 12.0), abs=1e-5)
+    single = Tuned(TWO_ASSISTANCES, LOOP, {"co_contraction": 3.0, "holding_assistance": 0.5}, 0.0).act(scenarios)
+    for step in range(100):
+        actions = single(np.zeros((3, 16), dtype=np.float32))
+        assert 7.5 * (actions[:, 0] + 1.0) == pytest.approx([3.0] * 3, abs=1e-5)
+        assert actions[:, 1] == pytest.approx(np.where(scenarios.moving[:, step], 1.0, 0.0), abs=1e-6)
 
 
 def test_a_clairvoyant_begins_with_the_two_levels(device, scenarios):
@@ -142,7 +156,7 @@ def test_the_command_writes_numbers_tables_and_figures(folder, found, capsys, tm
     written = {path.name for path in folder.iterdir()}
     pictures = {"wearer_headroom.png", "wearer_ratios.png"}
     assert written == {"results.json", "tables.md", "command.json", "stages", *pictures}
-    assert [*found["comparison"]] == [DOFFED, *BASELINES, TWO_LEVEL]
+    assert [*found["comparison"]] == [DOFFED, *BASELINES, *BY_INTENTION]
     assert [*found["guards"]] == [*GUARDS]
     document = tmp_path / "wearer.md"
     document.write_text("before\n" + "\n".join(marks("amulett wearer")) + "\nafter\n")
@@ -182,7 +196,9 @@ def test_ratios_are_those_of_the_costs(folder, found):
     assert found["comparison"][again.best]["cost_over_best"]["mean"] == pytest.approx(1.0)
     cell = found["headroom"][0]
     assert cell["costs"]["clairvoyant"] <= cell["costs"]["constant"] * 2.0
-    assert cell["clairvoyant_over_constant"]["mean"] <= 1.0 + 1e-12
+    assert cell["over_constant"]["clairvoyant"]["mean"] <= 1.0 + 1e-12
+    two_levels, two_assistances = (cell["costs"][name] for name in (TWO_LEVEL, TWO_ASSISTANCES))
+    assert cell["two_levels_over_two_assistances"]["mean"] == pytest.approx(two_levels / two_assistances)
 
 
 def test_a_suite_without_headroom_is_named_so(folder, found):
@@ -198,7 +214,7 @@ def test_a_suite_without_headroom_is_named_so(folder, found):
 
 def test_tables_name_every_contender(found):
     shown = tables(found)
-    assert [row[0].split(" (")[0] for row in shown["comparison"].rows] == [DOFFED, *BASELINES, TWO_LEVEL]
+    assert [row[0].split(" (")[0] for row in shown["comparison"].rows] == [DOFFED, *BASELINES, *BY_INTENTION]
     assert len(shown["guards"].rows) == len(GUARDS)
     assert all(len(row) == len(table.head) for table in shown.values() for row in table.rows)
 
