@@ -66,7 +66,7 @@ def _worn(data: Data) -> list[Table]:
         "One core: medians of alternating turns, with the same devices and scenarios. Ratio of the times per turn: "
         "median (minimum-maximum)."
     )
-    title = f"The worn tick compared with the bare one, kernel of {data['worn_devices']:,}, worn, assembly"
+    title = f"The worn tick compared with the bare one, kernel of {data['worn_devices']:,}, worn, reaches"
     return [Table(title, ("loop", "bare [million ticks/s]", "worn", "worn tick / bare tick"), rows, note)]
 
 

@@ -118,10 +118,11 @@ def kernel(profile: str, devices: int, seed: int = 0, control: Control = "decent
 def worn_kernels(control: Control, devices: int, seed: int = 0) -> tuple[Contestant, Contestant]:
     """Return the kernel with the same devices and scenarios worn and bare, a control loop and eq. 6 in both.
 
-    Bare devices make the wearers' moves on their own.
+    Bare devices make the wearers' moves on their own. There are no pushes: those on a hand are too strong for a bare
+    device, and one that failed takes no time.
     """
     device = load_profile("worn")
-    rows, wearers = sample_worn("assembly", _keys(devices, seed), device)
+    rows, wearers = sample_worn("reaches", _keys(devices, seed), device)
     worn = WornSimulation(device, devices, control, tension_law="eq6")
     worn.reset(rows, wearers=wearers)
     worn.assist(1.0)

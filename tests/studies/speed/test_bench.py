@@ -19,7 +19,7 @@ from amulett_gym.errors import AmulettError, install_extra
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import update_document
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import CONTROLS, LOOPS
+from amulett_gym.simulation.layout import CONTROLS, LOOPS, RUNNING
 from amulett_gym.simulation.worn_batch import WornSimulation
 from amulett_gym.studies.speed import document as performance
 from amulett_gym.studies.speed import peers, scale, sections
@@ -104,6 +104,11 @@ def test_worn_and_bare_contestants_have_the_same_devices_and_scenarios(monkeypat
     )
     worn_kernels("torque", 5, seed=3)
     (first, worn), (second, bare) = made
+    for simulation in (worn, bare):
+        start = simulation.get_state()
+        simulation.advance(4000)  # an episode, in which a device that failed would take no time
+        assert (simulation.read("failure") == RUNNING).all()
+        simulation.set_state(start)
     assert (first, second) == ("worn, torque", "bare, torque")
     assert isinstance(worn, WornSimulation) and not isinstance(bare, WornSimulation)
     np.testing.assert_array_equal(worn.scenarios, bare.scenarios)
