@@ -41,7 +41,7 @@ SOURCES = (
     *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random", "replay")),
     *("simulation/worn.py", "simulation/worn_layout.py"),
     *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
-    "envs/worn_transition.py",
+    *(f"envs/worn_{name}.py" for name in ("reward", "settings", "transition")),
     *("tasks/*.py", "laws/*.py", "firmware/lock_step.py"),
 )
 """The files with compiled functions, and all of ours that these import: constants are compiled in."""
