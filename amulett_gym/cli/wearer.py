@@ -25,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder; finished stages in it are not repeated")
     add_options(parser, "--doc")
     add_json(parser, "the content of results.json")
+    parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,9 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
     own = marks("amulett wearer")
     if arguments.doc is not None:
         check_document(arguments.doc, [own], images=True)
-    description = described.load_description(arguments.config)
-    if arguments.quick:
-        description = described.quick(description)
+    if arguments.resolved is None:
+        description = described.load_description(arguments.config)
+        description = described.quick(description) if arguments.quick else description
+    else:
+        description = described.Description.model_validate(arguments.resolved["description"])
     policies = [load_learned(name) for name in described.distinct(arguments.policy)]
     words = ["amulett", "wearer", *command_words(arguments, "config", "quick")]
     words += [word for name in arguments.policy for word in ("--policy", name)]

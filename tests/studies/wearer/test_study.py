@@ -11,7 +11,10 @@ import pytest
 
 from amulett_gym import WORN_ID
 from amulett_gym.cli import main
-from amulett_gym.laws.worn import Constant, WornLaw
+from amulett_gym.envs.worn_transition import OBSERVATIONS
+from amulett_gym.laws.bundle import PolicyDescription, TrainingEnv, write_bundle
+from amulett_gym.laws.worn import Constant, WornLaw, as_actions
+from amulett_gym.laws.worn_inputs import WORN_ACTIONS, WORN_SCALES
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import marks
 from amulett_gym.studies.wearer import study
@@ -234,6 +237,46 @@ def test_a_wrong_description_is_refused(wrong, tmp_path, capsys):
     file.write_text(json.dumps(wrong))
     assert main(["wearer", "--config", str(file)]) == 2
     assert "unknown" in capsys.readouterr().err
+
+
+def test_a_learned_policy_is_compared_in_its_own_loop_and_device(folder, tmp_path, capsys):
+    # A network whose output is constant costs what the constant law does.
+    actions = as_actions(6.0, 0.75, 1)[0]
+    layers = [(np.zeros((2, len(OBSERVATIONS)), dtype=np.float32), actions)]
+    described = {
+        "network": {"layers": [len(OBSERVATIONS), 2], "activation": "tanh", "output": "clip"},
+        "observations": list(OBSERVATIONS),
+        "observation_scales": WORN_SCALES,
+        "actions": list(WORN_ACTIONS),
+        "tension_range": [0.0, 15.0],
+        "agent_period": 0.02,
+    }
+    softer = {"base": "worn", "name": "softer", "wearer": {"admittance": {"gain": 0.7}}}
+    env = TrainingEnv(
+        id=WORN_ID,
+        keywords={"profile": load_profile(softer).model_dump(mode="json"), "control": "cascade", "suite": "assembly"},
+        max_episode_steps=STEPS,
+    )
+    policy = write_bundle(tmp_path / "policy", layers, PolicyDescription.model_validate(described), env, {})
+    words = ["wearer", "--quick", "--out", str(folder), "--policy", str(policy), "--json"]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["policies"] == {str(policy): {"control": "cascade", "device": "softer"}}
+    device = load_profile(softer)
+    wearers = draw(device, "assembly", "held-out", found["description"]["held_out"])
+    law = WornLaw(Constant(co_contraction=6.0, assistance=0.75))
+    same = play(device, "cascade", wearers, law)
+    row = found["comparison"][str(policy)]
+    assert row["cost"] == pytest.approx(same["cost"].mean(), rel=1e-9)
+    assert row["cost_ratios"] == pytest.approx(same["cost"] / wearers.doffed["cost"], rel=1e-9)
+    cables = found["cables"][str(policy)]
+    assert cables["lead"] == pytest.approx(1.0 - row["cost"] / found["comparison"][found["best_baseline"]]["cost"])
+    assert any(line.startswith(f"The policy {policy} costs") for line in answer(found))
+
+
+def test_a_folder_is_written_again(folder, tmp_path, capsys):
+    assert main(["rerun", str(folder), "--out", str(tmp_path / "again"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["same"] is True
 
 
 def test_a_policy_of_another_environment_is_refused(capsys):
