@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from amulett_agents.critic_file import critic_of_bundle
+from amulett_agents.teacher_settings import TeacherSettings
 from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.envs.reward import check_weights
@@ -324,6 +325,9 @@ class TrainConfig(Group):
     ppo: PpoSettings = Field(PpoSettings(), description="settings of PPO, if it is the algorithm")
     sac: SacSettings = Field(SacSettings(), description="settings of SAC, if it is the algorithm")
     network: NetworkSettings = Field(NetworkSettings(), description="networks of policy and critic")
+    teacher: TeacherSettings | None = Field(
+        None, description="imitation of a teacher that PPO starts from, in Amulett/Worn-v0 only; null: none"
+    )
     validation: ValidationSettings = Field(ValidationSettings(), description="choice of the best policy")
     num_envs: int = Field(2048, ge=1, le=10**6, description="devices simulated in parallel [1]")
     staggered: bool = Field(True, description="start devices at different episode times; a rollout covers all times")
@@ -333,6 +337,14 @@ class TrainConfig(Group):
     threads: int = Field(1, ge=1, le=256, description="torch's threads [1]")
     checkpoint_seconds: float = Field(10.0, ge=0, le=1e9, description="time between checkpoints [s]; 0: every rollout")
     checkpoint: bool = Field(False, description="also keep last_sb3.zip for Stable-Baselines3 (a pickle)")
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave the teacher out where there is none: records that are older do not have it."""
+        content: dict[str, Any] = serialize(self)
+        if content.get("teacher") is None:
+            content.pop("teacher", None)
+        return content
 
     @property
     def validation_keywords(self) -> dict[str, Any]:
@@ -377,6 +389,13 @@ class TrainConfig(Group):
             )
         if self.network.initial_assistance is not None and self.env.id != WORN_ID:
             raise ValueError(f"network.initial_assistance is given; only {WORN_ID} has it, not {self.env.id}")
+        if (teacher := self.teacher) is not None:
+            if self.env.id != WORN_ID or self.algorithm != "ppo" or self.network.start is not None:
+                raise ValueError(f"teacher is given; only PPO in {WORN_ID} has one, without network.start")
+            if not low <= min(teacher.moving_tension, teacher.holding_tension):
+                raise ValueError(f"the teacher's tensions have to be at least {low} N, as env.tension_range is")
+            if not max(teacher.moving_tension, teacher.holding_tension) <= high:
+                raise ValueError(f"the teacher's tensions have to be at most {high} N, as env.tension_range is")
         if start is not None and not low <= start <= high:
             raise ValueError(f"network.initial_tension is {start} N; env.tension_range is {low} to {high} N")
         return self

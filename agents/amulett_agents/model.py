@@ -17,6 +17,7 @@ from amulett_agents.networks import measure_inputs
 from amulett_agents.ppo import has_privileged_critic, make_ppo
 from amulett_agents.sac import make_sac
 from amulett_agents.schedules import CriticFirst, FadingExploration
+from amulett_agents.teacher import teach
 from amulett_agents.time_limit import ValuesAtTimeLimits
 from amulett_agents.wrappers import ActorView, ScaledRewards, Staggered
 from amulett_gym import WORN_ID
@@ -30,7 +31,8 @@ Model = PPO | SAC
 def make_model(config: TrainConfig, resumed: bool = False, progress: bool = False) -> Model:
     """Make a recipe's learner with its training environment.
 
-    Its first policy is a constant tension (see `first_policy`), or that of `network.start`. It has no logger.
+    Its first policy is a constant tension (see `first_policy`), or that of `network.start`, or that which has imitated
+    the recipe's teacher. It has no logger.
 
     Parameters
     ----------
@@ -72,6 +74,8 @@ def make_model(config: TrainConfig, resumed: bool = False, progress: bool = Fals
         bundle = read_bundle(_start_folder(config.network.start))
         start_from(model, bundle)
         start_critic(model, bundle)
+    if config.teacher is not None and isinstance(model, PPO) and not resumed:
+        teach(model, config, keywords, progress)
     env.seed(config.first_scenario)
     model.set_logger(Logger(None, []))  # SB3's own would create an empty folder
     return model

@@ -17,7 +17,7 @@ from amulett_gym import WORN_ID
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.envs.worn_transition import OBSERVATIONS as WORN_OBSERVATIONS
 from amulett_gym.laws.history import check_all_devices
-from amulett_gym.laws.worn_inputs import cuff_quantities
+from amulett_gym.laws.worn_inputs import TRACES, cuff_quantities, next_traces
 
 Values = NDArray[np.float64]
 
@@ -76,8 +76,8 @@ MEMORY = tuple(f"{name}_{span}" for span in SPANS for name in NAMES)
 
 WORN_NAMES = (*NAMES, *cuff_quantities(np.zeros((1, len(WORN_OBSERVATIONS)))))
 
-WORN_MEMORY = tuple(f"{name}_{span}" for span in SPANS for name in WORN_NAMES)
-"""Names of the means in `Amulett/Worn-v0`."""
+WORN_MEMORY = (*(f"{name}_{span}" for span in SPANS for name in WORN_NAMES), *TRACES)
+"""Names of the means, and of the traces that follow them, in `Amulett/Worn-v0`."""
 
 
 class Memory:
@@ -110,8 +110,12 @@ class Memory:
         cuff = cuff_quantities(rows) if rows.shape[1] > _KNOWN else {}
         values = np.stack([*found.values(), *cuff.values()], axis=1)
         shares = 1.0 / np.minimum(steps[:, None] + 1, SPANS)
-        means = self.means[devices]
+        before = self.means[devices]
+        averaged = len(SPANS) * values.shape[1]
+        means = before[:, :averaged]
         means = means + np.repeat(shares, values.shape[1], axis=1) * (np.tile(values, len(SPANS)) - means)
+        if cuff:
+            means = np.concatenate([means, next_traces(rows, before[:, averaged:], steps == 0)], axis=1)
         self.means[devices], self.last[devices], self.steps[devices] = means, rows, steps + 1
         return means
 

@@ -1,0 +1,83 @@
+"""Imitation of a teacher that knows the wearer's intention."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from helpers import SMALL_RECIPE
+
+import amulett_gym
+from amulett_agents.config import load_train_config
+from amulett_agents.model import make_model
+from amulett_agents.teacher import teacher_actions
+from amulett_agents.teacher_settings import TeacherSettings
+from amulett_agents.training import resume, train
+from amulett_agents.validation import evaluate, make_validation_env
+from amulett_gym.errors import AmulettError
+from amulett_gym.laws.bundle import read_bundle
+
+WORN = amulett_gym.WORN_ID
+SMALL = [*SMALL_RECIPE, f"env.id={WORN}", "network.hidden=[16]", "network.memory=true", "env.control=co-rotation"]
+TEACHER = ["teacher={rounds: 2, episodes: 24, gradient_steps: 150, batch_size: 128}"]
+
+
+def test_the_teacher_assists_while_the_intention_moves():
+    env = gym.make_vec(WORN, num_envs=6, agent_period=0.05)
+    env.reset(seed=0)
+    settings = TeacherSettings(moving_tension=3.0, holding_tension=12.0)
+    found = set()
+    for _ in range(40):
+        env.step(np.zeros((6, 2), np.float32))
+        rates = np.degrees(env.unwrapped.episodes.simulation.read_worn("intention_rate"))
+        actions = teacher_actions(settings, env, [0.0, 15.0])
+        moves = np.abs(rates) > 2.0
+        np.testing.assert_allclose(actions[:, 0], np.where(moves, 3.0, 12.0) / 7.5 - 1.0, atol=1e-6)
+        np.testing.assert_array_equal(actions[:, 1], np.where(moves, 1.0, -1.0))
+        found |= set(moves.tolist())
+    assert found == {True, False}
+
+
+def test_imitation_is_better_than_the_constant_that_it_replaces():
+    longer = ["env.max_episode_steps=100", "validation.episodes=24", "teacher.gradient_steps=400", "teacher.rounds=4"]
+    plain = make_model(load_train_config(None, [*SMALL, *longer[:2]]))
+    config = load_train_config(None, [*SMALL, *TEACHER, *longer])
+    taught = make_model(config)
+    costs = []
+    for model in (plain, taught):
+        env = make_validation_env(config)
+        costs.append(evaluate(model, env, 0)["cost"])
+        env.close()
+    assert costs[1] < 0.9 * costs[0]
+
+
+def test_a_taught_run_is_the_same_again_and_resumes(tmp_path):
+    config = load_train_config(None, [*SMALL, *TEACHER, "total_steps=512"])
+    weights = [read_bundle(train(config, tmp_path / name, progress=False).last).layers for name in "ab"]
+    for one, other in zip(*weights, strict=True):
+        assert np.array_equal(one[0], other[0]) and np.array_equal(one[1], other[1])
+    assert resume(tmp_path / "a").steps == 512
+    # A resumed model gets the checkpoint's weights, and does not imitate anew.
+    model = make_model(config, resumed=True)
+    assert not torch.any(model.policy.action_net.weight)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        (TEACHER, "only PPO in Amulett/Worn-v0 has one"),
+        ([f"env.id={WORN}", *TEACHER, "algorithm=sac"], "only PPO in Amulett/Worn-v0 has one"),
+        ([f"env.id={WORN}", *TEACHER, "network.start=pretrained"], "without network.start"),
+        ([f"env.id={WORN}", *TEACHER, "teacher.holding_tension=20"], "at most 15.0 N"),
+        ([f"env.id={WORN}", *TEACHER, "env.tension_range=[2, 15]"], "at least 2.0 N"),
+    ],
+)
+def test_wrong_teachers_are_refused(changes, problem):
+    with pytest.raises(AmulettError, match=problem):
+        load_train_config(None, changes)
+
+
+def test_recipes_without_a_teacher_keep_their_records():
+    assert "teacher" not in load_train_config().model_dump()
+    assert load_train_config(None, [f"env.id={WORN}", *TEACHER]).model_dump()["teacher"]["rounds"] == 2
