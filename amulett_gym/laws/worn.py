@@ -5,7 +5,9 @@ device measures.
 
 ``constant`` never changes; its admittance follows the wearer always alike. ``eq6`` is the paper's eq. 6: the
 co-contraction falls with the measured position error. ``switched`` moves softly and holds stiffly: what the wearer is
-doing is inferred from joint rate and cuff torque.
+doing is inferred from the present joint rate and cuff torque. ``latched`` does so by what happened before: it locks
+where the wearer came to rest, and lets go when the cuff torque changes later on. At the cuff a tool's push and the
+begin of a movement look alike; what differs is when they come.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ class Constant(Group):
     """A constant co-contraction and a constant assistance."""
 
     name: ClassVar[str] = "constant"
+    remembers: ClassVar[int] = 0
     co_contraction: float = _tension(6.0, "tension of both strings")
     assistance: float = _assistance("assistance")
 
@@ -54,7 +57,7 @@ class Constant(Group):
         ----------
         rows : ndarray, shape (N, 16)
             Observations.
-        memory : ndarray, shape (N,)
+        memory : ndarray, shape (N, remembers)
             What the last call returned; zeros in the first step.
         period : float
             Time between two actions [s].
@@ -66,6 +69,7 @@ class Eq6(Group):
     """Eq. 6 for the co-contraction, by the size of the measured position error, with a constant assistance."""
 
     name: ClassVar[str] = "eq6"
+    remembers: ClassVar[int] = 0
     nominal_tension: float = _tension(10.0, "tension without an error, sigma")
     minimum_tension: float = _tension(4.0, "tension from the offset on, sigma_min")
     error_offset: float = Field(default=30.0, gt=0, le=90, description="error from which it is the minimum [deg]")
@@ -86,6 +90,7 @@ class Switched(Group):
     """
 
     name: ClassVar[str] = "switched"
+    remembers: ClassVar[int] = 1
     moving_tension: float = _tension(1.0, "tension while moving")
     holding_tension: float = _tension(10.0, "tension while holding")
     moving_assistance: float = _assistance("assistance while moving")
@@ -99,14 +104,55 @@ class Switched(Group):
         """Return co-contractions [N], assistances [1] and the next memory; see `Constant.choose`."""
         rate, cuff = np.abs(rows[:, _RATE_AT]) * _RATE, np.abs(rows[:, _CUFF_AT]) * CUFF_SCALE
         beyond = (rate / self.speed + cuff / self.torque - 1.0) / self.width
-        moving = np.maximum(0.5 * (1.0 + np.tanh(0.5 * beyond)), memory - period / self.hold)
+        moving = np.maximum(0.5 * (1.0 + np.tanh(0.5 * beyond)), memory[:, 0] - period / self.hold)
         tension = self.holding_tension + moving * (self.moving_tension - self.holding_tension)
-        return tension, self.holding_assistance + moving * (self.moving_assistance - self.holding_assistance), moving
+        assistance = self.holding_assistance + moving * (self.moving_assistance - self.holding_assistance)
+        return tension, assistance, moving[:, None]
 
 
-Settings = Constant | Eq6 | Switched
+class Latched(Group):
+    """Free and soft while the wearer moves, locked and stiff where they came to rest, until the cuff torque changes.
 
-WORN_LAWS: dict[str, type[Constant] | type[Eq6] | type[Switched]] = {law.name: law for law in (Constant, Eq6, Switched)}
+    It locks when the joint has been slower than `speed` for `still` seconds, at the earliest `least_motion` seconds
+    after it let go. In the first `settling` seconds it stays locked: a load that comes on is carried. Then it lets go
+    when the cuff torque leaves its mean, of the time constant `forgetting`, by more than `torque`.
+    """
+
+    name: ClassVar[str] = "latched"
+    remembers: ClassVar[int] = 4
+    moving_tension: float = _tension(1.0, "tension while free")
+    holding_tension: float = _tension(12.0, "tension while locked")
+    speed: float = Field(default=6.0, gt=0, description="measured joint rate below which the arm is still [deg/s]")
+    still: float = Field(default=0.05, ge=0, description="time for which it has to be still [s]")
+    least_motion: float = Field(default=0.4, ge=0, description="least time for which it is free [s]")
+    settling: float = Field(default=0.5, ge=0, description="least time for which it is locked [s]")
+    torque: float = Field(default=0.25, gt=0, description="change of the measured cuff torque that frees it [N m]")
+    forgetting: float = Field(default=0.4, gt=0, description="time constant of the cuff torque's mean [s]")
+
+    def choose(self, rows: Values, memory: Values, period: float) -> tuple[ArrayLike, ArrayLike, Values]:
+        """Return co-contractions [N], assistances [1] and the next memory; see `Constant.choose`.
+
+        The memory holds: whether it is free, for how long it has been free or locked [s], for how long the joint has
+        been still [s], and the cuff torque's mean [N m].
+        """
+        rate, cuff = np.abs(rows[:, _RATE_AT]) * _RATE, rows[:, _CUFF_AT] * CUFF_SCALE
+        was_free, since, still, mean = memory[:, 0] > 0.0, memory[:, 1] + period, memory[:, 2], memory[:, 3]
+        still = np.where(rate < self.speed, still + period, 0.0)
+        locks = was_free & (still > 0.0) & (still >= self.still) & (since >= self.least_motion)
+        frees = ~was_free & (since >= self.settling) & (np.abs(cuff - mean) > self.torque)
+        free = (was_free & ~locks) | frees
+        settles = was_free | (since < self.settling)
+        mean = np.where(settles, cuff, mean + (cuff - mean) * min(period / self.forgetting, 1.0))
+        since = np.where(locks | frees, 0.0, since)
+        tension = np.where(free, self.moving_tension, self.holding_tension)
+        return tension, np.where(free, 1.0, 0.0), np.stack([free, since, still, mean], axis=1)
+
+
+Settings = Constant | Eq6 | Switched | Latched
+
+WORN_LAWS: dict[str, type[Constant] | type[Eq6] | type[Switched] | type[Latched]] = {
+    law.name: law for law in (Constant, Eq6, Switched, Latched)
+}
 """The baselines by name."""
 
 
@@ -115,7 +161,7 @@ class WornLaw:
 
     Parameters
     ----------
-    settings : Constant, Eq6 or Switched
+    settings : Constant, Eq6, Switched or Latched
     agent_period : float
         Time between two actions [s].
     tension_range : tuple of float
@@ -130,7 +176,7 @@ class WornLaw:
 
     def reset(self, devices: int) -> None:
         """Begin an episode with so many devices."""
-        self._memory = np.zeros(devices)
+        self._memory = np.zeros((devices, self.settings.remembers))
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.float32]:
         """Return the actions of a batch, shape (N, 2), for observations of shape (N, 16)."""

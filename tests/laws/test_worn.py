@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from amulett_gym import WORN_ID
 from amulett_gym.envs.worn_transition import OBSERVATIONS
 from amulett_gym.laws.policies import load_policy
-from amulett_gym.laws.worn import WORN_LAWS, Constant, Eq6, Switched, WornLaw
+from amulett_gym.laws.worn import WORN_LAWS, Constant, Eq6, Latched, Switched, WornLaw
 
 
 def observed(error_deg=0.0, rate_deg=0.0, cuff=0.0, count=1):
@@ -53,6 +53,34 @@ def test_switched_is_soft_in_motion_and_stiff_after_its_hold_time():
         shares = [levels(law(observed()))[1][0] for _ in range(6)]
         assert shares == pytest.approx([0.8, 0.6, 0.4, 0.2, 0.0, 0.0], abs=1e-4)  # 20 ms steps of 0.1 s
     assert levels(law(observed(rate_deg=20.0)))[0] == pytest.approx([6.0], abs=1e-3)  # on the switch
+
+
+def test_latched_locks_at_rest_and_lets_go_when_the_torque_changes_late():
+    law = WornLaw(
+        Latched(moving_tension=1.0, holding_tension=12.0, speed=5.0, still=0.04, least_motion=0.1, settling=0.2)
+    )
+
+    def assistances(steps, **seen):
+        return [float(levels(law(observed(**seen)))[1][0]) for _ in range(steps)]
+
+    law.reset(1)
+    assert assistances(9, cuff=0.5) == [0.0] * 9  # a load that comes on early is carried
+    assert assistances(20, cuff=0.5) == [0.0] * 20
+    assert assistances(1, cuff=0.9) == [1.0]  # a late change frees it
+    assert levels(law(observed(rate_deg=30.0)))[0] == pytest.approx([1.0], abs=1e-5)
+    assert assistances(10, rate_deg=-30.0) == [1.0] * 10
+    assert assistances(3) == [1.0, 0.0, 0.0]  # still for 40 ms
+    assert levels(law(observed()))[0] == pytest.approx([12.0], abs=1e-5)
+    assert assistances(20, cuff=0.2) == [0.0] * 20
+    assert assistances(1, cuff=-0.1) == [1.0]
+    assert sum(assistances(8)) == pytest.approx(4.0, abs=1.0)  # free for at least 0.1 s, then locked again
+
+
+def test_slow_changes_do_not_free_a_latched_arm():
+    law = WornLaw(Latched(settling=0.1, torque=0.25, forgetting=0.4))
+    law.reset(1)
+    slow = [law(observed(cuff=0.3 * 0.02 * k))[0, 1] for k in range(200)]  # 0.3 N m/s: 0.12 N m beyond its mean
+    assert slow == [-1.0] * 200
 
 
 def test_an_episode_begins_without_a_memory():

@@ -63,7 +63,7 @@ class HeadroomPlan(Search):
     loops: dict[str, list[str]] = Field(
         default={
             suite: [*_LOOPS, *(["decentralized"] if suite == "assembly" else [])]
-            for suite in ("reaches", "assembly", "carry", "guided", "tremor")
+            for suite in ("assembly", "reaches", "carry", "guided", "tremor")
         },
         description="suite -> control loops",
     )

@@ -80,7 +80,10 @@ def measure(
     found: dict[str, Tuned] = {}
     costs = {"doffed": held_out.doffed["cost"]}
     for kind in ("constant", *BY_INTENTION):
-        start = own if kind == "constant" else own | found["constant"].values
+        # A search begins with the result of the one before, which is a case of it.
+        start = own | (found[[*found][-1]].values if found else {})
+        if kind == TWO_LEVEL:
+            start |= dict.fromkeys(("moving_tension", "holding_tension"), start["co_contraction"])
         found[kind] = tune(kind, profile, control, train, budget, start=start)
         costs[kind] = found[kind].play(profile, held_out)["cost"]
         report()

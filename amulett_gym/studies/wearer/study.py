@@ -28,6 +28,9 @@ T = TypeVar("T")
 FORMAT = 1
 """Version of the stages: a new one when their numbers mean something else."""
 
+HEADROOM_FORMAT = 2
+"""The same of the stages of the headroom."""
+
 NO_CABLE = ""
 
 
@@ -159,6 +162,7 @@ def _headroom(
         "prices": _prices(device, suite),
         "seed": description.seed,
         "headroom": sizes,
+        "format": HEADROOM_FORMAT,
     }
     found: Headroom = stage(f"headroom/{suite}-{loop}", inputs, make, _pack_headroom, _unpack_headroom)
     for _ in range(done[0], PARTS):
