@@ -81,7 +81,7 @@ def test_another_option_is_no_suggestion(capsys):
         (["quickstart", "--seconds", "nan"], "--seconds is nan"),
         (["quickstart", "--seed", "-1"], "--seed is -1"),
         (["train", "--set", "ppo.gama=0.9", "--out", "x"], "did you mean 'gamma'"),
-        (["train", "--set", "env.id=Amulett/Worn-v0", "--out", "x"], "not possible in Amulett/Worn-v0"),
+        (["train", "--set", "env.id=Amulett/Worn-v0", "env.suite=steps", "--out", "x"], "unknown suite 'steps'"),
         (["evaluate", "--policies", "eq6", "--env-id", "Amulett/Worn-v0"], "not possible in Amulett/Worn-v0"),
     ],
 )

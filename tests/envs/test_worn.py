@@ -20,7 +20,6 @@ from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.envs.worn_transition import METRICS, OBSERVATIONS, READINGS
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.runner import evaluate
-from amulett_gym.laws.bundle import TrainingEnv
 from amulett_gym.laws.contenders import Own
 from amulett_gym.laws.policies import load_policy
 from amulett_gym.profile import load_profile
@@ -242,13 +241,13 @@ def test_docstring_and_settings_name_the_same_keywords():
     } | {"tension_range": "(0, 15)"}
 
 
-def test_laws_of_a_tension_and_bundles_are_refused_and_functions_act():
+def test_laws_and_bundles_of_other_environments_are_refused_and_functions_act():
     env = gym.make(WORN_ID)
     observation, _ = env.reset(seed=0)
     for name, message in (
         ("constant:10", "chooses a tension and cannot act in Amulett/Worn-v0"),
         ("equilibrium-point/constant:10", "cannot act in Amulett/Worn-v0"),
-        ("pretrained", "not possible in Amulett/Worn-v0"),
+        ("pretrained", "needs an environment without a wearer; this is Amulett/Worn-v0"),
     ):
         with pytest.raises(AmulettError, match=message):
             load_policy(name, env)
@@ -258,14 +257,12 @@ def test_laws_of_a_tension_and_bundles_are_refused_and_functions_act():
         load_policy(lambda observations: np.zeros(len(observations)), env)(observation)
 
 
-def test_comparisons_and_bundles_refuse_the_environment():
+def test_comparisons_refuse_the_environment():
     mine = Own("mine", act=lambda observations: np.zeros((len(observations), 2)), env_id=WORN_ID)
     with pytest.raises(AmulettError, match="'mine', which acts there alone, is not possible in Amulett/Worn-v0"):
         evaluate([mine], episodes=2)
     with pytest.raises(AmulettError, match="not possible in Amulett/Worn-v0"):
         evaluate(["eq6"], episodes=2, env_id=WORN_ID)
-    with pytest.raises(ValueError, match="policy bundle is not possible in Amulett/Worn-v0"):
-        TrainingEnv(id=WORN_ID, keywords={}, max_episode_steps=500)
 
 
 def test_a_reset_that_fails_leaves_the_old_episode_with_its_wearer():
