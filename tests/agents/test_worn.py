@@ -70,9 +70,9 @@ def test_older_recipes_keep_their_records():
 def test_the_cost_without_the_device_is_known():
     own = [f"env.id={WORN}"]
     assert load_train_config().env.doffed_cost is None
-    assert load_train_config(None, own).env.doffed_cost == pytest.approx(1.0)
+    assert load_train_config(None, own).env.doffed_cost == pytest.approx(0.8)
     heavy = [*own, "env.reward_weights={muscle: 1.0, drives: 3.0}", "env.max_episode_steps=250"]
-    assert load_train_config(None, heavy).env.doffed_cost == pytest.approx(0.75)
+    assert load_train_config(None, heavy).env.doffed_cost == pytest.approx(0.65)
 
 
 @pytest.mark.parametrize(
@@ -204,12 +204,12 @@ def test_models_of_sb3_become_bundles_and_zips(tmp_path):
 def test_the_card_and_the_command_say_what_a_cost_is_compared_with(tmp_path, capsys):
     run = tmp_path / "run"
     assert main(["train", "--set", *SMALL, "total_steps=256", "--out", str(run)]) == 0
-    assert "for comparison: without the device, the same wearers cost 0.125" in capsys.readouterr().out
+    assert "for comparison: without the device, the same wearers cost 0.1\n" in capsys.readouterr().out
     assert main(["config", "validate", str(run / "best"), "--show"]) == 0
     shown = capsys.readouterr().out
     assert "an assistance from 0 to 1" in shown and "16 observations of the environment" in shown
-    assert "1 is that of the same wearers in 10 s without the device" in shown
+    assert "0.8 is that of the same wearers in 10 s without the device" in shown
     assert main(["config", "validate", str(run / "config.yaml")]) == 0
     bundle = read_bundle(run / "best")
     bundle.env.keywords["reward_weights"] = {**WORN_WEIGHTS, "muscle": 1.0}
-    assert "1.5 is that of the same wearers" in model_card(bundle.policy, bundle.env, bundle.provenance)
+    assert "1.3 is that of the same wearers" in model_card(bundle.policy, bundle.env, bundle.provenance)
