@@ -215,14 +215,14 @@ def pack_wearers(
     """
     values = {key: np.atleast_1d(value) for key, value in (dict(Wearer()) | dict(people)).items()}
     delay = np.rint(values["reflex_delay"] / control_period)
-    if delay.max() >= DELAY:
+    if delay.max(initial=0) >= DELAY:
         worst = int(np.argmax(delay))
         raise AmulettError(
             f"scenario: 'wearer.reflex_delay' is {values['reflex_delay'][worst]} s, {delay[worst]:.0f} control ticks "
             f"of the device; at most {(DELAY - 1) * control_period:g} s are possible"
         )
     mass, centre, inertia = forearm(values["mass"], values["height"])
-    packed = np.zeros(max(value.size for value in values.values()), dtype=PERSON)
+    packed = np.zeros(np.broadcast_shapes(*(value.shape for value in values.values())), dtype=PERSON)
     put_values(packed, values)
     packed["inertia"], packed["load_inertia"] = inertia, payload_mass * np.square(payload_arm)
     packed["weight"] = np.where(vertical, GRAVITY * mass * centre, 0.0)

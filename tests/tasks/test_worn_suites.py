@@ -37,6 +37,12 @@ def drawn() -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
     }
 
 
+def test_no_keys_draw_nothing() -> None:
+    for suite in WORN_SUITES:
+        rows, wearers = sample_worn(suite, keys("train", 0), TESTBED)
+        assert rows.size == wearers.size == 0
+
+
 def moves_of(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ends [deg] with the initial angle before them, durations and pauses [s], each move a column."""
     ends = np.degrees(np.column_stack([rows["initial_angle"], rows["move_angle"]]))
