@@ -58,7 +58,8 @@ def refuse_worn(what: str) -> AmulettError:
     """Return the error for what cannot be done in the environment with a wearer."""
     return AmulettError(
         f"{what} is not possible in Amulett/Worn-v0, whose actions, tasks and costs are others; choose from "
-        "Amulett/Drives-v0, Amulett/Scaling-v0, Amulett/Tension-v0, or step it by gymnasium.make"
+        "Amulett/Drives-v0, Amulett/Scaling-v0, Amulett/Tension-v0, or compare learned policies of worn devices by "
+        "'amulett wearer --policy FOLDER'"
     )
 
 

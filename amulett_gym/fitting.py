@@ -45,9 +45,9 @@ class Cable(Sourced):
 
 
 class Admittance(Sourced):
-    """The setpoint's rate: ``assistance gain db(tau + lead tau') + carry v``, where db is a dead band.
+    """The setpoint's rate: ``(rest_gain + a (gain - rest_gain)) db(tau + lead tau') + a carry v``, db a dead band.
 
-    tau is the measured torque of the wearer on the exoskeleton, v the joint's measured rate.
+    a is the assistance, tau the measured torque of the wearer on the exoskeleton, v the joint's measured rate.
     """
 
     gain: float = Field(default=1.9, ge=0, le=1000, description="G at full assistance [rad/(s N m)]")

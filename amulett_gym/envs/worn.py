@@ -70,8 +70,8 @@ class WornEnv(TensionEnv):
     ## Rewards
 
     Minus the weighted costs of the step, each divided by what the same suite costs the same wearers in a whole episode
-    of 10 s without the device, so that 1 stands for the bare arm. The wearers of a guided suite then make its moves on
-    their own. These divisors are frozen (:mod:`amulett_gym.envs.worn_reward`).
+    of 10 s without the device, so that 1 stands for the bare arm. The wearers of a guided suite are relaxed, so that
+    they then do not move. These divisors are frozen (:mod:`amulett_gym.envs.worn_reward`).
 
     - `muscle` (0.5): integral of the squares of both muscles' activations;
     - `tracking` (0.3): integral of the squared difference of the elbow's angle and the intention;

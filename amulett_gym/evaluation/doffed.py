@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.envs.worn_reward import DOFFED
+from amulett_gym.envs.worn_reward import DOFFED, DOFFED_SECONDS
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.wearer import muscle_torque
 from amulett_gym.profile import load_profile
@@ -27,7 +27,6 @@ from amulett_gym.tasks.suites import episode_keys
 from amulett_gym.tasks.worn_suites import WORN_SUITES, sample_worn
 
 EPISODES = 400
-DURATION = 10.0  # [s]
 PROFILE = "worn"
 """Its control period is that of the wearers' reflexes; all else of it has no influence."""
 
@@ -55,7 +54,7 @@ def measure(suite: str, episodes: int = EPISODES) -> dict[str, float]:
     simulation.reset(rows, wearers=wearers)
     period, read = simulation.control_period, simulation.read_worn
     cuff, motion = np.zeros(episodes), np.zeros(episodes)
-    for _ in range(round(DURATION / period)):
+    for _ in range(round(DOFFED_SECONDS / period)):
         simulation.advance(1)
         rate, posture = read("intention_rate"), read("elbow") - read("intention")
         activations = read("flexor"), read("extensor")

@@ -137,7 +137,7 @@ def _limits(policy: PolicyDescription, profiles: Sequence[Profile], env: Trainin
         )
     if policy.is_worn:
         found.append(
-            "Its wearers are models with parameters from the literature (docs/wearer.md); nobody has worn the device."
+            "Its wearers are models with parameters from the literature (docs/wearer.md); no person wore the device."
         )
     if policy.is_privileged:
         found.append("It observes hidden state, which no real device measures: a reference, not a controller.")
