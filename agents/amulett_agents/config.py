@@ -171,6 +171,8 @@ class EnvSettings(Group):
         # Not in the records of the paper's loop, which are older.
         newer = ("control", "track", "action_delay")
         own |= {name: getattr(self, name) for name in newer if getattr(self, name) != _default(name)}
+        if self.id == WORN_ID:  # its default is another one, so the paper's loop has to be named, to be refused
+            own["control"] = self.control
         if self.fleet is not None:
             own["fleet"] = self.fleet
             del own["profile"]

@@ -61,6 +61,13 @@ def test_wrong_recipes_are_refused(changes, problem):
         load_train_config(None, changes)
 
 
+def test_the_papers_loop_is_refused_and_not_replaced(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["train", "--set", *SMALL, "env.control=decentralized", "--out", str(run)]) == 2
+    assert "feeds the co-contraction forward" in capsys.readouterr().err
+    assert not run.exists()
+
+
 def test_older_recipes_keep_their_records():
     assert "initial_assistance" not in load_train_config().model_dump()["network"]
     given = load_train_config(None, [*SMALL, "network.initial_assistance=0.5"]).model_dump()
