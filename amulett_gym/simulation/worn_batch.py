@@ -15,6 +15,9 @@ from amulett_gym.simulation.batch import Simulation, max_stiffness
 from amulett_gym.simulation.layout import LANES, Control, words, zeros
 from amulett_gym.simulation.worn_layout import PERSON, PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
 
+CABLE_STEP = 1.5
+"""As `profile.STABLE_STEP` [rad]; less, since the loss of a cable is updated once in an integration step."""
+
 
 class WornSimulation(Simulation):
     """Devices, each on a wearer's arm; parameters as of `Simulation`.
@@ -87,6 +90,32 @@ class WornSimulation(Simulation):
                 f"'wearer.cuff.damping' {fitting['damping'][worst]:g} N m s/rad the worn arm {how} in an integration "
                 f"step of {step[worst]:g} s; at most {STABLE_STEP} can be computed: loop.substeps has to be at least "
                 f"{least}"
+            )
+        self._check_cables(scenarios, fitting, strings, which)
+
+    def _check_cables(
+        self, scenarios: NDArray[np.void], fitting: Any, strings: NDArray[np.float64], which: NDArray[np.int64]
+    ) -> None:
+        """Refuse cables whose friction changes too fast for the integration step.
+
+        What a cable leaves of a tension T is up to T exp(mu theta), and it changes by 2 T sinh(mu theta) where the
+        motion turns. At the drive's side, this does not act on the joint.
+        """
+        bends = np.stack([fitting["bend_biceps"], fitting["bend_triceps"]])
+        tension, radius = self.parameters["max_force"][which], self.parameters["joint_radius"][which]
+        turning = tension * np.square(radius) / fitting["presliding"] * 2.0 * np.sinh(bends)
+        stiffness = (0.5 * strings * np.exp(bends) + turning).sum(axis=0)
+        step = self.parameters["control_period"][which] / self.parameters["substeps"][which]
+        friction = bends.any(axis=0) & (fitting["at_drive"] == 0)
+        swing = np.where(friction, step * np.sqrt(stiffness / scenarios["inertia"]), 0.0)
+        worst = int(np.argmax(swing))
+        if swing[worst] > CABLE_STEP:
+            least = int(np.ceil(self.parameters["substeps"][which[worst]] * swing[worst] / CABLE_STEP))
+            raise AmulettError(
+                f"wearer {worst}: with the friction of 'wearer.cable' (mu theta {bends[:, worst].max():.3g}) within a "
+                f"'presliding' of {fitting['presliding'][worst]:g} m the joint oscillates by {swing[worst]:.3g} rad in "
+                f"an integration step of {step[worst]:g} s; at most {CABLE_STEP} can be computed: loop.substeps has to "
+                f"be at least {least}"
             )
 
     def _settle(self, devices: NDArray[np.int64]) -> None:

@@ -317,6 +317,16 @@ def test_delay_that_is_too_long_is_refused() -> None:
         pack_wearer(Wearer(reflex_delay=0.4), PERIOD, False)
 
 
+def test_cable_that_changes_too_fast_for_the_step_is_refused() -> None:
+    cable = {"friction": 0.2, "bend_biceps_deg": 360.0, "bend_triceps_deg": 360.0}
+    worn(device_of(substeps=1, cable=cable), Wearer())  # the most of the study
+    sudden = cable | {"presliding": 3e-5}
+    with pytest.raises(AmulettError, match=r"mu theta 1.26.*loop.substeps has to be at least 3$"):
+        worn(device_of(substeps=1, cable=sudden), Wearer())
+    worn(device_of(substeps=3, cable=sudden), Wearer())
+    worn(device_of(cable=sudden | {"side": "drive"}), Wearer())
+
+
 @pytest.mark.parametrize(
     ("cuff", "least"), [({"stiffness": 10_000.0, "damping": 0.0}, 2), ({"stiffness": 0.0, "damping": 50.0}, 12)]
 )
