@@ -38,9 +38,9 @@ class Search(Group):
 class Tuning(Search):
     """How each baseline is tuned."""
 
-    population: int = Field(default=14, ge=2, le=1000, description="candidates in each iteration")
-    iterations: int = Field(default=11, ge=1, le=1000, description="iterations")
-    episodes: Count = Field(default=64, description="training scenarios of each candidate")
+    population: int = Field(default=20, ge=2, le=1000, description="candidates in each iteration")
+    iterations: int = Field(default=16, ge=1, le=1000, description="iterations")
+    episodes: Count = Field(default=32, description="training scenarios of each candidate")
     validation: Count = Field(default=64, description="validation scenarios, on which one of the searches is chosen")
     starts: int = Field(default=2, ge=1, le=20, description="searches, from the device's admittance and from elsewhere")
 

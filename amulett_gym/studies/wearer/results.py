@@ -28,7 +28,7 @@ def content(study: Study) -> Content:
         "profile": study.device.name,
         "description": description.model_dump(mode="json"),
         "headroom": cells,
-        "suites": _suites(cells, description.headroom.least),
+        "suites": _suites(study.headroom, description.headroom.least),
         "best_baseline": study.best,
         "baselines": {
             kind: {
@@ -67,14 +67,19 @@ def _cell(cell: Headroom, resamples: int) -> Content:
     }
 
 
-def _suites(cells: list[Content], least: float) -> Content:
-    """Return for each suite the loop in which the best constant costs least, and whether there is headroom."""
+def _suites(cells: list[Headroom], least: float) -> Content:
+    """Return what each suite's best schedules gain over its best constant, each in the loop in which it costs least."""
     found: Content = {}
-    for suite in dict.fromkeys(cell["suite"] for cell in cells):
-        best = min((cell for cell in cells if cell["suite"] == suite), key=lambda cell: cell["costs"]["constant"])
-        gains = {name: 1.0 - ratio["mean"] for name, ratio in best["over_constant"].items()}
-        stiffness = 1.0 - best["two_levels_over_two_assistances"]["mean"]
-        found[suite] = {"control": best["control"], "gains": gains, "gain_of_stiffness": stiffness}
+    for suite in dict.fromkeys(cell.suite for cell in cells):
+        own = [cell for cell in cells if cell.suite == suite]
+        best = min(own, key=lambda cell: float(cell.costs["constant"].mean()))
+        gains = {}
+        for name in (*BY_INTENTION, "clairvoyant"):
+            count = own[0].costs[name].size  # a clairvoyant's are the first ones
+            cost = min(float(cell.costs[name].mean()) for cell in own)
+            gains[name] = 1.0 - cost / float(best.costs["constant"][:count].mean())
+        stiffness = 1.0 - (1.0 - gains[TWO_LEVEL]) / (1.0 - gains[TWO_ASSISTANCES])
+        found[suite] = {"control": best.control, "gains": gains, "gain_of_stiffness": stiffness}
         found[suite]["headroom"] = bool(gains["clairvoyant"] >= least)
     return found
 

@@ -38,7 +38,7 @@ def answer(found: Content) -> list[str]:
     lines = []
     for suite, told in found["suites"].items():
         of = {name: _percent(gain) for name, gain in told["gains"].items()}
-        gains = f"a clairvoyant gains {of['clairvoyant']} over the best constant in {told['control']}, "
+        gains = f"a clairvoyant gains {of['clairvoyant']} over the best constant, in {told['control']}; "
         gains += f"two assistances by the true intention {of[TWO_ASSISTANCES]}, with two co-contractions "
         gains += f"{of[TWO_LEVEL]}: stiffness is worth {_percent(told['gain_of_stiffness'])}"
         lines.append(f"{suite}: {gains}." if told["headroom"] else f"{suite}: **without headroom**; {gains}.")

@@ -213,6 +213,12 @@ def test_a_suite_without_headroom_is_named_so(folder, found):
     numbers = content(replace(again, headroom=[flat]))
     assert numbers["suites"]["assembly"]["headroom"] is False
     assert any(line.startswith("assembly: **without headroom**") for line in answer(numbers))
+    # A clairvoyant is compared with the best constant of all loops, each in its own best loop.
+    worse = replace(flat, control="cascade", costs={name: 0.5 * costs for name, costs in flat.costs.items()})
+    worse.costs["constant"] = 2.0 * cell.costs["constant"]
+    gains = content(replace(again, headroom=[flat, worse]))["suites"]["assembly"]
+    assert gains["control"] == flat.control
+    assert gains["gains"]["clairvoyant"] == pytest.approx(1.0 - 0.5 * 0.97) and gains["headroom"]
 
 
 def test_tables_name_every_contender(found):
