@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.model.wearer import ACTIVE_SHARE, DAMPING, PASSIVE_DAMPING, STIFFNESS
 from amulett_gym.profile import STABLE_STEP, Profile
 from amulett_gym.simulation import worn
 from amulett_gym.simulation.batch import Simulation, max_stiffness
@@ -63,9 +64,11 @@ class WornSimulation(Simulation):
         """
         devices = np.arange(self.num_devices) if devices is None else devices
         before = self.read_wearers(devices)
-        if wearers is not None:
-            self._check_step(scenarios, wearers, self.which[devices // LANES])
-            self._put_wearers(devices, wearers)
+        wearers = before if wearers is None else wearers
+        if not (wearers["inertia"] > 0.0).all():
+            raise AmulettError("a device has no wearer yet: its first reset needs wearers=")
+        self._check_step(scenarios, wearers, self.which[devices // LANES])
+        self._put_wearers(devices, wearers)
         try:
             super().reset(scenarios, devices, paths)
         except AmulettError:
@@ -76,9 +79,11 @@ class WornSimulation(Simulation):
         """Refuse arms and cuffs that oscillate too fast for the integration step, or are damped too much."""
         fitting, strings = self.worn[0][which], np.array([max_stiffness(each) for each in self.parameters])[which]
         step = self.parameters["control_period"][which] / self.parameters["substeps"][which]
-        lightest = 1.0 / scenarios["inertia"] + wearers["worn"] / wearers["inertia"]
-        swing = step * np.sqrt(strings / scenarios["inertia"] + fitting["stiffness"] * lightest)
-        slowing = step * fitting["damping"] * lightest
+        inertias = scenarios["inertia"], wearers["inertia"]
+        active = 2.0 * (wearers["tone"] + ACTIVE_SHARE * wearers["strength"])  # both muscles, fully
+        cuff = wearers["worn"] * fitting["stiffness"], wearers["worn"] * fitting["damping"]
+        swing = step * np.sqrt(_fastest(inertias, strings, cuff[0], STIFFNESS * active))
+        slowing = step * _fastest(inertias, 0.0, cuff[1], PASSIVE_DAMPING + DAMPING * active)
         most = np.maximum(swing, slowing)
         worst = int(np.argmax(most))
         if most[worst] > STABLE_STEP:
@@ -86,10 +91,10 @@ class WornSimulation(Simulation):
             how += "" if swing[worst] == most[worst] else f"{slowing[worst]:.3g} time constants"
             least = int(np.ceil(self.parameters["substeps"][which[worst]] * most[worst] / STABLE_STEP))
             raise AmulettError(
-                f"wearer {worst}: with 'wearer.cuff.stiffness' {fitting['stiffness'][worst]:g} N m/rad and "
-                f"'wearer.cuff.damping' {fitting['damping'][worst]:g} N m s/rad the worn arm {how} in an integration "
-                f"step of {step[worst]:g} s; at most {STABLE_STEP} can be computed: loop.substeps has to be at least "
-                f"{least}"
+                f"wearer {worst}: with 'wearer.cuff.stiffness' {cuff[0][worst]:g} N m/rad, 'wearer.cuff.damping' "
+                f"{cuff[1][worst]:g} N m s/rad, and up to {STIFFNESS * active[worst]:.3g} N m/rad of the muscles (tone "
+                f"and strength) on {wearers['inertia'][worst]:.3g} kg m2, the worn arm {how} in an integration step of "
+                f"{step[worst]:g} s; at most {STABLE_STEP} can be computed: loop.substeps has to be at least {least}"
             )
         self._check_cables(scenarios, fitting, strings, which)
 
@@ -177,3 +182,14 @@ class WornSimulation(Simulation):
         super().set_state(state)
         self.worn[1][...] = state["wearers"]
         self.worn[2][...] = state["worn"]
+
+
+def _fastest(inertias: tuple[Any, Any], device: Any, cuff: Any, arm: Any) -> NDArray[np.float64]:
+    """Return the largest eigenvalue of two inertias [kg m2] with springs to the ground and one between them [N m/rad].
+
+    That is the square of the fastest angular frequency; with dampers instead of springs, the fastest decay rate.
+    """
+    first, second = (device + cuff) / inertias[0], (cuff + arm) / inertias[1]
+    product = (device * cuff + device * arm + cuff * arm) / (inertias[0] * inertias[1])
+    half = 0.5 * (first + second)
+    return np.asarray(half + np.sqrt(np.maximum(half * half - product, 0.0)))

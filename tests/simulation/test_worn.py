@@ -337,3 +337,24 @@ def test_cuff_that_is_too_stiff_for_the_step_is_refused(cuff: dict[str, float], 
     simulation.advance(400)
     assert simulation.read("failure")[0] == 0
     assert abs(simulation.read_worn("elbow")[0]) < 1.3
+
+
+def test_arm_that_is_too_fast_for_the_step_is_refused_and_a_cuff_that_is_not_worn_is_not() -> None:
+    light = Wearer(mass=20, height=1, tone=20, strength=20, co_contraction=1)
+    with pytest.raises(AmulettError, match=r"the muscles \(tone and strength\) .* loop.substeps has to be at least 3$"):
+        worn(device_of(1), light)
+    loose = device_of(1, cuff={"stiffness": 10_000.0})
+    with pytest.raises(AmulettError, match="wearer.cuff.stiffness"):
+        worn(loose, Wearer())
+    worn(loose, Wearer(worn=False))
+
+
+def test_first_reset_needs_wearers_and_a_later_one_checks_the_last_ones() -> None:
+    profile = device_of()
+    with pytest.raises(AmulettError, match="has no wearer yet"):
+        WornSimulation(profile).reset(pack(REACH, profile))
+    simulation = worn(profile, Wearer())
+    light = pack(REACH, profile)
+    light["inertia"] *= 1e-4
+    with pytest.raises(AmulettError, match="loop.substeps"):
+        simulation.reset(light)
