@@ -20,7 +20,7 @@ _DIGITS = 9  # of angles in degrees and times: what is drawn is far coarser, so 
 
 
 class Wearer(Group):
-    """A person's arm; the sources of the defaults and of the population's ranges are in `POPULATION`."""
+    """A person's arm: by default a weak one. `POPULATION` has the sources of the ranges that persons are drawn from."""
 
     mass: float = Field(default=70.0, ge=20, le=250, description="of the body [kg]")
     height: float = Field(default=1.75, ge=1.0, le=2.5, description="of the body [m]")
