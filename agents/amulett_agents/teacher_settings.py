@@ -16,7 +16,9 @@ class TeacherSettings(Group):
     moving_tension: float = Field(1.0, ge=0, le=1e6, description="teacher's co-contraction in movements [N]")
     holding_tension: float = Field(12.0, ge=0, le=1e6, description="teacher's co-contraction at rest [N]")
     moving_speed: float = Field(2.0, gt=0, le=1e3, description="speed of the intention that is a movement [deg/s]")
-    rounds: int = Field(5, ge=1, le=100, description="rounds of playing and imitating; the teacher acts in the first")
+    rounds: int = Field(
+        5, ge=1, le=100, description="rounds of playing and imitating; the teacher acts in the first [1]"
+    )
     episodes: int = Field(192, ge=1, le=10**5, description="scenarios in a round [1]")
     gradient_steps: int = Field(1200, ge=1, le=10**6, description="gradient steps in a round [1]")
     batch_size: int = Field(512, ge=1, le=10**6, description="samples in a gradient step [1]")

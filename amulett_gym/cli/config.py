@@ -105,6 +105,7 @@ def validate(path: str | Path) -> Found:
     from amulett_gym.studies.benchmark.description import Benchmark, parse_benchmark
     from amulett_gym.studies.benchmark.devices.description import DevicesBenchmark, parse_devices_benchmark
     from amulett_gym.studies.benchmark.devices.stages import check_devices_benchmark
+    from amulett_gym.studies.wearer.description import Description, parse_description
     from amulett_gym.tasks.scenario import Scenario, parse_scenario
 
     path = find_config(path, "file")
@@ -120,6 +121,7 @@ def validate(path: str | Path) -> Found:
         "a training recipe": (recipes.TrainConfig, _parse_recipe),
         "a benchmark's description": (Benchmark, parse_benchmark),
         "a description of a benchmark over devices": (DevicesBenchmark, parse_devices_benchmark),
+        "a study of wearers": (Description, parse_description),
         "a scenario": (Scenario, lambda content, path: parse_scenario(content, path.parent, f"scenario '{path}'")),
     }
     content = (parse_json if is_json else parse_yaml)(read_text(path, "file", MAX_BYTES), f"file '{path}'")

@@ -37,6 +37,7 @@ def test_what_we_ship_is_valid(path, capsys):
         ("mine.yaml", "{name: mine, base: testbed}", "a device profile"),
         ("mine.yaml", "{ppo: {gamma: 0.98}}", "a training recipe"),
         ("mine.yaml", "{headline: steps, suites: [steps]}", "a benchmark's description"),
+        ("mine.yaml", "{held_out: 16, cables: []}", "a study of wearers"),
         ("mine.json", '{"moves": []}', "a scenario"),
         ("mine.json", '{"total_steps": 256}', "a training recipe"),
         ("mine.json", '{"name": "mine", "base": "testbed"}', "a device profile"),

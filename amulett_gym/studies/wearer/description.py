@@ -167,6 +167,11 @@ def load_description(path: str | Path | None) -> Description:
         If the file cannot be read, or a key or value is not valid.
     """
     content = {} if path is None else read_yaml(find_config(path, "study of wearers"), "study of wearers")
+    return parse_description(content, path)
+
+
+def parse_description(content: Any, path: str | Path | None) -> Description:
+    """Return the study that a file at `path` holds, or with None the default one; errors as of `load_description`."""
     try:
         found = Description.model_validate(content)
     except ValidationError as error:
