@@ -37,9 +37,6 @@ OFF_TIME = 0.045
 PASSIVE_DAMPING = 0.5
 """Of the relaxed elbow [N m s/rad] (MyoHub/myo_sim, myoelbow_assets.xml)."""
 
-FULL_TORQUE = STIFFNESS * (1.0 + ACTIVE_SHARE) * SHIFT
-"""Torque of one fully active muscle at q = 0, with tone and strength 1 [N m]."""
-
 _MASS_SHARE, _CENTRE_SHARE, _GYRATION_SHARE, _LENGTH_SHARE = 0.022, 0.682, 0.827, 0.146
 """Forearm with hand: mass over that of the body; centre of mass and radius of gyration about the elbow over the length
 of the forearm, elbow to wrist; that length over the body height (Winter, 2009, Table 4.1 and Figure 4.1)."""

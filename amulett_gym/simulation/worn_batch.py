@@ -39,6 +39,7 @@ class WornSimulation(Simulation):
         super().__init__(profile, num_devices, control, tension_law)
         fittings = np.concatenate([pack_fitting(each) for each in self.profiles])
         blocks = self.states.size
+        self._stiffness = np.array([max_stiffness(each) for each in self.parameters])
         self.worn: Worn = fittings, zeros(blocks, PERSON_BLOCK), zeros(blocks, WORN_BLOCK)
 
     def reset(
@@ -77,7 +78,7 @@ class WornSimulation(Simulation):
 
     def _check_step(self, scenarios: NDArray[np.void], wearers: NDArray[np.void], which: NDArray[np.int64]) -> None:
         """Refuse arms and cuffs that oscillate too fast for the integration step, or are damped too much."""
-        fitting, strings = self.worn[0][which], np.array([max_stiffness(each) for each in self.parameters])[which]
+        fitting, strings = self.worn[0][which], self._stiffness[which]
         step = self.parameters["control_period"][which] / self.parameters["substeps"][which]
         inertias = scenarios["inertia"], wearers["inertia"]
         active = 2.0 * (wearers["tone"] + ACTIVE_SHARE * wearers["strength"])  # both muscles, fully

@@ -45,7 +45,6 @@ PERSON = record(_PERSON_FIELDS)
 """One packed wearer (`amulett_gym.tasks.wearer.Wearer`), with what is in the hand."""
 
 _METRICS = fields("effort cuff_ise cuff_peak tracking_ise moving_cuff_ise moving_time load_deflection")
-WORN_METRICS = tuple(name for name, *_ in _METRICS)
 
 _WORN_FIELDS = [
     # the arm

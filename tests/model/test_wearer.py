@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amulett_gym.model.wearer import (
-    FULL_TORQUE,
     activation_rate,
     excitations,
     forearm,
@@ -50,7 +49,7 @@ def test_stiffness_is_that_of_katayama_and_kawato() -> None:
 
 def test_co_contraction_gives_no_torque_and_full_activation_the_full_one() -> None:
     assert muscle_torque(0.4, 0.4, 0.0, 0.0, 0.7, 1.5) == 0.0
-    assert muscle_torque(1.0, 0.0, 0.0, 0.0, 1.0, 1.0) == pytest.approx(FULL_TORQUE)
+    assert muscle_torque(1.0, 0.0, 0.0, 0.0, 1.0, 1.0) == pytest.approx(1.5 * 3.0 * 0.87)
 
 
 @given(st.floats(0.0, 0.5), st.floats(-1.0, 1.0), factors, factors)
