@@ -9,6 +9,7 @@ devices.
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
@@ -55,7 +56,8 @@ def teach(model: PPO, config: TrainConfig, keywords: dict[str, Any], progress: b
     generator = np.random.default_rng(config.seed)
     seen: list[NDArray[np.float32]] = []
     wanted: list[NDArray[np.float32]] = []
-    with Progress(settings.rounds * (steps + settings.gradient_steps), "imitating", "steps", progress) as bar:
+    total = settings.rounds * (steps + settings.gradient_steps)
+    with closing(env), Progress(total, "imitating", "steps", progress) as bar:
         for number in range(settings.rounds):
             share = _SHARES[number] if number < len(_SHARES) else 0.0
             led = generator.random(settings.episodes) < share
@@ -63,7 +65,6 @@ def teach(model: PPO, config: TrainConfig, keywords: dict[str, Any], progress: b
             shown, named = _play(model, config, settings, env, seed, led, bar)
             seen, wanted = [*seen, shown], [*wanted, named]
             _imitate(model, settings, np.concatenate(seen), np.concatenate(wanted), generator, bar)
-    env.close()
 
 
 def _play(

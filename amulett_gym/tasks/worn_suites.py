@@ -197,10 +197,10 @@ class _Movements:
 
 
 def _assembly(meant: _Movements) -> None:
-    """Four cycles: reach 20 to 40 deg in 0.8 to 1.4 s, hold 2 to 3 s, reach back, dwell 0.4 to 0.7 s.
+    """Four cycles: reach 20 to 40 deg in 0.8 to 1.4 s, hold 2 to 3 s, reach back, dwell 0.4 to 0.7 s; two fit in 10 s.
 
     Where the hand has arrived, up to 0.15 s later, a tool pushes it with 0.6 to 1.6 N m and ramps of 0.2 to 0.4 s, as
-    long as it holds, always in one direction. At 0.35 m from the elbow this is 1.7 to 5.1 N, as of a light screwdriver
+    long as it holds, always in one direction. At 0.35 m from the elbow this is 1.7 to 4.6 N, as of a light screwdriver
     or of parts that are joined (assumed). Torque (5 %) and times vary from cycle to cycle. Elements take as long as in
     predetermined motion times (MTM) of light assembly.
     """

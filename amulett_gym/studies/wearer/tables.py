@@ -36,12 +36,12 @@ def tables(found: Content) -> dict[str, Table]:
 def answer(found: Content) -> list[str]:
     """Return what the numbers say, as sentences."""
     lines = []
-    for suite, told in found["suites"].items():
-        of = {name: _percent(gain) for name, gain in told["gains"].items()}
-        gains = f"a clairvoyant gains {of['clairvoyant']} over the best constant, in {told['control']}; "
+    for suite, gained in found["suites"].items():
+        of = {name: _percent(gain) for name, gain in gained["gains"].items()}
+        gains = f"a clairvoyant gains {of['clairvoyant']} over the best constant, in {gained['control']}; "
         gains += f"two assistances by the true intention {of[TWO_ASSISTANCES]}, with two co-contractions "
-        gains += f"{of[TWO_LEVEL]}: stiffness is worth {_percent(told['gain_of_stiffness'])}"
-        lines.append(f"{suite}: {gains}." if told["headroom"] else f"{suite}: **without headroom**; {gains}.")
+        gains += f"{of[TWO_LEVEL]}: stiffness is worth {_percent(gained['gain_of_stiffness'])}"
+        lines.append(f"{suite}: {gains}." if gained["headroom"] else f"{suite}: **without headroom**; {gains}.")
     best, rows = found["best_baseline"], found["comparison"]
     row = rows[best]
     lines.append(
