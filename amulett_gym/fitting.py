@@ -40,8 +40,8 @@ class Cable(Sourced):
     side: Literal["joint", "drive"] = Field(
         default="joint",
         description="where the cables are: joint, between spring and joint, where the force estimate does not see "
-        "their friction; drive, between drive and spring, where it acts on drives that yield to a load alone "
-        "(drives.stall_torque)",
+        "their friction; drive, between drive and spring, where it only loads the drives: these need a "
+        "drives.stall_torque and a drives.lag",
     )
 
 

@@ -353,6 +353,18 @@ class Profile(WithOptions):
             )
         return self
 
+    @model_validator(mode="after")
+    def _check_cables(self) -> Profile:
+        if self.wearer is None or self.wearer.cable.side == "joint" or self.wearer.cable.friction == 0.0:
+            return self
+        if self.drives.stall_torque is None or self.drives.lag == 0.0:
+            raise ValueError(
+                f"wearer.cable.side is drive, with a friction of {self.wearer.cable.friction:g}; there it only loads "
+                f"the drives, which turn as if without load: drives.stall_torque is {self.drives.stall_torque} N m and "
+                f"drives.lag {self.drives.lag:g} s. Give both above 0, or set wearer.cable.side to joint"
+            )
+        return self
+
     @property
     def root(self) -> str:
         """Name of the shipped profile that this one derives from, whose tuned laws apply; its own name if none.
