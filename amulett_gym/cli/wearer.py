@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         description = described.quick(description) if arguments.quick else description
     else:
         description = described.Description.model_validate(arguments.resolved["description"])
-    policies = [load_learned(name) for name in described.distinct(arguments.policy)]
+    policies = [load_learned(name, description.device()) for name in described.distinct(arguments.policy)]
     words = ["amulett", "wearer", *command_words(arguments, "config", "quick")]
     words += [word for name in arguments.policy for word in ("--policy", name)]
     out, marked = arguments.out, [["results.json"], ["command.json"]]

@@ -15,7 +15,7 @@ from amulett_gym.laws.worn import WORN_LAWS, Constant, Settings, WornLaw
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.layout import Control
-from amulett_gym.studies.wearer.episodes import Act, Scenarios, Schedule, play, tension_range_of
+from amulett_gym.studies.wearer.episodes import Act, Devices, Scenarios, Schedule, play, tension_range_of
 from amulett_gym.studies.wearer.search import Budget, cross_entropy
 
 Values = NDArray[np.float64]
@@ -129,9 +129,14 @@ class Tuned:
         law = WORN_LAWS.get(self.kind, Constant)
         return law(**{key: value for key, value in self.values.items() if key in law.model_fields})
 
-    def play(self, profile: Profile, scenarios: Scenarios) -> dict[str, Values]:
-        """Play scenarios on a device, whose own admittance is replaced; see `episodes.play`."""
-        return play(device_of(profile, self.values), self.control, scenarios, self.act(scenarios))
+    def play(self, profile: Devices, scenarios: Scenarios) -> dict[str, Values]:
+        """Play scenarios on a device or several, whose own admittance is replaced; see `episodes.play`."""
+        changed: Devices = (
+            device_of(profile, self.values)
+            if isinstance(profile, Profile)
+            else [device_of(each, self.values) for each in profile]
+        )
+        return play(changed, self.control, scenarios, self.act(scenarios))
 
     def act(self, scenarios: Scenarios) -> Act:
         """Return the policy; schedules by the true intention know the scenarios."""

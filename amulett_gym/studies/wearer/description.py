@@ -5,22 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+import numpy as np
+from pydantic import AfterValidator, Field, ValidationError, field_validator
 
 from amulett_gym.envs.settings import one_of
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, Control
+from amulett_gym.simulation.random import derive_keys, keys_from_seeds, uniform
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION
 from amulett_gym.studies.wearer.search import Budget
+from amulett_gym.tasks.suites import episode_keys
+from amulett_gym.tasks.wearer import between
 from amulett_gym.tasks.worn_suites import WORN_SUITES
 
 Count = Annotated[int, Field(ge=1, le=20_000)]
 Suite = Annotated[str, one_of("suite", WORN_SUITES)]
 
 _LOOPS = ("equilibrium-point", "co-rotation", "cascade", "torque")
+
+
+_CABLE_STREAM = 5  # of an episode's key; 0 to 4 are those of `tasks.suites`, `tasks.wearer`, `tasks.worn_suites`
+
+
+def _check_range(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"{ends[0]:g} to {ends[1]:g}; the first has to be the least")
+    return ends
 
 
 class Search(Group):
@@ -96,6 +109,39 @@ class Bend(Group):
         return f"mu {self.friction:g}, {self.bend_deg:g} deg"
 
 
+Mu = Annotated[float, Field(ge=0, le=1)]
+Theta = Annotated[float, Field(ge=0, le=1440)]  # [deg]
+
+
+class CableRanges(Group):
+    """Ranges from which each held-out wearer has Bowden cables of their own, both strings the same."""
+
+    friction: Annotated[tuple[Mu, Mu], AfterValidator(_check_range)] = Field(
+        default=(0.05, 0.2), description="least and most mu [1]"
+    )
+    bend_deg: Annotated[tuple[Theta, Theta], AfterValidator(_check_range)] = Field(
+        default=(90.0, 360.0), description="least and most theta [deg]"
+    )
+
+    @property
+    def name(self) -> str:
+        """As tables name it."""
+        return "drawn"
+
+    @property
+    def most(self) -> Bend:
+        """The cables with the most friction."""
+        return Bend(friction=self.friction[1], bend_deg=self.bend_deg[1])
+
+    def draw(self, seed: int, count: int) -> list[Bend]:
+        """Return the cables of the first `count` held-out wearers; those of a wearer do not depend on the others."""
+        keys = keys_from_seeds(np.arange(seed, seed + count).astype(object))
+        keys = derive_keys(episode_keys(keys, np.zeros(count, dtype=np.uint64), "held-out"), _CABLE_STREAM)
+        frictions, bends = uniform(keys, 2).T
+        drawn = zip(between(frictions, *self.friction, 4), between(bends, *self.bend_deg, 1), strict=True)
+        return [Bend(friction=friction, bend_deg=bend) for friction, bend in drawn]
+
+
 class Description(Group):
     """A study of worn devices."""
 
@@ -115,6 +161,10 @@ class Description(Group):
         ],
         description="Bowden cables with which the comparison is repeated",
     )
+    drawn_cables: CableRanges | None = Field(
+        default=CableRanges(),
+        description="ranges of cables that are drawn for each held-out wearer, as one more repetition; null: none",
+    )
     side: Literal["joint", "drive"] = Field(default="joint", description="where the cables are: joint or drive")
     resamples: int = Field(default=4000, ge=10, le=100_000, description="of the bootstrap intervals")
 
@@ -129,13 +179,22 @@ class Description(Group):
         """Return the device."""
         return load_profile(self.profile)
 
-    def with_cable(self, device: Profile, cable: Bend | None) -> Profile:
-        """Return a device with Bowden cables."""
-        if cable is None:
-            return device
+    @property
+    def repetitions(self) -> list[Bend | CableRanges]:
+        """All cables with which the comparison is repeated."""
+        return [*self.cables, *([] if self.drawn_cables is None else [self.drawn_cables])]
+
+    def with_cable(self, device: Profile, cable: Bend, name: str | None = None) -> Profile:
+        """Return a device with Bowden cables, and perhaps another name."""
         bends = {"bend_biceps_deg": cable.bend_deg, "bend_triceps_deg": cable.bend_deg}
         changes = {"friction": cable.friction, "side": self.side, **bends}
-        return load_profile(merge(device.model_dump(), {"wearer": {"cable": changes}}))
+        named = {"name": device.name if name is None else name, "wearer": {"cable": changes}}
+        return load_profile(merge(device.model_dump(), named))
+
+    def with_drawn_cables(self, device: Profile, ranges: CableRanges) -> list[Profile]:
+        """Return a device for each held-out wearer."""
+        cables = ranges.draw(self.seed, self.held_out)
+        return [self.with_cable(device, cable, f"{device.name} {k}") for k, cable in enumerate(cables)]
 
 
 def quick(description: Description) -> Description:
@@ -176,8 +235,9 @@ def parse_description(content: Any, path: str | Path | None) -> Description:
         found = Description.model_validate(content)
     except ValidationError as error:
         raise describe(error, Description, "study of wearers" if path is None else f"'{path}'") from error
-    if isinstance(found.profile, str):
-        found.device()
+    device = found.device()
+    for cable in (*found.cables, *(each.most for each in found.repetitions if isinstance(each, CableRanges))):
+        found.with_cable(device, cable)
     return found
 
 

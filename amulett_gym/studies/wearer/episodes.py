@@ -2,35 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym.envs.settings import DEFAULT_STEPS
 from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM
 from amulett_gym.envs.worn_episodes import WornEpisodes
-from amulett_gym.envs.worn_reward import WORN_WEIGHTS
+from amulett_gym.envs.worn_reward import DOFFED_SECONDS, WORN_WEIGHTS
 from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.envs.worn_transition import FIRST_WORN_METRIC
 from amulett_gym.envs.worn_transition import METRICS as WORN_METRICS
+from amulett_gym.errors import AmulettError
 from amulett_gym.laws.worn import as_actions
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import LOOPS, RUNNING, Control
+from amulett_gym.simulation.layout import LANES, LOOPS, RUNNING, Control
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.simulation.worn import MOVING
 from amulett_gym.tasks.suites import episode_keys
 from amulett_gym.tasks.worn_suites import sample_worn
 
-STEPS = 500
-"""Agent steps of an episode: 10 s."""
+DURATION = DOFFED_SECONDS
+"""Length of an episode [s]."""
+
+STEPS = DEFAULT_STEPS
+"""Agent steps of an episode at the environment's default agent period, at which baselines and schedules act."""
 
 PAPERS_RANGE = (4.0, 15.0)
 """Tensions of the paper's loop [N]: its controller cannot see lower ones, and `Amulett/Worn-v0` refuses it."""
 
 Values = NDArray[np.float64]
 Act = Callable[[NDArray[np.float32]], NDArray[Any]]
+Devices = Profile | Sequence[Profile]
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class Scenarios:
     ----------
     suite, split : str
     seed : int
-        Scenario i is the first episode of the environment after a reset with ``seed + i``.
+        Scenario i of those drawn is the first episode of the environment after a reset with ``seed + i``.
     rows, people : ndarray of SCENARIO and PERSON, shape (N,)
     moving : ndarray of bool, shape (N, STEPS)
         Whether the wearer's intention moves in each agent step: what no device can know.
@@ -117,15 +124,39 @@ def tension_range_of(control: Control) -> tuple[float, float]:
     return WornSettings().tension_range if control in LOOPS else PAPERS_RANGE
 
 
-def make_episodes(profile: Profile, control: Control, suite: str, count: int) -> WornEpisodes:
+def devices_keyword(profile: Devices) -> dict[str, Any]:
+    """Return the environment's keyword for one device or several."""
+    return {"profile": profile} if isinstance(profile, Profile) else {"fleet": list(profile)}
+
+
+def one_each(play_all: Callable[[Scenarios], dict[str, Values]], scenarios: Scenarios) -> dict[str, Values]:
+    """Return what each scenario gives on a device of its own, from a function that plays them with as many devices.
+
+    The devices of a block have one profile, so that each scenario fills a block with its copies.
+    """
+    return {name: values[::LANES] for name, values in play_all(scenarios.repeated(LANES)).items()}
+
+
+def steps_of(agent_period: float, name: str) -> int:
+    """Return the agent steps of an episode; AmulettError, which names the policy, if they are no whole number."""
+    steps = max(round(DURATION / agent_period), 1)
+    if not math.isclose(steps * agent_period, DURATION, rel_tol=1e-6):
+        raise AmulettError(
+            f"policy '{name}' acts every {agent_period:g} s, and an episode of the study, {DURATION:g} s, is no whole "
+            f"number of such steps; the nearest period that can be compared is {DURATION / steps:.6g} s"
+        )
+    return steps
+
+
+def make_episodes(profile: Devices, control: Control, suite: str, count: int) -> WornEpisodes:
     """Return episodes as of `Amulett/Worn-v0`, also in the paper's loop, which the environment refuses."""
-    settings = WornSettings(profile=profile, suite=suite)
+    settings = WornSettings(**devices_keyword(profile), suite=suite)
     changes = {"control": control, "tension_range": tension_range_of(control)}
     return WornEpisodes(count, settings.model_copy(update=changes))
 
 
 def play(
-    profile: Profile,
+    profile: Devices,
     control: Control,
     scenarios: Scenarios,
     act: Act,
@@ -136,8 +167,8 @@ def play(
 
     Parameters
     ----------
-    profile : Profile
-        With its admittance.
+    profile : Profile or sequence of Profile
+        With its admittance; several: one for each block of `simulation.layout.LANES` scenarios, see `one_each`.
     control : str
         A control loop; also the paper's, which the environment refuses.
     scenarios : Scenarios
@@ -147,7 +178,8 @@ def play(
     look : callable, optional
         Called with the number of each step and the episodes, before the step.
     episodes : WornEpisodes, optional
-        Those of an environment that the policy is for, instead of new ones of the profile and the loop.
+        Those of an environment that the policy is for, with its own agent period, instead of new ones of the profile
+        and the loop.
 
     Returns
     -------
@@ -158,12 +190,14 @@ def play(
     """
     count = len(scenarios)
     episodes = make_episodes(profile, control, scenarios.suite, count) if episodes is None else episodes
-    observations = episodes.begin(scenarios.rows, np.zeros_like(episodes.simulation.which), scenarios.people)
+    which = episodes.simulation.which
+    which = np.zeros_like(which) if isinstance(profile, Profile) else np.arange(which.size)
+    observations = episodes.begin(scenarios.rows, which, scenarios.people)
     if callable(reset := getattr(act, "reset", None)):
         reset(count)
     terms = np.zeros((len(WORN_WEIGHTS) + 1, count))
     running, report = np.ones(count, dtype=bool), np.zeros((count, episodes.report_size))
-    for step in range(STEPS):
+    for step in range(steps_of(episodes.agent_period, "law")):
         if look is not None:
             look(step, episodes)
         actions = np.ascontiguousarray(act(observations), dtype=np.float64).reshape(-1)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.evaluation.statistics import Estimate, draw_weights, ratio_of_sums
+from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION, TWO_ASSISTANCES, TWO_LEVEL
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
 from amulett_gym.studies.wearer.headroom import Headroom
@@ -68,20 +69,32 @@ def _cell(cell: Headroom, resamples: int) -> Content:
 
 
 def _suites(cells: list[Headroom], least: float) -> Content:
-    """Return what each suite's best schedules gain over its best constant, each in the loop in which it costs least."""
+    """Return what each suite's schedules gain over its best constant, each in its best loop.
+
+    That is the loop with the least cost on training scenarios, among those that `Amulett/Worn-v0` has. A clairvoyant,
+    whose search is on the held-out scenarios themselves, may choose its loop there, too.
+    """
     found: Content = {}
+    cells = [cell for cell in cells if cell.control in LOOPS]
     for suite in dict.fromkeys(cell.suite for cell in cells):
         own = [cell for cell in cells if cell.suite == suite]
-        best = min(own, key=lambda cell: float(cell.costs["constant"].mean()))
+        best = {name: _least_trained(own, name) for name in ("constant", *BY_INTENTION)}
+        best["clairvoyant"] = min(own, key=lambda cell: float(cell.costs["clairvoyant"].mean()))
         gains = {}
         for name in (*BY_INTENTION, "clairvoyant"):
-            count = own[0].costs[name].size  # a clairvoyant's are the first ones
-            cost = min(float(cell.costs[name].mean()) for cell in own)
-            gains[name] = 1.0 - cost / float(best.costs["constant"][:count].mean())
+            costs = best[name].costs[name]
+            constant = best["constant"].costs["constant"][: costs.size]  # a clairvoyant's are the first ones
+            gains[name] = 1.0 - float(costs.mean()) / float(constant.mean())
         stiffness = 1.0 - (1.0 - gains[TWO_LEVEL]) / (1.0 - gains[TWO_ASSISTANCES])
-        found[suite] = {"control": best.control, "gains": gains, "gain_of_stiffness": stiffness}
+        loops = {name: cell.control for name, cell in best.items()}
+        found[suite] = {"control": loops["constant"], "loops": loops, "gains": gains, "gain_of_stiffness": stiffness}
         found[suite]["headroom"] = bool(gains["clairvoyant"] >= least)
     return found
+
+
+def _least_trained(cells: list[Headroom], kind: str) -> Headroom:
+    """Return the cell in which a tuned constant or schedule costs least on training scenarios."""
+    return min(cells, key=lambda cell: cell.tuned[kind].train)
 
 
 def _row(study: Study, played: dict[str, Played], name: str) -> Content:
@@ -116,22 +129,33 @@ def _row(study: Study, played: dict[str, Played], name: str) -> Content:
 
 
 def _cables(study: Study) -> Content:
-    """Return costs with each cable, and what is left of each contender's lead over the best baseline."""
-    names = [name for name in study.played[NO_CABLE] if name not in GUARDS]
+    """Return costs with each cable, and what is left of each contender's lead over the best baseline.
+
+    ``drawn`` has the same of the cables that are drawn for each wearer, or is None.
+    """
+    plain, drawn = study.played[NO_CABLE], study.description.drawn_cables
     cables = [cable.name for cable in study.description.cables]
     found: Content = {}
-    for name in names:
-        each = {cable: float(study.played[cable][name]["cost"].mean()) for cable in cables}
-        own, best = (np.concatenate([study.played[cable][k]["cost"] for cable in cables]) for k in (name, study.best))
-        wearers = study.description.held_out
-        # The cables of a wearer are resampled together.
-        sums = [values.reshape(-1, wearers).sum(axis=0) for values in (own, best)]
-        ratio = ratio_of_sums(sums[0], sums[1], draw_weights(wearers, study.description.resamples)).plain()
-        plain = study.played[NO_CABLE]
-        lead = 1.0 - plain[name]["cost"].sum() / plain[study.best]["cost"].sum()
-        left = 1.0 - sums[0].sum() / sums[1].sum()
-        found[name] = {"costs": each, "cost_over_best": ratio, "lead": float(lead), "lead_with_cables": float(left)}
-        found[name]["baseline"] = name in BASELINES
-        doffed = np.tile(plain[DOFFED]["cost"], len(cables))
-        found[name]["worse_off"] = {"count": int((own > doffed).sum()), "of": own.size}
+    for name in (name for name in plain if name not in GUARDS):
+        found[name] = {
+            "costs": {cable: float(played[name]["cost"].mean()) for cable, played in study.played.items() if cable},
+            "lead": float(1.0 - plain[name]["cost"].sum() / plain[study.best]["cost"].sum()),
+            "baseline": name in BASELINES,
+            "pairs": _with_cables(study, name, cables) if cables else None,
+            "drawn": None if drawn is None else _with_cables(study, name, [drawn.name]),
+        }
     return found
+
+
+def _with_cables(study: Study, name: str, cables: list[str]) -> Content:
+    """Return a contender's cost over the best baseline's, its lead, and who is worse off, over several cables."""
+    own, best = (np.array([study.played[cable][each]["cost"] for cable in cables]) for each in (name, study.best))
+    # The cables of a wearer are resampled together.
+    weights = draw_weights(own.shape[1], study.description.resamples)
+    ratio = ratio_of_sums(own.sum(axis=0), best.sum(axis=0), weights).plain()
+    worse = own > study.played[NO_CABLE][DOFFED]["cost"]
+    return {
+        "cost_over_best": ratio,
+        "lead": float(1.0 - own.sum() / best.sum()),
+        "worse_off": {"count": int(worse.sum()), "of": worse.size},
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,24 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs.worn_reward import worn_prices
+from amulett_gym.jit.code_cache import PACKAGE, fingerprint
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import Control
-from amulett_gym.storage.kept import kept
+from amulett_gym.storage.kept import digest, kept
 from amulett_gym.studies.wearer.baselines import BASELINES, BY_INTENTION, Tuned, tune_and_choose
 from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS, Learned, play_guard
-from amulett_gym.studies.wearer.description import Bend, Description, loops_of
-from amulett_gym.studies.wearer.episodes import Scenarios, draw
+from amulett_gym.studies.wearer.description import Bend, CableRanges, Description, loops_of
+from amulett_gym.studies.wearer.episodes import Devices, Scenarios, draw, one_each
 from amulett_gym.studies.wearer.headroom import PARTS, Headroom, measure
+from amulett_gym.tasks.hashes import WORN_VERSION
 
 Values = NDArray[np.float64]
 Played = dict[str, Values]
 T = TypeVar("T")
+Cable = Bend | CableRanges | None
 
-FORMAT = 1
-"""Version of the stages: a new one when their numbers mean something else."""
+FORMAT = 2
+"""Version of the stages' content."""
 
-HEADROOM_FORMAT = 2
-"""The same of the stages of the headroom."""
+OWN_SOURCES = (
+    "envs/episodes.py",
+    "envs/worn_episodes.py",
+    "simulation/worn_batch.py",
+    *(f"studies/wearer/{name}.py" for name in ("baselines", "comparison", "episodes", "headroom", "search")),
+)
+"""Files on which the stages' numbers depend, besides those of the compiled code (`jit.code_cache.SOURCES`)."""
 
 NO_CABLE = ""
 
@@ -46,7 +54,7 @@ class Study:
     baselines : dict of str to list of Tuned
         Each baseline's searches, the chosen one first.
     played : dict of str to dict
-        Cable (`NO_CABLE`, or `Bend.name`) -> contender -> values of `episodes.play`.
+        Cable (`NO_CABLE`, or the name of one of `Description.repetitions`) -> contender -> values of `episodes.play`.
     policies : list of Learned
     """
 
@@ -88,7 +96,8 @@ def run(
         Called with the name of each finished part; there are `parts`.
     """
     device = description.device()
-    stage = partial(_stage, folder, {"format": FORMAT, "device": device.model_dump(mode="json")})
+    always = {"format": FORMAT, "suites": WORN_VERSION, "code": code(), "device": device.model_dump(mode="json")}
+    stage = partial(_stage, folder, always)
     baselines = _baselines(description, device, stage, report)
     headroom = [_headroom(description, device, suite, loop, stage, report) for suite, loop in loops_of(description)]
     own = {kind: searches[0] for kind, searches in baselines.items()}
@@ -99,29 +108,43 @@ def run(
     prices = _prices(device, description.suite)
     inputs = {"suite": description.suite, "prices": prices, "held_out": description.held_out, "seed": description.seed}
     scenarios = _drawn(description, device, "held-out", description.held_out)
-    for cable in (None, *description.cables):
+    for cable in (None, *description.repetitions):
         name = NO_CABLE if cable is None else cable.name
         played[name] = stage(
             f"comparison/{'no-cable' if cable is None else _file(name)}",
-            inputs | {"cable": name, "side": description.side, "tuned": _plain_all(own)},
+            inputs | _cable_inputs(description, cable) | {"tuned": _plain_all(own)},
             partial(_compare, description, device, own, scenarios, cable),
             _pack_played,
             _unpack_played,
         )
     report("comparison")
     for learned in policies:
-        for cable in (None, *description.cables):
+        mine = scenarios
+        if learned.device != device:
+            mine = _drawn(description, learned.device, "held-out", description.held_out)
+        policy = {
+            "policy": learned.digest,
+            "settings": learned.settings.model_dump(mode="json"),
+            "prices": _prices(learned.device, description.suite),
+        }
+        for cable in (None, *description.repetitions):
             name = NO_CABLE if cable is None else cable.name
             more: dict[str, Played] = stage(
                 f"policies/{_file(learned.name)}-{_file(name)}",
-                inputs | {"cable": name, "side": description.side, "policy": learned.digest},
-                partial(_play_learned, description, learned, cable),
+                inputs | _cable_inputs(description, cable) | policy,
+                partial(_play_learned, description, learned, mine, cable),
                 _pack_played,
                 _unpack_played,
             )
             played[name].update(more)
         report(learned.name)
     return Study(description, device, headroom, baselines, played, list(policies))
+
+
+@cache
+def code() -> str:
+    """Return the digest of the code that stages are computed by, as this process runs it: its files may change."""
+    return digest(fingerprint(), *((PACKAGE / name).read_bytes() for name in OWN_SOURCES))
 
 
 def _stage(
@@ -162,7 +185,6 @@ def _headroom(
         "prices": _prices(device, suite),
         "seed": description.seed,
         "headroom": sizes,
-        "format": HEADROOM_FORMAT,
     }
     found: Headroom = stage(f"headroom/{suite}-{loop}", inputs, make, _pack_headroom, _unpack_headroom)
     for _ in range(done[0], PARTS):
@@ -202,21 +224,36 @@ def _baselines(
 
 
 def _compare(
-    description: Description, device: Profile, own: Mapping[str, Tuned], scenarios: Scenarios, cable: Bend | None
+    description: Description, device: Profile, own: Mapping[str, Tuned], scenarios: Scenarios, cable: Cable
 ) -> dict[str, Played]:
-    changed = description.with_cable(device, cable)
     played = {DOFFED: scenarios.doffed}
-    played |= {kind: tuned.play(changed, scenarios) for kind, tuned in own.items()}
+    for kind, tuned in own.items():
+        played[kind] = _repeat(description, device, scenarios, cable, tuned.play)
     if cable is None:
-        played |= {name: play_guard(name, own["constant"], changed, scenarios) for name in GUARDS}
+        played |= {name: play_guard(name, own["constant"], device, scenarios) for name in GUARDS}
     return played
 
 
-def _play_learned(description: Description, learned: Learned, cable: Bend | None) -> dict[str, Played]:
-    def change(device: Profile) -> Profile:
-        return description.with_cable(device, cable)
+def _play_learned(description: Description, learned: Learned, scenarios: Scenarios, cable: Cable) -> dict[str, Played]:
+    return {learned.name: _repeat(description, learned.device, scenarios, cable, learned.play)}
 
-    return {learned.name: learned.play(description.suite, description.held_out, description.seed, change)}
+
+def _repeat(
+    description: Description,
+    device: Profile,
+    scenarios: Scenarios,
+    cable: Cable,
+    play: Callable[[Devices, Scenarios], Played],
+) -> Played:
+    """Play scenarios on a device without cables, with the same ones, or with cables drawn for each scenario."""
+    if isinstance(cable, CableRanges):
+        return one_each(partial(play, description.with_drawn_cables(device, cable)), scenarios)
+    return play(device if cable is None else description.with_cable(device, cable), scenarios)
+
+
+def _cable_inputs(description: Description, cable: Cable) -> dict[str, Any]:
+    drawn = {"ranges": cable.model_dump(mode="json")} if isinstance(cable, CableRanges) else {}
+    return {"cable": NO_CABLE if cable is None else cable.name, "side": description.side, **drawn}
 
 
 def _drawn(description: Description, device: Profile, split: str, count: int, suite: str | None = None) -> Scenarios:

@@ -20,6 +20,9 @@ _SHORT = {
 _SHORT |= {"holding_tension": "T holding", "holding_assistance": "a holding"}
 
 
+_CABLES = {"pairs": "with cables", "drawn": "with cables drawn for each wearer"}
+
+
 def tables(found: Content) -> dict[str, Table]:
     """Return all tables by name."""
     all_tables = {
@@ -28,8 +31,10 @@ def tables(found: Content) -> dict[str, Table]:
         "comparison": comparison_table(found),
         "wearers": wearers_table(found),
         "guards": guards_table(found),
-        "cables": cables_table(found),
     }
+    for kind, name in (("pairs", "cables"), ("drawn", "drawn_cables")):
+        if found["cables"][DOFFED][kind] is not None:
+            all_tables[name] = cables_table(found, kind)
     return {name: table for name, table in all_tables.items() if table.rows}
 
 
@@ -50,14 +55,14 @@ def answer(found: Content) -> list[str]:
         "that of the same wearers without the device."
     )
     for name in found["policies"]:
-        mine, cables = rows[name], found["cables"].get(name)
+        mine, cables = rows[name], found["cables"][name]
         worse = mine["worse_off"]["count"]
         text = f"The policy {name} costs {with_interval(mine['cost_over_best'])} times the best baseline"
         text += f", with an effort of {with_interval(mine['effort_over_doffed'])} times doffed; "
         text += f"{worse} of {mine['wearers']} wearers cost more than doffed."
-        if cables is not None:
-            text += f" Its lead is {_percent(cables['lead'])}, and {_percent(cables['lead_with_cables'])} with cables."
-        lines.append(text)
+        leads = [_percent(cables["lead"])]
+        leads += [f"{_percent(cables[kind]['lead'])} {words}" for kind, words in _CABLES.items() if cables[kind]]
+        lines.append(f"{text} Its lead is {', and '.join(leads)}.")
     return lines
 
 
@@ -144,22 +149,29 @@ def guards_table(found: Content) -> Table:
     return Table("Behaviour that must not be rewarded", head, rows, note, left=(0, 1))
 
 
-def cables_table(found: Content) -> Table:
-    """Return the costs with Bowden cables."""
-    cables = [cable_name(cable) for cable in found["description"]["cables"]]
-    head = ("contender", *cables, "all / best baseline", "lead without", "lead with cables", "worse off")
+def cables_table(found: Content, kind: str = "pairs") -> Table:
+    """Return the costs with Bowden cables: of fixed pairs of friction and bend, or drawn for each wearer."""
+    description = found["description"]
+    costs = [cable_name(cable) for cable in description["cables"]] if kind == "pairs" else ["drawn"]
+    over = f"{'all' if kind == 'pairs' else kind} / best baseline"
+    head = ("contender", *costs, over, "lead without", "lead with cables", "worse off")
     rows = []
     for name, row in found["cables"].items():
-        lead = [_percent(row["lead"]), _percent(row["lead_with_cables"])] if name != DOFFED else ["-", "-"]
-        worse = _share(row["worse_off"]["count"], row["worse_off"]["of"]) if name != DOFFED else "-"
-        costs = [number(row["costs"][cable]) for cable in cables]
-        rows.append([_label(found, name), *costs, with_interval(row["cost_over_best"]), *lead, worse])
+        own, device = row[kind], name != DOFFED
+        lead = [_percent(row["lead"]), _percent(own["lead"])] if device else ["-", "-"]
+        worse = _share(own["worse_off"]["count"], own["worse_off"]["of"]) if device else "-"
+        means = [number(row["costs"][cable]) for cable in costs]
+        rows.append([_label(found, name), *means, with_interval(own["cost_over_best"]), *lead, worse])
+    which = "friction mu and total bend of each sheath"
+    if kind == "drawn":
+        (least, most), (low, high) = (description["drawn_cables"][key] for key in ("friction", "bend_deg"))
+        which = f"each wearer's are drawn, mu from {least:g} to {most:g} and a bend from {low:g} to {high:g} deg"
     note = (
         f"Mean costs of the same wearers and laws, nothing tuned again, with Bowden cables of both strings at the "
-        f"{found['description']['side']} side: friction mu and total bend of each sheath. Lead: gain over the best "
-        "baseline with the same cables. Worse off: episodes that cost more than doffed."
+        f"{description['side']} side: {which}. Lead: gain over the best baseline with the same cables. Worse off: "
+        "episodes that cost more than doffed."
     )
-    return Table("Bowden cables", head, rows, note)
+    return Table("Bowden cables" if kind == "pairs" else "Bowden cables of each wearer's own", head, rows, note)
 
 
 def cable_name(cable: Mapping[str, Any]) -> str:

@@ -9,14 +9,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from amulett_gym import WORN_ID
+from amulett_gym import WORN_ID, load_policy
 from amulett_gym.cli import main
 from amulett_gym.envs.worn_transition import OBSERVATIONS
+from amulett_gym.jit.code_cache import PACKAGE, fingerprint
 from amulett_gym.laws.bundle import PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.worn import Constant, WornLaw, as_actions
 from amulett_gym.laws.worn_inputs import WORN_ACTIONS, WORN_SCALES
 from amulett_gym.profile import load_profile
 from amulett_gym.reporting.document import marks
+from amulett_gym.storage.kept import read_kept
 from amulett_gym.studies.wearer import study
 from amulett_gym.studies.wearer.baselines import (
     BASELINES,
@@ -28,7 +30,7 @@ from amulett_gym.studies.wearer.baselines import (
     space_of,
     tune,
 )
-from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS
+from amulett_gym.studies.wearer.comparison import DOFFED, GUARDS, load_learned
 from amulett_gym.studies.wearer.description import Description, load_description, quick
 from amulett_gym.studies.wearer.episodes import STEPS, Schedule, draw, play
 from amulett_gym.studies.wearer.headroom import foresee
@@ -186,6 +188,27 @@ def test_finished_stages_are_read_back(folder, found):
     assert numbers == {key: value for key, value in found.items() if key not in ("command", "machine")}
 
 
+@pytest.mark.parametrize("changed", ["WORN_VERSION", "code"])
+def test_stages_of_other_code_or_suites_are_not_read(changed, folder, monkeypatch):
+    def read(path, inputs, make, pack, unpack):
+        content = read_kept(path, inputs)
+        if content is None:
+            raise LookupError(path.name)
+        return unpack(content)
+
+    monkeypatch.setattr(study, "kept", read)
+    description = quick(load_description(None))
+    study.run(description, folder=folder)
+    monkeypatch.setattr(study, changed, 99 if changed == "WORN_VERSION" else lambda: "other")
+    with pytest.raises(LookupError, match="constant"):
+        study.run(description, folder=folder)
+
+
+def test_the_code_of_stages_is_that_of_their_files():
+    assert all((PACKAGE / name).is_file() for name in study.OWN_SOURCES)
+    assert study.code() != fingerprint()
+
+
 def test_ratios_are_those_of_the_costs(folder, found):
     description = quick(load_description(None))
     again = study.run(description, folder=folder)
@@ -221,6 +244,23 @@ def test_a_suite_without_headroom_is_named_so(folder, found):
     assert gains["gains"]["clairvoyant"] == pytest.approx(1.0 - 0.5 * 0.97) and gains["headroom"]
 
 
+def test_a_suites_best_loop_is_that_of_the_training_wearers(folder):
+    again = study.run(quick(load_description(None)), folder=folder)
+    cell = again.headroom[0]
+
+    def changed(control, trained, held_out):
+        tuned = {kind: replace(each, control=control, train=trained) for kind, each in cell.tuned.items()}
+        return replace(cell, control=control, tuned=tuned, costs={k: held_out * v for k, v in cell.costs.items()})
+
+    cells = [changed("cascade", 0.5, 1.1), changed("torque", 0.6, 0.9), changed("decentralized", 0.1, 0.1)]
+    found = content(replace(again, headroom=cells))["suites"]["assembly"]
+    assert found["control"] == "cascade"
+    assert found["loops"] == {"constant": "cascade", **dict.fromkeys(BY_INTENTION, "cascade"), "clairvoyant": "torque"}
+    mean = {name: costs.mean() for name, costs in cell.costs.items()}
+    assert found["gains"][TWO_LEVEL] == pytest.approx(1.0 - mean[TWO_LEVEL] / mean["constant"])
+    assert content(replace(again, headroom=cells[2:]))["suites"] == {}  # the environment has no such loop
+
+
 def test_tables_name_every_contender(found):
     shown = tables(found)
     assert [row[0].split(" (")[0] for row in shown["comparison"].rows] == [DOFFED, *BASELINES, *BY_INTENTION]
@@ -233,37 +273,68 @@ def test_cables_change_the_costs(found):
     assert found["cables"][DOFFED]["costs"][cable] == pytest.approx(found["comparison"][DOFFED]["cost"])
     for name in BASELINES:
         assert found["cables"][name]["costs"][cable] != found["comparison"][name]["cost"]
+    assert [*tables(found)][-2:] == ["cables", "drawn_cables"]
+    without = {name: {**row, "drawn": None} for name, row in found["cables"].items()}
+    assert [*tables({**found, "cables": without})][-1] == "cables"
+
+
+def test_drawn_cables_are_each_wearers_own(device, folder, found):
+    description = quick(load_description(None))
+    cables = description.drawn_cables.draw(description.seed, description.held_out)
+    assert len({cable.name for cable in cables}) == len(cables) == 4
+    assert all(0.05 <= cable.friction <= 0.2 and 90.0 <= cable.bend_deg <= 360.0 for cable in cables)
+    assert cables[1:] == description.drawn_cables.draw(description.seed + 1, 3)
+    again = study.run(description, folder=folder)
+    (latched, *_), wearers = again.baselines["latched"], draw(device, "assembly", "held-out", 4)
+    for k, cable in enumerate(cables):
+        alone = latched.play(description.with_cable(device, cable), wearers)
+        assert again.played["drawn"]["latched"]["cost"][k] == alone["cost"][k]
+    drawn = found["cables"]["latched"]["drawn"]
+    best = again.played["drawn"][again.best]["cost"]
+    assert drawn["lead"] == pytest.approx(1.0 - again.played["drawn"]["latched"]["cost"].sum() / best.sum())
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"suite": "assembley"}, {"control": "decentralized"}, {"headroom": {"loops": {"assembly": ["cascad"]}}}]
+    ("wrong", "message"),
+    [
+        ({"suite": "assembley"}, "unknown"),
+        ({"control": "decentralized"}, "unknown"),
+        ({"headroom": {"loops": {"assembly": ["cascad"]}}}, "unknown"),
+        ({"drawn_cables": {"friction": [0.2, 0.1]}}, "the first has to be the least"),
+        ({"drawn_cables": {"bend_deg": [0, 2000]}}, "drawn_cables.bend_deg.1"),
+        ({"side": "drive"}, "drives.stall_torque"),
+        ({"side": "drive", "cables": []}, "drives.stall_torque"),
+    ],
 )
-def test_a_wrong_description_is_refused(wrong, tmp_path, capsys):
+def test_a_wrong_description_is_refused(wrong, message, tmp_path, capsys):
     file = tmp_path / "study.json"
     file.write_text(json.dumps(wrong))
     assert main(["wearer", "--config", str(file)]) == 2
-    assert "unknown" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_a_learned_policy_is_compared_in_its_own_loop_and_device(folder, tmp_path, capsys):
-    # A network whose output is constant costs what the constant law does.
-    actions = as_actions(6.0, 0.75, 1)[0]
-    layers = [(np.zeros((2, len(OBSERVATIONS)), dtype=np.float32), actions)]
+def bundle(folder, keywords, weights, bias, **described):
+    """Write a policy of one layer."""
     described = {
-        "network": {"layers": [len(OBSERVATIONS), 2], "activation": "tanh", "output": "clip"},
+        "network": {"layers": [weights.shape[1], 2], "activation": "tanh", "output": "clip"},
         "observations": list(OBSERVATIONS),
         "observation_scales": WORN_SCALES,
         "actions": list(WORN_ACTIONS),
         "tension_range": [0.0, 15.0],
         "agent_period": 0.02,
+        **described,
     }
+    env = TrainingEnv(id=WORN_ID, keywords=keywords, max_episode_steps=STEPS)
+    layers = [(weights.astype(np.float32), bias.astype(np.float32))]
+    return write_bundle(folder, layers, PolicyDescription.model_validate(described), env, {})
+
+
+def test_a_learned_policy_is_compared_in_its_own_loop_and_device(folder, tmp_path, capsys):
+    # A network whose output is constant costs what the constant law does.
     softer = {"base": "worn", "name": "softer", "wearer": {"admittance": {"gain": 0.7}}}
-    env = TrainingEnv(
-        id=WORN_ID,
-        keywords={"profile": load_profile(softer).model_dump(mode="json"), "control": "cascade", "suite": "assembly"},
-        max_episode_steps=STEPS,
-    )
-    policy = write_bundle(tmp_path / "policy", layers, PolicyDescription.model_validate(described), env, {})
+    keywords = {"profile": load_profile(softer).model_dump(mode="json"), "control": "cascade", "suite": "assembly"}
+    nothing = np.zeros((2, len(OBSERVATIONS)))
+    policy = bundle(tmp_path / "policy", keywords, nothing, as_actions(6.0, 0.75, 1)[0])
     words = ["wearer", "--quick", "--out", str(folder), "--policy", str(policy), "--json"]
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out)
@@ -278,6 +349,41 @@ def test_a_learned_policy_is_compared_in_its_own_loop_and_device(folder, tmp_pat
     cables = found["cables"][str(policy)]
     assert cables["lead"] == pytest.approx(1.0 - row["cost"] / found["comparison"][found["best_baseline"]]["cost"])
     assert any(line.startswith(f"The policy {policy} costs") for line in answer(found))
+
+
+@pytest.mark.parametrize("period", [0.01, 0.04])
+def test_a_learned_policy_acts_with_its_own_period_range_delay_and_history(period, device, scenarios, tmp_path):
+    weights = np.random.default_rng(3).normal(scale=0.2, size=(2, 2 * len(OBSERVATIONS)))
+    keywords = {"control": LOOP, "action_delay": 2, "observation_noise": 0.01, "suite": "reaches", "split": "train"}
+    described = {"tension_range": [1.0, 9.0], "agent_period": period, "history": 2}
+    folder = bundle(tmp_path / "policy", keywords, weights, np.array([0.1, 0.4]), **described)
+    learned, steps = load_learned(str(folder), device), round(10.0 / period)
+    played = learned.play(learned.device, scenarios)
+    alike = {"tension_range": (1.0, 9.0), "agent_period": period, "failure_horizon": steps}
+    own = {**keywords, **alike, "suite": "assembly", "split": "held-out"}
+    env = gym.make_vec(WORN_ID, num_envs=3, profile=device, max_episode_steps=steps, **own)
+    observations, _ = env.reset(seed=0)
+    policy, returns = load_policy(str(folder), env), np.zeros(3)
+    for _ in range(steps):
+        observations, rewards, _, truncated, info = env.step(policy(observations))
+        returns += rewards
+    assert truncated.all()
+    assert played["cost"] == pytest.approx(-returns, rel=1e-12)
+    assert np.array_equal(played["muscle_effort"], info["metrics"]["muscle_effort"])
+
+
+def test_a_policy_of_a_fleet_plays_on_the_studys_device(device, tmp_path):
+    fleet = [{"base": "worn", "name": f"worn {k}"} for k in range(2)]
+    fleet = [load_profile(each).model_dump(mode="json") for each in fleet]
+    folder = bundle(tmp_path / "policy", {"fleet": fleet}, np.zeros((2, 16)), np.zeros(2))
+    assert load_learned(str(folder), device).device == device
+
+
+def test_a_period_that_does_not_fit_an_episode_is_refused(tmp_path, capsys):
+    folder = bundle(tmp_path / "policy", {}, np.zeros((2, 16)), np.zeros(2), agent_period=0.03)
+    assert main(["wearer", "--quick", "--policy", str(folder)]) == 2
+    error = capsys.readouterr().err
+    assert "acts every 0.03 s" in error and "0.03003 s" in error
 
 
 def test_a_folder_is_written_again(folder, tmp_path, capsys):
