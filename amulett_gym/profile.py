@@ -370,11 +370,15 @@ class Profile(WithOptions):
         """Name of the shipped profile that this one derives from, whose tuned laws apply; its own name if none.
 
         That is the base, unless this profile shares more groups with the shipped profile of its own name: a changed
-        copy of the testbed's content derives from the testbed, which itself is based on the simulation.
+        copy of the testbed's content derives from the testbed, which itself is based on the simulation. A base that is
+        not one of `device_names`, as `worn`, stands for the device that it derives from.
         """
-        common = {name: self._groups_of(name) for name in profile_names() if name in (self.base, self.name)}
-        if self.base is not None and common.get(self.name, 0) <= common.get(self.base, 0):
-            return self.base
+        devices, base = device_names(), self.base
+        if base in profile_names() and base not in devices:
+            base = load_profile(base).root
+        common = {name: self._groups_of(name) for name in devices if name in (base, self.name)}
+        if base is not None and common.get(self.name, 0) <= common.get(base, 0):
+            return base
         return self.name if self.name not in common or common[self.name] else f"{self.name} (own)"
 
     def _groups_of(self, shipped: str) -> int:
@@ -452,8 +456,9 @@ def profile_names() -> tuple[str, ...]:
         return tuple(path.stem for path in visible(folder, "*.yaml"))
 
 
+@cache
 def device_names() -> tuple[str, ...]:
-    """Return the names of the shipped profiles without those of another one's device, such as of how it is worn."""
+    """Return the names of the shipped profiles whose costs are their own: not `worn`, a variant of the testbed."""
     return tuple(name for name in profile_names() if load_profile(name).divisors_of is None)
 
 

@@ -36,9 +36,13 @@ def test_every_value_of_a_shipped_fitting_names_its_source():
     }
 
 
-def test_a_worn_device_is_the_device_that_it_is_based_on():
+def test_the_worn_device_is_the_testbed_with_a_larger_joint_pulley():
     worn, testbed = load_profile("worn"), load_profile("testbed")
-    assert worn.root == "testbed" and physics(worn) == physics(testbed)
+    assert physics(worn) == {**physics(testbed), "plant.joint_pulley_radius": 0.05}
+    assert worn.plant.joint_pulley_radius == pytest.approx(1.25 * testbed.plant.joint_pulley_radius)
+    assert worn.plant.sources["joint_pulley_radius"].startswith("assumed: 1.25 times the testbed's")
+    # Tuned laws of the testbed act on it, also on devices that are based on it.
+    assert worn.root == load_profile({"base": "worn", "name": "mine"}).root == "testbed"
     assert divisors(worn, "steps") == divisors(testbed, "steps")
     assert set(profile_names()) - set(device_names()) == {"worn"}
 

@@ -32,10 +32,9 @@ def device_remarks(
 ) -> list[str]:
     """Return remarks on a device and contenders, by name, as sentences without a full stop.
 
-    On any device: laws from files that were tuned on another one, or in another loop. On the user's own device:
-    parameters of a shipped one, failures of eq. 6 in the `suite` by whose costs those of all laws are divided, and the
-    findings of `diagnose` for this tension range [N] in each of the `loops` in use. `places` maps names of files that
-    were moved to where they are.
+    On any device: laws that were tuned on another one, or in another loop. On the user's own device: failures of eq. 6
+    in the `suite` by whose costs those of all laws are divided, and the findings of `diagnose` for this tension range
+    [N] in each of the `loops` in use. `places` maps names of files that were moved to where they are.
     """
     contenders = list(contenders)
     files = {name: (places or {}).get(name) or split_loop(name)[1] for name in contenders if is_tuned_file(name)}
@@ -49,13 +48,14 @@ def device_remarks(
         for name, fleet in over.items()
         if fleet and profile not in load_fleet(fleet)
     ]
-    if is_shipped(profile):
-        return remarks
+    shipped = is_shipped(profile)
     tuned = [name for name in contenders if split_loop(name)[1] in tuned_names() and not over[name]]
-    if tuned:
+    if tuned and not (shipped and profile.root == profile.name):
         act = "act" if len(tuned) > 1 else "acts"
         of = f"tuned on the {profile.root}, not on the {profile.name}"
         remarks.append(f"{', '.join(tuned)} {act} with the parameters {of}")
+    if shipped:
+        return remarks
     if suite is not None:
         remarks += _remarks_on_costs(profile, suite)
     for loop in dict.fromkeys(loops):

@@ -97,7 +97,7 @@ def test_returns_are_the_weighted_metrics_over_the_divisors():
 
 def test_drives_are_charged_by_the_devices_own_pulleys():
     worn = load_profile("worn")
-    larger = load_profile({"base": "worn", "name": "mine", "plant": {"joint_pulley_radius": 0.08}})
+    larger = load_profile({"base": "worn", "name": "mine", "plant": {"joint_pulley_radius": 0.1}})
     for suite in WORN_SUITES:
         own, other = (worn_divisors(profile, suite) for profile in (worn, larger))
         assert other == {**own, "drives": pytest.approx(4.0 * own["drives"])}

@@ -82,6 +82,8 @@ def test_the_end_of_the_tension_range_is_played():
 
 def test_remarks_name_borrowed_parameters_and_what_was_found():
     assert device_remarks(load_profile("testbed"), ["parametric"], suite="steps") == []
+    (on_worn,) = device_remarks(load_profile("worn"), ["parametric:steps"], suite="steps")
+    assert on_worn == "parametric:steps acts with the parameters tuned on the testbed, not on the worn"
     tuned, *found = device_remarks(load_profile(STIFF), ["eq6", "eq6-tuned", "parametric:steps", "constant:5"])
     assert tuned == "eq6-tuned, parametric:steps act with the parameters tuned on the testbed, not on the stiff"
     assert any("the agonist of the resting arm switches" in remark for remark in found)
