@@ -51,12 +51,12 @@ class Admittance(Sourced):
     a is the assistance, tau the measured torque of the wearer on the exoskeleton, v the joint's measured rate.
     """
 
-    gain: float = Field(default=1.0, ge=0, le=1000, description="G at full assistance [rad/(s N m)]")
+    gain: float = Field(default=0.7, ge=0, le=1000, description="G at full assistance [rad/(s N m)]")
     rest_gain: float = Field(default=0.0, ge=0, le=1000, description="G without assistance [rad/(s N m)]")
-    carry: float = Field(default=0.95, ge=0, le=5, description="c at full assistance, share of the joint's rate [1]")
-    lead: float = Field(default=0.08, ge=0, le=2, description="lead time of the torque [s]")
+    carry: float = Field(default=0.92, ge=0, le=5, description="c at full assistance, share of the joint's rate [1]")
+    lead: float = Field(default=0.2, ge=0, le=2, description="lead time of the torque [s]")
     rate_filter: float = Field(default=0.02, ge=1e-6, le=10, description="time constant of the torque's rate [s]")
-    dead_band: float = Field(default=0.04, ge=0, le=10, description="torque that is ignored [N m]")
+    dead_band: float = Field(default=0.03, ge=0, le=10, description="torque that is ignored [N m]")
 
 
 class Fitting(Group):

@@ -85,7 +85,8 @@ def _play(
     inputs, actions = [], []
     for step in range(config.env.max_episode_steps):
         named = teacher_actions(settings, env, config.env.tension_range)
-        acted = np.where(led[:, None], follow(named, observations, config.env.share, worn=True), actor(observations))
+        shown = np.clip(named, -1.0, 1.0)
+        acted = np.where(led[:, None], follow(shown, observations, config.env.share, worn=True), actor(observations))
         if step % _EVERY == 0:
             inputs.append(actor.inputs(observations).astype(np.float32))
             actions.append(named)
@@ -98,13 +99,14 @@ def _play(
 def teacher_actions(
     settings: TeacherSettings, env: gym.vector.VectorEnv[Any, Any, Any], tension_range: list[float]
 ) -> NDArray[np.float32]:
-    """Return the teacher's actions at the present intentions, shape (N, 2)."""
+    """Return the teacher's actions at the present intentions, shape (N, 2); the assistance's may be beyond [-1, 1]."""
     episodes = env.unwrapped.episodes  # type: ignore[attr-defined]
     assert isinstance(episodes, WornEpisodes)
     moves = np.abs(np.degrees(episodes.simulation.read_worn("intention_rate"))) > settings.moving_speed
     low, high = tension_range
     tensions = np.where(moves, settings.moving_tension, settings.holding_tension)
-    named = [tension_to_action(tensions, (low, high)), np.where(moves, 1.0, -1.0)]
+    full = 1.0 + settings.assistance_margin
+    named = [tension_to_action(tensions, (low, high)), np.where(moves, full, -full)]
     return np.stack(named, axis=1).astype(np.float32)
 
 

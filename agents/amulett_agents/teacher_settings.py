@@ -16,6 +16,13 @@ class TeacherSettings(Group):
     moving_tension: float = Field(1.0, ge=0, le=1e6, description="teacher's co-contraction in movements [N]")
     holding_tension: float = Field(12.0, ge=0, le=1e6, description="teacher's co-contraction at rest [N]")
     moving_speed: float = Field(2.0, gt=0, le=1e3, description="speed of the intention that is a movement [deg/s]")
+    assistance_margin: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="distance of the assistance's action, which is then clipped, beyond the ends of its range: a policy "
+        "that imitates it roughly still has exactly none at rest [1]",
+    )
     rounds: int = Field(
         5, ge=1, le=100, description="rounds of playing and imitating; the teacher acts in the first [1]"
     )

@@ -9,6 +9,7 @@ import torch
 from helpers import SMALL_RECIPE
 
 import amulett_gym
+from amulett_agents.bundles import describe_policy
 from amulett_agents.config import load_train_config
 from amulett_agents.model import make_model
 from amulett_agents.teacher import teacher_actions
@@ -16,6 +17,7 @@ from amulett_agents.teacher_settings import TeacherSettings
 from amulett_agents.training import resume, train
 from amulett_agents.validation import evaluate, make_validation_env
 from amulett_gym.errors import AmulettError
+from amulett_gym.laws.actor import Actor
 from amulett_gym.laws.bundle import read_bundle
 
 WORN = amulett_gym.WORN_ID
@@ -35,6 +37,8 @@ def test_the_teacher_assists_while_the_intention_moves():
         moves = np.abs(rates) > 2.0
         np.testing.assert_allclose(actions[:, 0], np.where(moves, 3.0, 12.0) / 7.5 - 1.0, atol=1e-6)
         np.testing.assert_array_equal(actions[:, 1], np.where(moves, 1.0, -1.0))
+        beyond = teacher_actions(settings.model_copy(update={"assistance_margin": 0.25}), env, [0.0, 15.0])
+        np.testing.assert_array_equal(beyond, actions * np.float32([1.0, 1.25]))
         found |= set(moves.tolist())
     assert found == {True, False}
 
@@ -50,6 +54,25 @@ def test_imitation_is_better_than_the_constant_that_it_replaces():
         costs.append(evaluate(model, env, 0)["cost"])
         env.close()
     assert costs[1] < 0.9 * costs[0]
+
+
+def test_a_margin_lets_the_policy_reach_the_ends_of_the_assistance():
+    """An imitated end of the range is missed by some error, which a margin beyond it clips."""
+    shares = []
+    for margin in (0.0, 0.5):
+        config = load_train_config(None, [*SMALL, *TEACHER, "env.follow_time=0", f"teacher.assistance_margin={margin}"])
+        model, seen = make_model(config), []
+        env = make_validation_env(config)
+        policy = Actor(*describe_policy(model), env)
+        observations, _ = env.reset(seed=0)
+        for _ in range(60):
+            actions = policy(observations)
+            assert (np.abs(actions) <= 1.0).all()
+            seen.append(actions[:, 1])
+            observations = env.step(actions)[0]
+        env.close()
+        shares.append(np.mean(np.abs(seen) == 1.0))
+    assert shares[1] > 1.3 * shares[0]
 
 
 def test_a_taught_run_is_the_same_again_and_resumes(tmp_path):

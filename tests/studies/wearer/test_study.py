@@ -157,6 +157,16 @@ def test_the_recipe_is_the_default():
     assert load_description("configs/wearer.yaml") == load_description(None) == Description()
 
 
+def test_the_testbeds_own_pulley_is_compared_in_the_same_way():
+    other = load_description("configs/wearer_testbed.yaml")
+    headroom = Description().headroom.model_copy(update={"loops": {"assembly": ["co-rotation"]}})
+    assert other == Description(profile=other.profile, headroom=headroom)
+    worn, device = load_profile("worn"), other.device()
+    assert device.plant.joint_pulley_radius == load_profile("testbed").plant.joint_pulley_radius
+    same = {"name": worn.name, "base": worn.base, "plant": worn.plant}
+    assert device.model_copy(update=same) == worn
+
+
 def test_the_command_writes_numbers_tables_and_figures(folder, found, capsys, tmp_path):
     written = {path.name for path in folder.iterdir()}
     pictures = {"wearer_headroom.png", "wearer_ratios.png"}
