@@ -20,8 +20,8 @@ class TeacherSettings(Group):
         0.0,
         ge=0,
         le=10,
-        description="distance of the assistance's action, which is then clipped, beyond the ends of its range: a policy "
-        "that imitates it roughly still has exactly none at rest [1]",
+        description="distance of the assistance's action, which is then clipped, beyond the ends of its range: a "
+        "policy that imitates it roughly still has exactly none at rest [1]",
     )
     rounds: int = Field(
         5, ge=1, le=100, description="rounds of playing and imitating; the teacher acts in the first [1]"

@@ -28,8 +28,8 @@ from amulett_gym.tasks.worn_suites import WORN_SUITES, sample_worn
 
 EPISODES = 400
 PROFILE = "worn"
-"""Its control period is that of the wearers' reflexes, and its torque limits how far ``guided`` leads an arm; all else of
-it has no influence."""
+"""Its control period is that of the wearers' reflexes, and its torque limits how far ``guided`` leads an arm; all else
+of it has no influence."""
 
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 _torques: Callable[..., Any] = getattr(muscle_torque, "py_func", muscle_torque)
