@@ -17,11 +17,18 @@ TRAINING = ("torch", "stable_baselines3", "tensorboard")
 TUNING = (*TRAINING, "optuna")
 """Modules that a search for a recipe's settings imports."""
 
-_NEEDS = {"recipes": (), "training": TRAINING, "zips": TRAINING, "speed": TRAINING, "tuning": TUNING}
+_NEEDS = {
+    "recipes": (),
+    "training": TRAINING,
+    "cloning": TRAINING,
+    "zips": TRAINING,
+    "speed": TRAINING,
+    "tuning": TUNING,
+}
 
 
 def load_learning(part: str) -> Any:
-    """Return the module behind an entry point: ``recipes``, ``training``, ``tuning``, ``zips`` or ``speed``.
+    """Return the module behind an entry point, a key of `_NEEDS`.
 
     Raises
     ------

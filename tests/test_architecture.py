@@ -24,6 +24,7 @@ LAYERS = (
     ("identification",),
     ("learning", "reporting"),
     ("evaluation",),
+    ("datasets",),
     ("c",),
     ("firmware",),
     ("studies",),

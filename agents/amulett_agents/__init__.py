@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from amulett_agents.adapter import SB3VecEnv, make_sb3_env
     from amulett_agents.bundles import save_policy
+    from amulett_agents.cloning import CloneSettings, clone
     from amulett_agents.config import TrainConfig, load_train_config
     from amulett_agents.run_folder import TrainResult
     from amulett_agents.sb3_zip import load_sb3_zip
     from amulett_agents.training import resume, train
 
 __all__ = [
+    "CloneSettings",
     "SB3VecEnv",
     "TrainConfig",
     "TrainResult",
+    "clone",
     "load_sb3_zip",
     "load_train_config",
     "make_sb3_env",
@@ -29,6 +32,7 @@ __all__ = [
 _NAMES = {
     "adapter": ("SB3VecEnv", "make_sb3_env"),
     "bundles": ("save_policy",),
+    "cloning": ("CloneSettings", "clone"),
     "config": ("TrainConfig", "load_train_config"),
     "run_folder": ("TrainResult",),
     "sb3_zip": ("load_sb3_zip",),

@@ -17,9 +17,10 @@ from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.jit.notice import announce_compilation
 
 COMMANDS = (
-    *("quickstart", "train", "tune", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
+    *("quickstart", "train", "tune", "clone", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
     *(
         "play",
+        "record",
         "loops",
         "wearer",
         "reproduce",

@@ -162,25 +162,45 @@ class Protocol:
             If the episode is not a whole number of the contender's agent steps, or the contender's tensions begin at
             0 N, which its loop cannot hold.
         """
-        name = contender.policy_name
-        keywords: dict[str, Any] = {"agent_period": self.agent_period}
-        if name is not None and is_bundle(name):  # its range may be wider than the default
-            keywords["tension_range"] = read_bundle(name).policy.tension_range
-            control = contender.env_keywords.get("control", CONTROLS[0])
-            if control not in (*LOOPS, DRIVES) and keywords["tension_range"][0] == 0.0:
-                raise AmulettError(
-                    f"'{contender.name}' chooses tensions from 0 N on, and the loop '{control}' needs more; it can act "
-                    f"in {', '.join(sorted(LOOPS))}"
-                )
-        keywords |= contender.env_keywords
+        keywords: dict[str, Any] = {"agent_period": self.agent_period, **needed_keywords(contender)}
         keywords |= {"profile": self.profile, "suite": self.suite, "split": self.split}
-        period = keywords["agent_period"]
-        steps = max(round(self.duration / period), 1)
-        if abs(steps * period - self.duration) > 1e-9 * self.duration:
-            raise AmulettError(
-                f"an episode of {self.duration} s is no whole number of the {period} s steps of '{contender.name}'"
-            )
+        steps = agent_steps(self.duration, keywords["agent_period"], contender.name)
         return {**keywords, "max_episode_steps": steps, "failure_horizon": steps}
+
+
+def agent_steps(duration: float, period: float, name: str) -> int:
+    """Return the agent steps of `period` in an episode of `duration` [s]; `name` of the policy is for the message.
+
+    Raises
+    ------
+    AmulettError
+        If they are no whole number.
+    """
+    steps = max(round(duration / period), 1)
+    if abs(steps * period - duration) > 1e-9 * duration:
+        raise AmulettError(f"an episode of {duration} s is no whole number of the {period} s steps of '{name}'")
+    return steps
+
+
+def needed_keywords(contender: Contender) -> dict[str, Any]:
+    """Return the environment's keywords that a contender needs, a bundle's tension range among them.
+
+    Raises
+    ------
+    AmulettError
+        If its tensions begin at 0 N, which its loop cannot hold.
+    """
+    keywords: dict[str, Any] = {}
+    name = contender.policy_name
+    if name is not None and is_bundle(name):  # its range may be wider than the default
+        keywords["tension_range"] = read_bundle(name).policy.tension_range
+        control = contender.env_keywords.get("control", CONTROLS[0])
+        if contender.env_id is None and control not in LOOPS and keywords["tension_range"][0] == 0.0:
+            raise AmulettError(
+                f"'{contender.name}' chooses tensions from 0 N on, and the loop '{control}' needs more; it can act "
+                f"in {', '.join(sorted(LOOPS))}"
+            )
+    return keywords | contender.env_keywords
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -48,7 +47,7 @@ from amulett_gym.laws.worn_inputs import WORN_ACTIONS, WORN_SCALES
 from amulett_gym.profile import profile_names
 from amulett_gym.settings import Group, describe
 from amulett_gym.storage.reading import parse_json, read_bytes, to_text, user_path, visible
-from amulett_gym.storage.writing import to_json, write_json
+from amulett_gym.storage.writing import replace_folder, to_json, write_json
 
 MANIFEST = "manifest.json"
 WEIGHTS, POLICY, ENV, PROVENANCE = FILES = ("weights.safetensors", "policy.json", "env.json", "provenance.json")
@@ -296,8 +295,7 @@ def write_bundle(
         If the bundle would not be valid, `folder` holds other files than a bundle's, or cannot be written.
     """
     folder = user_path(folder)
-    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or visible(folder)):
-        raise AmulettError(f"'{folder}' is not a policy bundle and not empty; it is not replaced")
+    check_replaceable(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
@@ -305,10 +303,17 @@ def write_bundle(
             new.mkdir()
             _write_files(new, layers, policy, env, provenance, card, critic)
             read_bundle(new)
-            _put_in_place(new, folder, Path(temporary) / "old")
+            replace_folder(new, folder, Path(temporary) / "old")
     except OSError as error:
         raise AmulettError(f"cannot write policy bundle '{folder}': {error.strerror or error}") from error
     return folder
+
+
+def check_replaceable(folder: str | Path) -> None:
+    """Raise an AmulettError if a folder holds something else than a bundle, which no bundle replaces."""
+    folder = user_path(folder)
+    if folder.exists() and not (folder / MANIFEST).is_file() and (not folder.is_dir() or visible(folder)):
+        raise AmulettError(f"'{folder}' is not a policy bundle and not empty; it is not replaced")
 
 
 def _write_files(
@@ -335,20 +340,6 @@ def _write_files(
     names = [name for name in (*FILES, *OPTIONAL) if (folder / name).is_file()]
     manifest = Manifest(sha256={name: _digest((folder / name).read_bytes()) for name in names})
     write_json(folder / MANIFEST, manifest.model_dump())
-
-
-def _put_in_place(new: Path, folder: Path, old: Path) -> None:
-    """Rename `new` to `folder`; an existing folder is moved to `old`, and back if that fails."""
-    replaces = folder.exists()
-    if replaces:
-        folder.rename(old)
-    try:
-        new.rename(folder)
-    except BaseException:  # Ctrl-C, too
-        if replaces:
-            old.rename(folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _verified(folder: Path, manifest: Manifest) -> dict[str, bytes]:

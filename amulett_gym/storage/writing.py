@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -61,6 +62,20 @@ def files_together(folder: str | Path, names: Sequence[str]) -> Iterator[Path]:
                 (folder / name).unlink(missing_ok=True)
             for name, path in new.items():
                 path.replace(folder / name)
+
+
+def replace_folder(new: Path, folder: Path, old: Path) -> None:
+    """Rename `new` to `folder`; an existing folder is moved to `old` and deleted, or moved back if that fails."""
+    replaces = folder.exists()
+    if replaces:
+        folder.rename(old)
+    try:
+        new.rename(folder)
+    except BaseException:  # Ctrl-C, too
+        if replaces:
+            old.rename(folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager
