@@ -187,7 +187,7 @@ def _remembered(rows: Sequence[NDArray[np.float64]], worn: bool) -> list[NDArray
     found = [np.empty((length, memory.means.shape[1]), dtype=np.float32) for length in lengths.tolist()]
     for step in range(lengths.max()):
         running = np.flatnonzero(lengths > step)
-        means = memory.add(np.stack([rows[index][step] for index in running]), running)
+        means = memory.add(np.stack([rows[index][step] for index in running.tolist()]), running)
         for index, own in zip(running.tolist(), means, strict=True):
             found[index][step] = own
     return found

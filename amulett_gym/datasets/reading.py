@@ -116,7 +116,8 @@ def _environment(dataset: Any, name: str) -> tuple[TrainingEnv, Settings, tuple[
     except ValidationError as error:
         raise describe(error, TrainingEnv, f"the data set '{name}'") from error
     with closing(gym.make(spec.id, **spec.kwargs, disable_env_checker=True)) as env:
-        settings, own = env.unwrapped.settings, env.unwrapped  # type: ignore[attr-defined]
+        own: Any = env.unwrapped
+        settings: Settings = own.settings
         if settings.tension_law != "agent" or settings.control == "position-only":
             raise AmulettError(
                 f"the actions of the data set '{name}' had no effect: its tension_law is '{settings.tension_law}', its "
@@ -126,5 +127,5 @@ def _environment(dataset: Any, name: str) -> tuple[TrainingEnv, Settings, tuple[
         if settings.fleet is not None:
             keywords["fleet"] = name_or_contents(settings.fleet)
         keywords.pop("privileged", None)  # what learns from it sees what a device measures
-        size = own.observation_space.shape[0], own.action_space.shape[0]
+        size = own.episodes.observation_size, own.episodes.action_size
         return TrainingEnv(id=spec.id, keywords=keywords, max_episode_steps=steps), settings, size

@@ -249,3 +249,9 @@ def test_two_policies_of_one_name_are_refused():
     with pytest.raises(AmulettError, match="none twice"):
         record(EQ6, EQ6)
     assert recording.DATA_VERSION == 0
+
+
+def test_the_example_of_the_documentation_runs():
+    page = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text()
+    record()
+    exec(page.split("```python\n")[1].split("```")[0], {})
