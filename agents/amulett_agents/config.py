@@ -34,7 +34,7 @@ from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.settings import Group, describe, find_config, merge
 from amulett_gym.simulation.layout import LANES
 from amulett_gym.storage.safe_yaml import parse_yaml, read_yaml
-from amulett_gym.tasks.suites import suite_names
+from amulett_gym.tasks.names import check_suite
 from amulett_gym.tasks.worn_suites import WORN_SUITES
 
 
@@ -122,9 +122,10 @@ class EnvSettings(Group):
     @field_validator("suite")
     @classmethod
     def _check_suite(cls, name: str, info: ValidationInfo) -> str:
-        suites = WORN_SUITES if info.data.get("id") == WORN_ID else suite_names()
-        if name not in suites:
-            raise unknown("suite", name, suites)
+        if info.data.get("id") != WORN_ID:
+            return check_suite(name)
+        if name not in WORN_SUITES:
+            raise unknown("suite", name, WORN_SUITES)
         return name
 
     @field_validator("reward_weights")

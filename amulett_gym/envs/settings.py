@@ -17,8 +17,9 @@ from amulett_gym.model.structure import string_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
 from amulett_gym.settings import Group, describe
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, TENSION_LAWS, Control, pack_loop
+from amulett_gym.tasks.names import check_suite
 from amulett_gym.tasks.scenario import empty_rows
-from amulett_gym.tasks.suites import SPLITS, suite_names
+from amulett_gym.tasks.suites import SPLITS
 
 DEFAULT_STEPS = 500
 """Agent steps in an episode, 10 s at the default agent period."""
@@ -78,7 +79,7 @@ AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 AnyFleet = Annotated[
     tuple[Profile, ...] | None, BeforeValidator(lambda fleet: None if fleet is None else load_fleet(fleet))
 ]
-Suite = Annotated[str, one_of("suite", suite_names())]
+Suite = Annotated[str, BeforeValidator(check_suite)]
 Split = Annotated[str, one_of("split", SPLITS)]
 ControlLoop = Annotated[Control, BeforeValidator(_check_control)]
 CostTrack = Annotated[Track, one_of("track", TRACKS)]

@@ -40,8 +40,9 @@ from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, FAMILIES, LOOPS
 from amulett_gym.storage.reading import user_path
+from amulett_gym.tasks.names import check_suite
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack
-from amulett_gym.tasks.suites import SPLITS, families_of, suite_names
+from amulett_gym.tasks.suites import SPLITS, families_of
 
 YARDSTICK = "eq6"
 """The baseline, with which all other contenders are compared; it always runs."""
@@ -98,13 +99,10 @@ class Protocol:
     def __post_init__(self) -> None:
         if self.env_id == WORN_ID:
             raise refuse_worn("a comparison of laws")
-        for kind, name, choices in (
-            ("environment", self.env_id, ENV_IDS),
-            ("suite", self.suite, suite_names()),
-            ("split", self.split, SPLITS),
-        ):
+        for kind, name, choices in (("environment", self.env_id, ENV_IDS), ("split", self.split, SPLITS)):
             if name not in choices:
                 raise unknown(kind, name, choices)
+        check_suite(self.suite)
         for key, smallest in (("episodes", 1), ("seed", 0)):
             if getattr(self, key) < smallest:
                 raise AmulettError(f"{key} is {getattr(self, key)}; it has to be at least {smallest}")

@@ -49,7 +49,7 @@ def test_a_recipe_has_the_defaults_of_its_environment():
     ("changes", "problem"),
     [
         ([f"env.id={WORN}", "env.suite=mixed"], "unknown suite 'mixed'"),
-        (["env.suite=assembly"], "unknown suite 'assembly'"),
+        (["env.suite=assembly"], "'assembly' is a suite of Amulett/Worn-v0"),
         ([f"env.id={WORN}", "env.reward_weights={position: 1}"], "unknown reward weight 'position'"),
         (["env.reward_weights={muscle: 1}"], "unknown reward weight 'muscle'"),
         (["network.initial_assistance=0.5"], "only Amulett/Worn-v0 has it"),

@@ -21,7 +21,7 @@ from amulett_gym.profile import Positive, Profile, load_profile
 from amulett_gym.settings import Group, configs_folder, describe, find_config
 from amulett_gym.simulation.layout import CONTROLS, LOOPS, Control, unfit_loops
 from amulett_gym.storage.safe_yaml import read_yaml
-from amulett_gym.tasks.suites import suite_names
+from amulett_gym.tasks.names import check_suite
 
 PAPER_STEP = "paper-step"
 """A suite of one scenario and its noise; it has no shifted split of its own."""
@@ -86,8 +86,7 @@ class Clairvoyant(Group):
     @classmethod
     def _check_scenarios(cls, scenarios: dict[str, int]) -> dict[str, int]:
         for suite, count in scenarios.items():
-            if suite not in suite_names():
-                raise unknown("suite", suite, suite_names())
+            check_suite(suite)
             if count < 2:
                 raise ValueError(f"{suite} is given {count} scenarios; an interval needs at least 2")
         return scenarios
@@ -200,8 +199,7 @@ class Benchmark(Group):
     @model_validator(mode="after")
     def _check(self) -> Benchmark:
         for suite in (*self.suites, self.headline):
-            if suite not in suite_names():
-                raise unknown("suite", suite, suite_names())
+            check_suite(suite)
         for key in ("loops", "suites", "splits", "altered", "contenders", "constants", "ablations"):
             values = getattr(self, key)
             if len(set(values)) < len(values):
