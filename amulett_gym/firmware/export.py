@@ -15,7 +15,7 @@ from amulett_gym.firmware.control import APART, LOOP_FILES, TABLES, check_cycles
 from amulett_gym.firmware.description import MANIFEST
 from amulett_gym.firmware.device import device_header, slider_readings, tables_header
 from amulett_gym.firmware.host import FLAGS, Controller, firmware_id
-from amulett_gym.firmware.laws import FirmwareLaw, choose, delay_remark, firmware_law, with_delay
+from amulett_gym.firmware.laws import FirmwareLaw, choose, delay_remark, firmware_law, fitting_remark, with_delay
 from amulett_gym.firmware.measuring import OnChip, check_fits, measure
 from amulett_gym.firmware.network import Numbers
 from amulett_gym.firmware.readme import README, compare, needs, readme
@@ -62,7 +62,8 @@ def export(
     numbers : {"float", "int16", "int8"}, optional
         Of a network's weights and activations; None: see `network.choose_numbers`.
     note : callable
-        Called with a sentence about the law's delay in the firmware and in the simulation in which it was made.
+        Called with a sentence about the law's delay in the firmware and in the simulation in which it was made, and of
+        a worn device with one about what the firmware lacks.
 
     Returns
     -------
@@ -82,7 +83,7 @@ def export(
         found = firmware_law(contender, device, settings, numbers)
         check_cycles(settings.control, device.loop.control_period, found.cycles)
         own, settings = settings, with_delay(settings, found.slices)
-        late = delay_remark(own, settings)
+        remarks = [remark for remark in (delay_remark(own, settings), fitting_remark(device)) if remark]
         files = firmware_files(device, settings, found)
         recording = record_mixed(contender, settings)
         packed = pack_parameters(device, settings.control)[0]
@@ -96,14 +97,14 @@ def export(
             if isinstance(chip, OnChip):
                 check_fits(chip.measurement, period)
             needed = needs(chip.measurement, period, _run(recording)) if isinstance(chip, OnChip) else chip
-            checked = "\n\n".join([_checked(new, recording, chip), *found.remarks, *([late] if late else [])])
+            checked = "\n\n".join([_checked(new, recording, chip), *found.remarks, *remarks])
             about = contender.name, settings.control, device.name, period, ticks
             files[README] = readme(*about, needed, checked, loop)
             files[MANIFEST] = manifest(contender, settings, files, copies)
             _write(new, {name: files[name] for name in (README, MANIFEST)})
             copies.write(folder)  # while the old files are still there: a manifest names its copies
-    if late:
-        note(late)
+    for remark in remarks:
+        note(remark)
     return files
 
 

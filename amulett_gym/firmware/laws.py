@@ -138,6 +138,16 @@ def delay_remark(own: Settings, found: Settings) -> str:
     )
 
 
+def fitting_remark(profile: Profile) -> str:
+    """Return what the firmware of a worn device lacks, as a sentence; "" of a device that is not worn."""
+    if profile.wearer is None:
+        return ""
+    return (
+        f"Without intent control: '{profile.name}' is worn (`wearer`), but the firmware has no cuff. Its setpoint is "
+        "what the host sends, and does not follow a cuff's torque (`wearer.admittance`), as in Amulett/Worn-v0."
+    )
+
+
 def _control_ticks(count: int) -> str:
     return f"{count} control tick{'s' * (count != 1)}"
 

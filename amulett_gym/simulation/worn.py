@@ -175,6 +175,8 @@ def move(p, c, s, m, f, h, w, k, first, end, extended):
         step(m, first, end, step_time)
         step_arm(k, first, end, step_time)
     give_way(p, c, m, first, end, extended)
+    if f.at_drive and (f.bend_biceps > 0.0 or f.bend_triceps > 0.0):
+        add_friction_work(p, c, s, m, w, first, end, extended)
     sense(p, c, s, m, first, end, extended)
 
 
@@ -257,6 +259,28 @@ def slide(p, c, m, f, w, first, end, step_time):
         step = step_time / 6.0
         w.loss_biceps[i] = next_loss(w.loss_biceps[i], f.bend_biceps, step * biceps, f.presliding)
         w.loss_triceps[i] = next_loss(w.loss_triceps[i], f.bend_triceps, -step * triceps, f.presliding)
+
+
+@compiled_lanes
+def add_friction_work(p, c, s, m, w, first, end, extended):
+    """Add to `drive_work` what the drives do against cables at their side, besides that against the springs.
+
+    A spring's force f takes f / (1 - loss) at the drive. Else as in `kernel.end_motion`, which adds that against f.
+    """
+    for i in range(first, end):
+        if abs(m.angle[i]) <= FARTHEST and abs(m.velocity[i]) <= FARTHEST:
+            biceps, triceps = string_forces(p, c, i, m.angle[i], m.biceps[i], m.triceps[i], extended)
+            pull_biceps, pull_triceps = s.force_biceps[i] + biceps, s.force_triceps[i] + triceps
+            turn_biceps, turn_triceps = m.biceps[i] - s.drive_biceps[i], s.drive_triceps[i] - m.triceps[i]
+            work = max(c.pulley_biceps_factor[i] * pull_biceps * turn_biceps, 0.0) * more_work(w.loss_biceps[i])
+            work += max(c.pulley_triceps_factor[i] * pull_triceps * turn_triceps, 0.0) * more_work(w.loss_triceps[i])
+            s.drive_work[i] += m.counting[i] * 0.5 * p.drive_radius * work
+
+
+@compiled
+def more_work(loss):
+    """Return 1 / (1 - loss) - 1: the share by which the tension before a cable is larger than that after it."""
+    return loss / (1.0 - loss)
 
 
 @compiled_lanes

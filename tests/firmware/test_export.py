@@ -54,6 +54,16 @@ def test_a_folder_checks_itself(tmp_path, capsys):
     assert "| double | 0 | 0 |" in readme and "eq6-held" in readme
 
 
+def test_firmware_of_a_worn_device_says_that_it_lacks_intent_control(tmp_path):
+    notes = []
+    export("eq6", "worn", None, tmp_path / "worn", note=notes.append)
+    export("eq6", "testbed", None, tmp_path / "bare", note=notes.append)
+    (note,) = notes
+    assert note.startswith("Without intent control: 'worn' is worn")
+    assert note in (tmp_path / "worn" / "README.md").read_text()
+    assert "intent control" not in (tmp_path / "bare" / "README.md").read_text()
+
+
 @needs_compiler
 @pytest.mark.parametrize("real", FLAGS)
 def test_sources_compile_without_a_warning(firmware, real, tmp_path):
