@@ -57,9 +57,9 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> AmulettError:
 def refuse_worn(what: str) -> AmulettError:
     """Return the error for what cannot be done in the environment with a wearer."""
     return AmulettError(
-        f"{what} is not possible in Amulett/Worn-v0, whose actions, tasks and costs are others; choose from "
-        "Amulett/Drives-v0, Amulett/Scaling-v0, Amulett/Tension-v0, or compare learned policies of worn devices by "
-        "'amulett wearer --policy FOLDER'"
+        f"{what} cannot be done in Amulett/Worn-v0: its actions, suites and costs are not those of the other "
+        "environments, Amulett/Drives-v0, Amulett/Scaling-v0 and Amulett/Tension-v0; choose one of these, or compare "
+        "learned policies of worn devices by 'amulett wearer --policy FOLDER'"
     )
 
 

@@ -85,7 +85,8 @@ class WornEnv(TensionEnv):
     holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode
     from the task's begin on: those of the device, whose setpoint is its own, and those of the wearer. T is the control
     period, a_f and a_e are the muscles' activations, tau_c is the true torque of the cuff, and e is the intention minus
-    the elbow's angle. The intention moves when it is faster than 5 deg/s.
+    the elbow's angle. The intention moves when it is faster than 5 deg/s. `drive_work` counts the friction of cables at
+    the drives' side, too.
 
     | Metric            | Unit    | Formula                                              | Source |
     |-------------------|---------|------------------------------------------------------|--------|
@@ -107,8 +108,8 @@ class WornEnv(TensionEnv):
     ## Starting State
 
     Device and wearer at rest in the scenario's initial posture. A scenario's key `wearer` says who wears the device;
-    without it, that is the default :class:`amulett_gym.tasks.wearer.Wearer`. A scenario with an obstacle is refused. A
-    scenario has the divisors of the environment's suite.
+    without it, that is the default :class:`amulett_gym.tasks.wearer.Wearer`, the middle of the population. A scenario with an
+    obstacle is refused. A scenario has the divisors of the environment's suite.
 
     ## Episode End
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE
 from amulett_gym.envs.reward import SCHEDULE
@@ -12,6 +12,8 @@ from amulett_gym.envs.settings import AnyProfile, CostTrack, Settings, TensionRa
 from amulett_gym.envs.worn_reward import check_worn_weights
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.layout import CONTROLS, LOOPS, Control
+from amulett_gym.simulation.worn_layout import DELAY
+from amulett_gym.tasks.wearer import POPULATION, reflex_ticks
 from amulett_gym.tasks.worn_suites import WORN_SUITES
 
 
@@ -28,13 +30,13 @@ def _check_control(name: Any) -> Any:
 
 def _check_track(name: Any) -> Any:
     if name != SCHEDULE:
-        raise AmulettError(f"Amulett/Worn-v0 has a reward of its own, and no track '{name}'; leave it out")
+        raise AmulettError("the reward of Amulett/Worn-v0 is that of the wearer; leave track out")
     return name
 
 
 def _check_privileged(privileged: bool) -> bool:
     if privileged:
-        raise AmulettError("Amulett/Worn-v0 has no privileged observations; leave it out")
+        raise AmulettError("Amulett/Worn-v0 does not show its hidden state; leave privileged out")
     return privileged
 
 
@@ -65,6 +67,20 @@ class WornSettings(Settings):
     privileged: Annotated[bool, AfterValidator(_check_privileged)] = Field(
         default=False, description="no other: the hidden state is not described"
     )
+
+    @model_validator(mode="after")
+    def _check_reflexes(self) -> Self:
+        """Refuse devices whose control period is too short for the line of a reflex (`worn_layout.DELAY`)."""
+        quantity = POPULATION["reflex_delay"]
+        longest = quantity.shifted[1] if self.split == "shifted" else quantity.high
+        for device in self.devices:
+            if (ticks := reflex_ticks(longest, period := device.loop.control_period)) >= DELAY:
+                raise AmulettError(
+                    f"the device '{device.name}' has a loop.control_period of {period:g} s; the longest reflex delay "
+                    f"of wearers in the split '{self.split}', {longest:g} s, takes {ticks:.0f} control ticks, and at "
+                    f"most {DELAY - 1} are possible: the period has to be at least {longest / (DELAY - 1):.2g} s"
+                )
+        return self
 
 
 class WornVectorSettings(WornSettings, VectorSettings):

@@ -7,6 +7,9 @@ damping rise with the activation a, and a shifts the angle at which the muscle i
 
 with the joint angle q from the posture in which both are in balance. Co-contraction, a_f = a_e, gives
 stiffness without torque there.
+
+The elbow has no range of motion: no stops, and no passive stiffness that grows towards the ends. A person's range is
+about 0 to 145 deg (from memory); the intentions of the suites stay between 0 and 90 deg.
 """
 
 from __future__ import annotations

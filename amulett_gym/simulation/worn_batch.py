@@ -14,7 +14,7 @@ from amulett_gym.profile import STABLE_STEP, Profile
 from amulett_gym.simulation import worn
 from amulett_gym.simulation.batch import Simulation, max_stiffness
 from amulett_gym.simulation.layout import LANES, Control, words, zeros
-from amulett_gym.simulation.worn_layout import PERSON, PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
+from amulett_gym.simulation.worn_layout import FITTING, PERSON, PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
 
 CABLE_STEP = 1.5
 """As `profile.STABLE_STEP` [rad]; less, since the loss of a cable is updated once in an integration step."""
@@ -68,7 +68,7 @@ class WornSimulation(Simulation):
         wearers = before if wearers is None else wearers
         if not (wearers["inertia"] > 0.0).all():
             raise AmulettError("a device has no wearer yet: its first reset needs wearers=")
-        self._check_step(scenarios, wearers, self.which[devices // LANES])
+        self._check_step(scenarios, wearers, devices)
         self._put_wearers(devices, wearers)
         try:
             super().reset(scenarios, devices, paths)
@@ -76,8 +76,9 @@ class WornSimulation(Simulation):
             self._put_wearers(devices, before)
             raise
 
-    def _check_step(self, scenarios: NDArray[np.void], wearers: NDArray[np.void], which: NDArray[np.int64]) -> None:
+    def _check_step(self, scenarios: NDArray[np.void], wearers: NDArray[np.void], devices: NDArray[np.int64]) -> None:
         """Refuse arms and cuffs that oscillate too fast for the integration step, or are damped too much."""
+        which = self.which[devices // LANES]
         fitting, strings = self.worn[0][which], self._stiffness[which]
         step = self.parameters["control_period"][which] / self.parameters["substeps"][which]
         inertias = scenarios["inertia"], wearers["inertia"]
@@ -92,21 +93,23 @@ class WornSimulation(Simulation):
             how += "" if swing[worst] == most[worst] else f"{slowing[worst]:.3g} time constants"
             least = int(np.ceil(self.parameters["substeps"][which[worst]] * most[worst] / STABLE_STEP))
             raise AmulettError(
-                f"wearer {worst}: with 'wearer.cuff.stiffness' {cuff[0][worst]:g} N m/rad, 'wearer.cuff.damping' "
-                f"{cuff[1][worst]:g} N m s/rad, and up to {STIFFNESS * active[worst]:.3g} N m/rad of the muscles (tone "
-                f"and strength) on {wearers['inertia'][worst]:.3g} kg m2, the worn arm {how} in an integration step of "
+                f"{self._who(devices[worst])}: with 'wearer.cuff.stiffness' {cuff[0][worst]:g} N m/rad, "
+                f"'wearer.cuff.damping' {cuff[1][worst]:g} N m s/rad, and up to "
+                f"{STIFFNESS * active[worst]:.3g} N m/rad of the muscles (tone and strength) on "
+                f"{wearers['inertia'][worst]:.3g} kg m2, the worn arm {how} in an integration step of "
                 f"{step[worst]:g} s; at most {STABLE_STEP} can be computed: loop.substeps has to be at least {least}"
             )
-        self._check_cables(scenarios, fitting, strings, which)
+        self._check_cables(scenarios, fitting, strings, devices)
 
     def _check_cables(
-        self, scenarios: NDArray[np.void], fitting: Any, strings: NDArray[np.float64], which: NDArray[np.int64]
+        self, scenarios: NDArray[np.void], fitting: Any, strings: NDArray[np.float64], devices: NDArray[np.int64]
     ) -> None:
         """Refuse cables whose friction changes too fast for the integration step.
 
         What a cable leaves of a tension T is up to T exp(mu theta), and it changes by 2 T sinh(mu theta) where the
         motion turns. At the drive's side, this does not act on the joint.
         """
+        which = self.which[devices // LANES]
         bends = np.stack([fitting["bend_biceps"], fitting["bend_triceps"]])
         tension, radius = self.parameters["max_force"][which], self.parameters["joint_radius"][which]
         turning = tension * np.square(radius) / fitting["presliding"] * 2.0 * np.sinh(bends)
@@ -118,11 +121,15 @@ class WornSimulation(Simulation):
         if swing[worst] > CABLE_STEP:
             least = int(np.ceil(self.parameters["substeps"][which[worst]] * swing[worst] / CABLE_STEP))
             raise AmulettError(
-                f"wearer {worst}: with the friction of 'wearer.cable' (mu theta {bends[:, worst].max():.3g}) within a "
-                f"'presliding' of {fitting['presliding'][worst]:g} m the joint oscillates by {swing[worst]:.3g} rad in "
-                f"an integration step of {step[worst]:g} s; at most {CABLE_STEP} can be computed: loop.substeps has to "
-                f"be at least {least}"
+                f"{self._who(devices[worst])}: with the friction of 'wearer.cable' (mu theta "
+                f"{bends[:, worst].max():.3g}) within a 'presliding' of "
+                f"{fitting['presliding'][worst]:g} m the joint oscillates by {swing[worst]:.3g} rad in an "
+                f"integration step of {step[worst]:g} s; at most {CABLE_STEP} can be computed: loop.substeps has to be "
+                f"at least {least}"
             )
+
+    def _who(self, device: int) -> str:
+        return f"the device '{self.profile_of(device).name}', wearer {device}"
 
     def _settle(self, devices: NDArray[np.int64]) -> None:
         block, lane = np.divmod(devices, LANES)
@@ -174,12 +181,19 @@ class WornSimulation(Simulation):
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all data that an episode changes."""
-        return super().get_state() | {"wearers": self.worn[1].copy(), "worn": self.worn[2].copy()}
+        fittings, wearers, worn = (array.copy() for array in self.worn)
+        return super().get_state() | {"fittings": fittings, "wearers": wearers, "worn": worn}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Restore a snapshot of `get_state`; AmulettError if it is of another simulation or without wearers."""
+        """Restore a snapshot of `get_state`; AmulettError if it is of another simulation or another fitting."""
         if "worn" not in state:
             raise AmulettError("the snapshot has no wearers; it is of a device that is not worn")
+        own, others = self.worn[0], state["fittings"]
+        if own.shape == others.shape and (own != others).any():
+            differing = [name for name in FITTING.names or () if (own[name] != others[name]).any()]
+            raise AmulettError(
+                f"the snapshot's devices are worn otherwise: their group 'wearer' differs in {', '.join(differing)}"
+            )
         super().set_state(state)
         self.worn[1][...] = state["wearers"]
         self.worn[2][...] = state["worn"]

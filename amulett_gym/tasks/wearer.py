@@ -19,49 +19,6 @@ from amulett_gym.simulation.worn_layout import DELAY, PERSON, put_values
 _DIGITS = 9  # of angles in degrees and times: what is drawn is far coarser, so that packing loses nothing
 
 
-class Wearer(Group):
-    """A person's arm: by default a weak one. `POPULATION` has the sources of the ranges that persons are drawn from."""
-
-    mass: float = Field(default=70.0, ge=20, le=250, description="of the body [kg]")
-    height: float = Field(default=1.75, ge=1.0, le=2.5, description="of the body [m]")
-    tone: float = Field(default=0.5, ge=0.05, le=20, description="factor of the relaxed muscles' stiffness [1]")
-    strength: float = Field(
-        default=1.0, ge=0.05, le=20, description="factor of the stiffness and torque of the muscles' activation [1]"
-    )
-    rest_angle_deg: float = Field(
-        default=45.0,
-        ge=-180,
-        le=180,
-        description="posture in which the muscles of a guided wearer are in balance [deg]; else the intended one",
-    )
-    co_contraction: float = Field(
-        default=0.05, ge=0, le=1, description="activation of both muscles that is always there [1]"
-    )
-    reflex_delay: float = Field(default=0.05, ge=0, le=0.5, description="from an error to its answer [s]")
-    feedback_stiffness: float = Field(default=4.0, ge=0, le=500, description="of the delayed answer [N m/rad]")
-    feedback_damping: float = Field(default=0.4, ge=0, le=50, description="of the delayed answer [N m s/rad]")
-    correction_time: float = Field(
-        default=0.4, ge=0.01, le=1e6, description="in which a lasting error's answer is given once more [s]"
-    )
-    relaxation_time: float = Field(
-        default=0.8, ge=0.01, le=1e6, description="in which the wearer relaxes a correction that no error needs [s]"
-    )
-    anticipation: float = Field(
-        default=0.7, ge=0, le=2, description="share of the own inertia and friction that the wearer feeds forward [1]"
-    )
-    tremor_torque: float = Field(default=0.0, ge=0, le=10, description="standard deviation of the tremor [N m]")
-    tremor_frequency: float = Field(default=9.0, ge=1, le=20, description="of the tremor [Hz]")
-    payload_time: float = Field(
-        default=0.0, ge=0, le=1e6, description="from when on the scenario's payload is in the hand [s]"
-    )
-    guided: bool = Field(
-        default=False,
-        description="true: the scenario's moves are the device's setpoint instead of an intention, and the wearer is "
-        "relaxed: the co-contraction is all that the muscles do",
-    )
-    worn: bool = Field(default=True, description="false: the same arm outside the exoskeleton, to compare")
-
-
 class Quantity(NamedTuple):
     """A quantity in which wearers differ: drawn uniformly from a range, and from another one in the split `shifted`."""
 
@@ -178,6 +135,81 @@ def rounded(numbers: ArrayLike, digits: int) -> NDArray[np.float64]:
     return np.asarray(np.rint(np.asarray(numbers) * scale) / scale)
 
 
+def middle(name: str) -> float:
+    """Return the middle of a quantity's range in `POPULATION`."""
+    quantity = POPULATION[name]
+    return round(0.5 * (quantity.low + quantity.high), quantity.digits)
+
+
+_MASS = round(middle("body_mass_index") * middle("height") ** 2, 1)
+_STRENGTH = round(middle("relative_strength") * _MASS / _REFERENCE_MASS, 2)
+
+
+class Wearer(Group):
+    """A person's arm: by default that of the middle of `POPULATION`, which has sources and ranges."""
+
+    mass: float = Field(default=_MASS, ge=20, le=250, description="of the body [kg]")
+    height: float = Field(default=middle("height"), ge=1.0, le=2.5, description="of the body [m]")
+    tone: float = Field(
+        default=middle("tone"), ge=0.05, le=20, description="factor of the relaxed muscles' stiffness [1]"
+    )
+    strength: float = Field(
+        default=_STRENGTH,
+        ge=0.05,
+        le=20,
+        description="factor of the stiffness and torque of the muscles' activation [1]",
+    )
+    rest_angle_deg: float = Field(
+        default=middle("rest_angle_deg"),
+        ge=-180,
+        le=180,
+        description="posture in which the muscles of a guided wearer are in balance [deg]; else the intended one",
+    )
+    co_contraction: float = Field(
+        default=middle("co_contraction"), ge=0, le=1, description="activation of both muscles that is always there [1]"
+    )
+    reflex_delay: float = Field(
+        default=middle("reflex_delay"), ge=0, le=0.5, description="from an error to its answer [s]"
+    )
+    feedback_stiffness: float = Field(
+        default=middle("feedback_stiffness"), ge=0, le=500, description="of the delayed answer [N m/rad]"
+    )
+    feedback_damping: float = Field(
+        default=middle("feedback_damping"), ge=0, le=50, description="of the delayed answer [N m s/rad]"
+    )
+    correction_time: float = Field(
+        default=middle("correction_time"),
+        ge=0.01,
+        le=1e6,
+        description="in which a lasting error's answer is given once more [s]",
+    )
+    relaxation_time: float = Field(
+        default=middle("relaxation_time"),
+        ge=0.01,
+        le=1e6,
+        description="in which the wearer relaxes a correction that no error needs [s]",
+    )
+    anticipation: float = Field(
+        default=middle("anticipation"),
+        ge=0,
+        le=2,
+        description="share of the own inertia and friction that the wearer feeds forward [1]",
+    )
+    tremor_torque: float = Field(
+        default=middle("tremor_torque"), ge=0, le=10, description="standard deviation of the tremor [N m]"
+    )
+    tremor_frequency: float = Field(default=middle("tremor_frequency"), ge=1, le=20, description="of the tremor [Hz]")
+    payload_time: float = Field(
+        default=0.0, ge=0, le=1e6, description="from when on the scenario's payload is in the hand [s]"
+    )
+    guided: bool = Field(
+        default=False,
+        description="true: the scenario's moves are the device's setpoint instead of an intention, and the wearer is "
+        "relaxed: the co-contraction is all that the muscles do",
+    )
+    worn: bool = Field(default=True, description="false: the same arm outside the exoskeleton, to compare")
+
+
 def pack_wearer(
     wearer: Wearer, control_period: float, vertical: bool, payload_mass: float = 0.0, payload_arm: float = 0.0
 ) -> NDArray[np.void]:
@@ -203,10 +235,15 @@ def pack_wearers(
         Key of `Wearer` -> value, or values of shape (N,); a key that is left out has its default.
     control_period : float
         Of the device [s]; reflex delay and time of the payload are rounded to it.
-    vertical : bool or ndarray of bool
+    vertical : bool or ndarray of bool, shape (N,)
         Whether gravity acts on the arm.
-    payload_mass, payload_arm : float or ndarray
+    payload_mass, payload_arm : float or ndarray, shape (N,)
         A point mass [kg] and its distance from the elbow [m].
+
+    Returns
+    -------
+    ndarray of PERSON, shape (N,)
+        A single value, of any of the arguments, counts for all; if all are single, N is 1.
 
     Raises
     ------
@@ -214,7 +251,7 @@ def pack_wearers(
         If a reflex delay has too many control ticks.
     """
     values = {key: np.atleast_1d(value) for key, value in (dict(Wearer()) | dict(people)).items()}
-    delay = np.rint(values["reflex_delay"] / control_period)
+    delay = reflex_ticks(values["reflex_delay"], control_period)
     if delay.max(initial=0) >= DELAY:
         worst = int(np.argmax(delay))
         raise AmulettError(
@@ -222,7 +259,8 @@ def pack_wearers(
             f"of the device; at most {(DELAY - 1) * control_period:g} s are possible"
         )
     mass, centre, inertia = forearm(values["mass"], values["height"])
-    packed = np.zeros(np.broadcast_shapes(*(value.shape for value in values.values())), dtype=PERSON)
+    others = (np.shape(value) for value in (vertical, payload_mass, payload_arm))
+    packed = np.zeros(np.broadcast_shapes(*(value.shape for value in values.values()), *others), dtype=PERSON)
     put_values(packed, values)
     packed["inertia"], packed["load_inertia"] = inertia, payload_mass * np.square(payload_arm)
     packed["weight"] = np.where(vertical, GRAVITY * mass * centre, 0.0)
@@ -231,6 +269,11 @@ def pack_wearers(
     packed["load_tick"] = np.rint(values["payload_time"] / control_period)
     packed["delay"] = delay
     return packed
+
+
+def reflex_ticks(delay: ArrayLike, control_period: float) -> NDArray[np.float64]:
+    """Return the control ticks of reflex delays [s]."""
+    return np.asarray(np.rint(np.asarray(delay) / control_period))
 
 
 def unpack_wearer(record: NDArray[np.void] | np.void, control_period: float) -> Wearer:

@@ -167,6 +167,38 @@ def test_snapshots_continue_alike_and_are_refused_elsewhere():
         other.set_state(bare.get_state())
 
 
+def test_a_snapshot_of_another_fitting_is_refused():
+    softer = {"base": "worn", "name": "worn", "wearer": {"cuff": {"stiffness": 60.0}}}
+    env, other = (gym.make(WORN_ID, profile=profile).unwrapped for profile in ("worn", softer))
+    for each in (env, other):
+        each.reset(seed=0)
+    before = other.get_state()["episodes"]["simulation"]["worn"]
+    with pytest.raises(AmulettError, match="group 'wearer' differs in stiffness$"):
+        other.set_state(env.get_state())
+    assert np.array_equal(other.get_state()["episodes"]["simulation"]["worn"], before)
+
+
+@pytest.mark.parametrize(("split", "least"), [("train", "0.00055"), ("shifted", "0.00087")])
+def test_periods_that_are_too_short_for_a_reflex_are_refused(split, least):
+    def device(period):
+        return {"base": "worn", "name": "fast", "loop": {"control_period": period}}
+
+    with pytest.raises(AmulettError, match=rf"'fast' has a loop.control_period of 0.0005 s.*at least {least} s"):
+        gym.make(WORN_ID, profile=device(5e-4), split=split)
+    allowed = {"train": 0.000625, "shifted": 0.001}[split]
+    env = gym.make_vec(WORN_ID, num_envs=64, profile=device(allowed), split=split)
+    env.reset(seed=0)
+    with pytest.raises(AmulettError, match=r"'fast' of the fleet|'fast' has a loop.control_period"):
+        gym.make(WORN_ID, fleet=["worn", device(5e-4)], split=split)
+
+
+def test_errors_of_a_fleet_name_device_and_wearer():
+    stiff = {"base": "worn", "name": "stiff", "loop": {"substeps": 1}, "wearer": {"cuff": {"stiffness": 10_000.0}}}
+    env = gym.make_vec(WORN_ID, num_envs=16, fleet=["worn", stiff])
+    with pytest.raises(AmulettError, match=r"^the device 'stiff', wearer (8|9|1\d): with 'wearer.cuff.stiffness' 1"):
+        env.reset(seed=0, options={"device": ["worn"] * 8 + ["stiff"] * 8})
+
+
 def test_threads_and_batches_change_no_bit():
     actions = np.random.default_rng(1).uniform(-1, 1, (30, 40, 2)).astype(np.float32)
     found = []
@@ -215,8 +247,8 @@ def test_a_frame_shows_the_device():
         ({"suite": "steps"}, "unknown suite 'steps'.*assembly"),
         ({"control": "decentralized"}, "feeds the co-contraction forward.*equilibrium-point"),
         ({"control": "drives"}, "unknown control 'drives'"),
-        ({"track": "full-control"}, "no track 'full-control'"),
-        ({"privileged": True}, "no privileged observations"),
+        ({"track": "full-control"}, "leave track out"),
+        ({"privileged": True}, "leave privileged out"),
         ({"reward_weights": {"position": 1.0}}, "unknown reward weight 'position'.*muscle"),
         ({"profil": "worn"}, "profil"),
     ],
@@ -259,7 +291,7 @@ def test_laws_and_bundles_of_other_environments_are_refused_and_functions_act():
 
 def test_comparisons_refuse_the_environment():
     mine = Own("mine", act=lambda observations: np.zeros((len(observations), 2)), env_id=WORN_ID)
-    with pytest.raises(AmulettError, match="'mine', which acts there alone, is not possible in Amulett/Worn-v0"):
+    with pytest.raises(AmulettError, match="'mine', which acts there alone, cannot be done in Amulett/Worn-v0"):
         evaluate([mine], episodes=2)
     with pytest.raises(AmulettError, match="not possible in Amulett/Worn-v0"):
         evaluate(["eq6"], episodes=2, env_id=WORN_ID)
@@ -276,7 +308,7 @@ def test_a_reset_that_fails_leaves_the_old_episode_with_its_wearer():
 
 
 def test_bare_environments_refuse_worn_suites_and_wearers():
-    with pytest.raises(AmulettError, match="unknown suite 'assembly'"):
+    with pytest.raises(AmulettError, match=r"'assembly' is a suite of Amulett/Worn-v0.*'amulett wearer'"):
         gym.make(ENV_IDS[0], suite="assembly")
     env = gym.make(ENV_IDS[0]).unwrapped
     with pytest.raises(AmulettError, match="wearer"):

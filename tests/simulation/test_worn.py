@@ -32,6 +32,7 @@ REACH = Scenario(
 )
 REST = Scenario(initial_angle_deg=30, noise_seed=3)
 PERIOD = 0.0025
+STILL = Wearer(tremor_torque=0.0)
 
 
 def device_of(substeps: int = 4, changes: dict[str, Any] | None = None, **fitting: Any) -> Profile:
@@ -63,7 +64,7 @@ def deviations(profile: Profile, wearer: Wearer, ticks: int) -> dict[str, float]
     ("wearer", "changes"),
     [
         (Wearer(), {}),
-        (Wearer(mass=95, height=1.9, strength=1.6, reflex_delay=0.03, tremor_torque=0.2), {}),
+        (Wearer(mass=95, height=1.9, strength=1.6, reflex_delay=0.03, co_contraction=0.05, tremor_torque=0.2), {}),
         (Wearer(worn=False, co_contraction=0.2, tone=0.4, rest_angle_deg=30), {}),
         (Wearer(guided=True, tone=0.3), {}),
         (Wearer(), {"plant": {"orientation": "vertical"}}),
@@ -105,6 +106,24 @@ def test_cables_before_the_springs_change_nothing_but_the_drives_load() -> None:
     assert np.abs(before["angle"] - without["angle"]).max() > 2e-5
 
 
+def test_drive_work_counts_the_friction_of_cables_at_the_drives() -> None:
+    changes = {"drives": {"stall_torque": 0.6}}
+    simulation = worn(device_of(changes=changes, cable={"friction": 0.3, "side": "drive"}), Wearer())
+    radius = simulation.profile.plant.drive_pulley_radius
+    work = against_springs = 0.0
+    for _ in range(400):
+        before = {name: float(value) for name, value in simulation.live(0).items() if name[:5] in ("drive", "force")}
+        simulation.advance(1)
+        after = simulation.live(0)
+        for side, sign in (("biceps", 1.0), ("triceps", -1.0)):
+            force = 0.5 * (before[f"force_{side}"] + after[f"force_{side}"])
+            done = max(radius * force * sign * (after[f"drive_{side}"] - before[f"drive_{side}"]), 0.0)
+            against_springs += done
+            work += done / (1.0 - after[f"loss_{side}"])
+    assert simulation.read("drive_work")[0] == pytest.approx(work, rel=1e-9)
+    assert work > 1.2 * against_springs > 0.0
+
+
 def test_loose_cuff_converges_to_the_reference() -> None:
     found = deviations(device_of(16, cuff={"slack_deg": 4.0}), Wearer(), 400)
     assert found["angle"] < 1e-4  # the padding's damper acts at once when it is touched
@@ -129,7 +148,7 @@ def test_without_a_cuff_device_and_arm_know_nothing_of_each_other() -> None:
 
 
 def test_stiff_cuff_makes_one_rigid_body() -> None:
-    profile, wearer = device_of(40, cuff={"stiffness": 10_000.0, "damping": 5.0}), Wearer()
+    profile, wearer = device_of(40, cuff={"stiffness": 10_000.0, "damping": 5.0}), STILL
     trajectory = record(worn(profile, wearer), 300)
     expected = one_body(profile, wearer, trajectory)
     assert np.abs(trajectory["angle"] - trajectory["elbow"]).max() < 1e-4
@@ -167,7 +186,8 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
     profile = device_of(
         8, changes={"loop": HELD_DRIVES}, cuff={"stiffness": 80.0, "damping": 0.5}, admittance={"rest_gain": 0.0}
     )
-    wearer = Wearer(tone=1.0, co_contraction=0.0, feedback_stiffness=0.0, feedback_damping=0.0, anticipation=0.0)
+    passive = {"co_contraction": 0.0, "feedback_stiffness": 0.0, "feedback_damping": 0.0, "anticipation": 0.0}
+    wearer = Wearer(tone=1.0, strength=1.0, tremor_torque=0.0, **passive)
     push = Scenario(pushes=[{"time": 0.0, "duration": 0.2, "torque": 1.0}], noise_seed=1)
     simulation = worn(profile, wearer, push)
     simulation.assist(0.0)
@@ -201,7 +221,7 @@ def test_energy_is_lost_to_the_dampers_alone() -> None:
 
 
 def test_reflex_answers_after_its_delay() -> None:
-    wearer = Wearer(reflex_delay=0.05, worn=False)
+    wearer = Wearer(reflex_delay=0.05, worn=False, tremor_torque=0.0)
     push = Scenario(initial_angle_deg=45, pushes=[{"time": 0.1, "duration": 0.5, "torque": 1.0}], noise_seed=1)
     t = record(worn(device_of(), wearer, push), 100)
     moved = np.flatnonzero(t["elbow"] != t["elbow"][0])[0]

@@ -108,6 +108,27 @@ def test_packing_keeps_a_wearer(
     assert abs(again.payload_time - when) <= 0.5001 * PERIOD
 
 
+def test_the_default_wearer_is_the_middle_of_the_population() -> None:
+    wearer = Wearer()
+    for name in POPULATION.keys() & Wearer.model_fields.keys():
+        quantity = POPULATION[name]
+        assert getattr(wearer, name) == pytest.approx(0.5 * (quantity.low + quantity.high), abs=10.0**-quantity.digits)
+    index, strength = wearer.mass / wearer.height**2, wearer.strength * 70.0 / wearer.mass
+    assert index == pytest.approx(24.5, abs=0.05) and strength == pytest.approx(2.5, abs=0.01)
+    for name, values in DRAWN[False].items():
+        if name in Wearer.model_fields:
+            assert values.min() < getattr(wearer, name) < values.max()
+
+
+def test_single_values_count_for_all_wearers() -> None:
+    verticals, arms = (True, False, True), (0.1, 0.2, 0.3)
+    packed = pack_wearers({"mass": 80.0}, PERIOD, verticals, 0.2, arms)
+    assert packed.shape == (3,)
+    for record, vertical, arm in zip(packed, verticals, arms, strict=True):
+        assert pack_wearer(Wearer(mass=80.0), PERIOD, vertical, 0.2, arm)[0] == record
+    assert pack_wearers({}, PERIOD, False).shape == (1,)
+
+
 def test_many_are_packed_as_one_by_one() -> None:
     people = {name: values[:20] for name, values in DRAWN[False].items() if name in Wearer.model_fields}
     vertical = np.arange(20) % 2 == 0
