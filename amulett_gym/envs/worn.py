@@ -108,8 +108,8 @@ class WornEnv(TensionEnv):
     ## Starting State
 
     Device and wearer at rest in the scenario's initial posture. A scenario's key `wearer` says who wears the device;
-    without it, that is the default :class:`amulett_gym.tasks.wearer.Wearer`, the middle of the population. A scenario with an
-    obstacle is refused. A scenario has the divisors of the environment's suite.
+    without it, that is the default :class:`amulett_gym.tasks.wearer.Wearer`, the middle of the population. A scenario
+    with an obstacle is refused. A scenario has the divisors of the environment's suite.
 
     ## Episode End
 

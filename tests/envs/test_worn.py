@@ -293,7 +293,7 @@ def test_comparisons_refuse_the_environment():
     mine = Own("mine", act=lambda observations: np.zeros((len(observations), 2)), env_id=WORN_ID)
     with pytest.raises(AmulettError, match="'mine', which acts there alone, cannot be done in Amulett/Worn-v0"):
         evaluate([mine], episodes=2)
-    with pytest.raises(AmulettError, match="not possible in Amulett/Worn-v0"):
+    with pytest.raises(AmulettError, match="cannot be done in Amulett/Worn-v0"):
         evaluate(["eq6"], episodes=2, env_id=WORN_ID)
 
 
