@@ -77,8 +77,11 @@ class Cloned:
         From which it learned.
     recorded_return : float
         Mean return of the recorded episodes.
-    tension_error : float
-        Root mean square difference of its tension setpoint from the recorded one, in episodes kept apart [N].
+    split : str
+        Of the recorded scenarios.
+    errors : dict of str to float
+        Root mean square differences of its actions from the recorded ones, in episodes kept apart: ``tension`` [N],
+        and where there is one ``mean_drive_angle`` [deg] or ``assistance`` [1].
     """
 
     folder: Path
@@ -87,7 +90,8 @@ class Cloned:
     episodes: int
     steps: int
     recorded_return: float
-    tension_error: float
+    split: str
+    errors: dict[str, float]
 
 
 def clone(
@@ -139,9 +143,8 @@ def clone(
         layers = _fit(_joined(inputs, learned), _joined(data.actions, learned), settings, bar)
     description = _describe(data, layers, settings.memory)
     chosen = forward(layers, description.network, _joined(inputs, sorted(apart)))
-    entry = 0 if description.is_worn else -1
-    errors = (chosen - _joined(data.actions, sorted(apart)))[:, entry].astype(np.float64)
-    low, high = description.tension_range
+    differences = chosen.astype(np.float64) - _joined(data.actions, sorted(apart))
+    errors = dict(zip(_units(description), np.sqrt(np.mean(differences**2, axis=0)).tolist(), strict=True))
     found = Cloned(
         folder=user_path(out),
         dataset=data.name,
@@ -149,7 +152,8 @@ def clone(
         episodes=len(learned),
         steps=sum(len(data.actions[index]) for index in learned),
         recorded_return=data.mean_return,
-        tension_error=0.5 * (high - low) * float(np.sqrt(np.mean(errors**2))),
+        split=data.settings.split,
+        errors={name: unit * errors[name] for name, unit in _units(description).items()},
     )
     about = {
         "algorithm": "behaviour cloning",
@@ -163,7 +167,7 @@ def clone(
     }
     limit = (
         f"It imitates {', '.join(data.policies)} in states that these came to, by the data set {data.name}; its "
-        f"tension setpoint differs from theirs by {found.tension_error:.2g} N (root mean square)."
+        f"tension setpoint differs from theirs by {found.errors['tension']:.2g} N (root mean square)."
     )
     write_bundle(out, layers, description, data.env, about, model_card(description, data.env, about, [limit]))
     return found
@@ -234,6 +238,16 @@ def _describe(data: Demonstrations, layers: Layers, memory: bool) -> PolicyDescr
         mean_angle_range=settings.mean_angle_deg,
         agent_period=settings.agent_period,
     )
+
+
+def _units(description: PolicyDescription) -> dict[str, float]:
+    """Return, for each entry of an action in order, its name and what a difference of 1 stands for."""
+    low, high = description.tension_range
+    tension = {"tension": 0.5 * (high - low)}
+    if description.is_worn:
+        return {**tension, "assistance": 0.5}
+    angle = description.mean_angle_range
+    return tension if angle is None else {"mean_drive_angle": angle, **tension}
 
 
 def _sizes(layers: Layers) -> list[int]:

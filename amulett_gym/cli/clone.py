@@ -15,6 +15,8 @@ EXAMPLES = """  amulett clone amulett/scaling/mixed-eq6-held-v0 --out runs/clone
   amulett evaluate --policies eq6-held runs/clone --suite mixed
 """
 
+_UNITS = {"tension": " N", "mean_drive_angle": " deg", "assistance": ""}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
@@ -39,6 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_installed()
     from dataclasses import asdict
 
+    from amulett_gym.evaluation.remarks import print_remarks
     from amulett_gym.storage.provenance import process_words
 
     cloning = load_learning("cloning")
@@ -51,12 +54,16 @@ def run(arguments: argparse.Namespace) -> int:
         progress=True,
         command=process_words(),
     )
+    if found.split != "train":
+        advice = "evaluate the clone in another split, or record with --split train"
+        print_remarks([f"the recorded scenarios are of the split {found.split}; {advice}"])
     if arguments.json:
         print_json(asdict(found))
         return 0
     show = printer(arguments)
     show(f"Imitated: {', '.join(found.policies)}; mean return of the recorded episodes {found.recorded_return:.3f}")
     show(f"Learned from {found.episodes:,} episodes, {found.steps:,} steps")
-    show(f"Difference of the tension setpoint in other episodes: {found.tension_error:.3f} N (root mean square)")
+    errors = ", ".join(f"{name.replace('_', ' ')} {error:.3g}{_UNITS[name]}" for name, error in found.errors.items())
+    show(f"Difference of its actions in other episodes (root mean square): {errors}")
     show(f"Written: {found.folder}")
     return 0

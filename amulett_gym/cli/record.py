@@ -58,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_minari()
     from dataclasses import asdict
 
+    from amulett_gym import DRIVES_ID, WORN_ID
     from amulett_gym.datasets.playing import Random
     from amulett_gym.datasets.recording import record_dataset
     from amulett_gym.evaluation.remarks import loop_remarks, print_remarks
@@ -65,7 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     names, env_id = list(dict.fromkeys(arguments.policies)), arguments.env_id.removeprefix("amulett_gym:")
     contenders = [Random(RANDOM) if name == RANDOM else _named(name, env_id, arguments.trust_pickle) for name in names]
-    print_remarks(loop_remarks(contenders))
+    if env_id not in (DRIVES_ID, WORN_ID):  # there, every policy has a loop of its own, or none
+        print_remarks(loop_remarks(contenders))
     given = {key: getattr(arguments, key) for key in ("profile", "fleet", "suite", "split")}
     found = record_dataset(
         contenders,

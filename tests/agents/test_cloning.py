@@ -48,10 +48,11 @@ def data(monkeypatch):
     return use
 
 
+@pytest.mark.slow
 def test_a_clone_costs_what_its_model_costs(data, tmp_path):
     data(parse_contender("eq6-held"), episodes=100, duration=10.0, suite="mixed")
     found = clone("x", tmp_path / "clone", CloneSettings(gradient_steps=1500))
-    assert found.tension_error < 0.15 and (found.episodes, found.steps) == (90, 45_000)
+    assert found.errors["tension"] < 0.15 and (found.episodes, found.steps) == (90, 45_000)
     results = evaluate(["eq6-held", str(found.folder)], "mixed", episodes=60)
     model, own = (results.values[name]["cost"].mean() for name in ("eq6-held", str(found.folder)))
     assert own == pytest.approx(model, rel=0.02)
@@ -126,6 +127,26 @@ def test_a_policy_in_the_folder_is_kept_unless_it_is_to_be_replaced(data, tmp_pa
         clone("x", tmp_path / "other", few, overwrite=True)
 
 
+@pytest.mark.parametrize(
+    ("contender", "env_id", "names"),
+    [
+        (Own("both", act=both), DRIVES_ID, ["mean_drive_angle", "tension"]),
+        (Random("random"), WORN_ID, ["tension", "assistance"]),
+    ],
+)
+def test_errors_are_those_of_the_actions_in_the_episodes_kept_apart(contender, env_id, names, data, tmp_path):
+    found = data(contender, env_id)
+    cloned = clone("x", tmp_path / "clone", CloneSettings(gradient_steps=20, hidden=[8]))
+    assert list(cloned.errors) == names
+    bundle = read_bundle(cloned.folder)
+    inputs = cloning._inputs(found, memory=False)
+    differences = np.concatenate([bundle.act(inputs[k]).astype(float) - found.actions[k] for k in (9, 19)])
+    low, high = found.settings.tension_range
+    scales = {"tension": (high - low) / 2, "assistance": 0.5, "mean_drive_angle": found.settings.mean_angle_deg}
+    for name, column in zip(names, differences.T, strict=True):
+        assert cloned.errors[name] == pytest.approx(scales[name] * np.sqrt(np.mean(column**2)))
+
+
 def test_one_episode_is_too_few(data, tmp_path):
     data(parse_contender("eq6-held"), episodes=1)
     with pytest.raises(AmulettError, match="has 1 episode; cloning needs 2"):
@@ -157,4 +178,9 @@ def test_the_commands_record_and_clone(tmp_path, monkeypatch, capsys):
     assert cloned["policies"] == {"eq6-held": 3} and cloned["episodes"] == 2
     assert main([*words.split(), "--overwrite"]) == 0
     assert "Written: clone" in capsys.readouterr().out
+    words = "record --policies eq6-held --episodes 2 --duration 0.5 --split held-out --name amulett/held-v0"
+    assert main(words.split()) == 0
+    assert main(["clone", "amulett/held-v0", "--steps", "10", "--out", "held"]) == 0
+    assert "are of the split held-out; evaluate the clone in another split" in capsys.readouterr().err
+    words = f"clone {recorded['name']} --policy eq6-held --steps 10 --out clone"
     assert main([*words.split()]) == 2 and "--overwrite" in capsys.readouterr().err
