@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Record the episodes, and print what the data set holds."""
     check_least(arguments, episodes=1, seed=0)
     check_seconds(arguments, "duration")
-    from amulett_gym.datasets.files import check_minari
+    from amulett_gym.datasets.files import check_minari, datasets_folder
 
     check_minari()
     from dataclasses import asdict
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name, each in found.policies.items()
     ]
     show(Table("", ("policy", "episodes", "mean return", "failures"), rows, left=(0,)).text())
-    show(f"Written: {found.name}, {found.steps:,} steps, in {found.folder}")
+    show(f"Written: {found.name}, {found.steps:,} steps, in {arguments.out or datasets_folder()}")
     return 0
 
 

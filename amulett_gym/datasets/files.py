@@ -49,13 +49,16 @@ def check_name(name: str) -> str:
 
 
 def datasets_folder(root: str | Path | None = None) -> Path:
-    """Return the folder of all data sets: `root`, or else what MINARI_DATASETS_PATH names, or else Minari's own."""
+    """Return the folder of all data sets: `root`, or else what MINARI_DATASETS_PATH names, or else Minari's own.
+
+    It is absolute: Minari cannot write to a relative one.
+    """
     from minari.storage import get_dataset_path
 
     if root is not None:
-        return user_path(root)
+        return user_path(root).absolute()
     try:
-        return get_dataset_path()
+        return get_dataset_path().absolute()
     except OSError as error:
         raise AmulettError(
             f"cannot make the folder of data sets '{error.filename}': {error.strerror}; choose another with --out or "
@@ -180,7 +183,8 @@ def open_dataset(name: str, root: str | Path | None = None) -> Any:
     check_minari()
     import minari
 
-    place = user_path(name) if (user_path(name) / _DATA).is_dir() else datasets_folder(root) / name
+    own = user_path(name).absolute()
+    place = own if (own / _DATA).is_dir() else datasets_folder(root) / name
     if not (place / _DATA).is_dir():
         folder = datasets_folder(root)
         known = sorted(

@@ -181,6 +181,15 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
         record(root=tmp_path / "file" / "below")
 
 
+@pytest.mark.parametrize("by_option", [True, False])
+def test_folders_may_be_relative(by_option, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", "somewhere" if by_option else "data")
+    found = record(root="data" if by_option else None)
+    assert found.folder == tmp_path / "data" / found.name
+    assert read_demonstrations(f"data/{found.name}").name == found.name
+
+
 def test_data_sets_are_found_by_name_and_by_folder(root, tmp_path):
     found, elsewhere = record(), record(root=tmp_path / "other", name="other/mine-v0")
     assert datasets_folder() == root
