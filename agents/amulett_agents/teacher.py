@@ -32,6 +32,9 @@ _SHARES = (1.0, 0.3)
 _EVERY = 3
 """Agent steps between two samples of an episode: neighbours are alike."""
 
+_CORRECTS = 0.05
+"""Measured torque on the cuff that counts as one by which the wearer corrects the device's place [N m]."""
+
 _CHUNK = 50
 """Agent steps, or gradient steps, between two reports of progress."""
 
@@ -105,9 +108,19 @@ def teacher_actions(
     moves = np.abs(np.degrees(episodes.simulation.read_worn("intention_rate"))) > settings.moving_speed
     low, high = tension_range
     tensions = np.where(moves, settings.moving_tension, settings.holding_tension)
+    assists = moves if settings.correction is None else moves | _corrects(settings.correction, episodes)
     full = 1.0 + settings.assistance_margin
-    named = [tension_to_action(tensions, (low, high)), np.where(moves, full, -full)]
+    named = [tension_to_action(tensions, (low, high)), np.where(assists, full, -full)]
     return np.stack(named, axis=1).astype(np.float32)
+
+
+def _corrects(distance: float, episodes: WornEpisodes) -> NDArray[np.bool_]:
+    """Return whether the cuff's torque would move setpoints to the intentions, from which they are far [deg]."""
+    read = episodes.simulation.read_worn
+    missing = read("intention") - episodes.simulation.read("setpoint")
+    far = np.abs(np.degrees(missing)) > distance
+    corrects: NDArray[np.bool_] = far & (np.sign(missing) * read("measured_cuff") > _CORRECTS)
+    return corrects
 
 
 def _imitate(

@@ -10,7 +10,8 @@ from amulett_gym.settings import Group
 class TeacherSettings(Group):
     """A teacher that knows when the wearer's intention moves, which no device measures.
 
-    While it moves, the teacher assists fully; while it rests, the device keeps its place.
+    While it moves, the teacher assists fully; while it rests, the device keeps its place, unless that is wrong and the
+    wearer would correct it.
     """
 
     moving_tension: float = Field(1.0, ge=0, le=1e6, description="teacher's co-contraction in movements [N]")
@@ -22,6 +23,13 @@ class TeacherSettings(Group):
         le=10,
         description="distance of the assistance's action, which is then clipped, beyond the ends of its range: a "
         "policy that imitates it roughly still has exactly none at rest [1]",
+    )
+    correction: float | None = Field(
+        None,
+        gt=0,
+        le=180,
+        description="distance of the setpoint from the intention beyond which the teacher assists at rest, too, while "
+        "the cuff's torque moves the setpoint there; null: never [deg]",
     )
     rounds: int = Field(
         5, ge=1, le=100, description="rounds of playing and imitating; the teacher acts in the first [1]"

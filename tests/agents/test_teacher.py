@@ -56,6 +56,28 @@ def test_imitation_is_better_than_the_constant_that_it_replaces():
     assert costs[1] < 0.9 * costs[0]
 
 
+def test_a_correcting_teacher_assists_at_rest_where_the_wearer_pushes_the_device_to_its_place():
+    scenario = {"initial_angle_deg": 40.0, "pushes": [{"time": 0.5, "duration": 2.0, "torque": 0.8, "rise": 0.1}]}
+    env = gym.make_vec(WORN, num_envs=1, control="co-rotation")
+    env.reset(seed=0, options={"scenario": scenario})
+    plain, correcting = TeacherSettings(), TeacherSettings(correction=1.0)
+    simulation, assisted = env.unwrapped.episodes.simulation, []
+    for step in range(200):
+        # The device gives way to the push for 0.1 s, and then has a wrong place.
+        env.step(np.float32([[0.5, 1.0 if 30 <= step < 35 else -1.0]]))
+        missing = np.degrees(simulation.read_worn("intention") - simulation.read("setpoint"))[0]
+        torque = simulation.read_worn("measured_cuff")[0]
+        assert teacher_actions(plain, env, [0.0, 15.0])[0, 1] == -1.0
+        acts = teacher_actions(correcting, env, [0.0, 15.0])[0, 1] == 1.0
+        assert acts == (abs(missing) > 1.0 and missing * torque > 0.05 * abs(missing))
+        assisted.append((step, acts, missing, torque))
+    env.close()
+    # Not while the tool pushes it farther away, but when it stops.
+    pushed = [acts for step, acts, missing, _ in assisted if 40 < step < 120 and abs(missing) > 1.0]
+    assert pushed and not any(pushed)
+    assert any(acts for step, acts, *_ in assisted if step > 125)
+
+
 def test_a_margin_lets_the_policy_reach_the_ends_of_the_assistance():
     """An imitated end of the range is missed by some error, which a margin beyond it clips."""
     shares = []

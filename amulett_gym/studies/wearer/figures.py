@@ -12,8 +12,10 @@ from amulett_gym.studies.wearer.results import Content
 
 CAPTIONS = {
     "wearer_headroom": "Cost over that of the same wearers without the device, per suite and loop: the best constant, "
-    "two assistances, or two levels of both, by the true intention, and a clairvoyant. Lines: 95 % intervals.",
-    "wearer_ratios": "Each held-out wearer's cost over that without the device, from the best off to the worst.",
+    "two assistances, or two levels of both, by the true intention, and a clairvoyant, on the first of the wearers. "
+    "Lines: 95 % intervals.",
+    "wearer_ratios": "Each held-out wearer's cost over that without the device, from the best off to the worst. "
+    "Dashed: schedules by the true intention; dash-dotted: learned policies.",
 }
 
 _KINDS = {"constant": style.GREY, TWO_ASSISTANCES: style.SKY, TWO_LEVEL: style.BLUE, "clairvoyant": style.GREEN}
@@ -37,8 +39,12 @@ def headroom_figure(found: Content) -> Figure:
         ends = np.array([[ratio["low"], ratio["high"]] for ratio in ratios], dtype=float).T
         panel.errorbar(means, places, xerr=np.abs(ends - means), fmt="o", markersize=4, color=colour, label=name)
     panel.axvline(1.0, color=style.BLACK, linewidth=0.8)
+    suites = [cell["suite"] for cell in cells]
+    for k in (k for k in range(1, len(cells)) if suites[k] != suites[k - 1]):
+        panel.axhline(k - 0.5, color=style.BLACK, linewidth=0.8)
     panel.set_yticks(range(len(cells)), [f"{cell['suite']}, {cell['control']}" for cell in cells])
-    panel.invert_yaxis()
+    panel.grid(False, axis="y")
+    panel.set_ylim(len(cells) - 0.5, -0.5)
     panel.set_xlabel("cost / doffed")
     style.legend_beside(panel)
     return figure
@@ -51,7 +57,7 @@ def ratios_figure(found: Content) -> Figure:
     rows = {name: row for name, row in found["comparison"].items() if name != DOFFED}
     for k, (name, row) in enumerate(rows.items()):
         ratios = np.sort(row["cost_ratios"])
-        line = "--" if name in BY_INTENTION else "-"
+        line = "--" if name in BY_INTENTION else "-." if name in found["policies"] else "-"
         shares = 100.0 * (np.arange(ratios.size) + 0.5) / ratios.size
         panel.plot(shares, ratios, line, color=_COLOURS[k % len(_COLOURS)], label=name)
     panel.axhline(1.0, color=style.BLACK, linewidth=0.8)
