@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from amulett_gym.laws.policies import load_policy as load_policy
 
 __version__ = "0.1.0"
-__all__ = ["ENV_IDS", "__version__", "load_policy"]
+__all__ = ["ENV_IDS", "FAILURES", "__version__", "load_policy"]
 
 ENV_IDS = ("Amulett/Scaling-v0", "Amulett/Tension-v0", "Amulett/Drives-v0", "Amulett/Worn-v0")
 """Ids registered with Gymnasium when this package is imported."""
@@ -20,6 +20,9 @@ DRIVES_ID = ENV_IDS[2]
 
 WORN_ID = ENV_IDS[3]
 """The environment in which the device is worn, whose action has an assistance, too."""
+
+FAILURES = ("", "joint angle limit", "joint velocity limit", "state is not finite")
+"""Why an episode was terminated, by the number ``info["failure"]``; 0: it was not."""
 
 _ENTRY_POINTS = (
     ("single:ScalingEnv", "vector:ScalingVectorEnv"),

@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
 from amulett_gym.envs.episodes import checked_options
+from amulett_gym.envs.reward import TERM_KEY
 from amulett_gym.envs.single import RESET_OPTIONS
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError, unknown
@@ -88,7 +89,7 @@ class SB3VecEnv(VecEnv):
         """Start an episode with all devices; return the observations, shape (num_envs, 13)."""
         seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
         observations, info = self.venv.reset(seed=seeds, options=self._common_options())
-        self._terms = {name: np.zeros(self.num_envs) for name in info["reward_terms"]}
+        self._terms = {name: np.zeros(self.num_envs) for name in self.venv.episodes.terms}
         self._returns[:], self._lengths[:] = 0.0, 0
         self.reset_infos = pick(info, np.arange(self.num_envs))
         self._reset_seeds()
@@ -110,8 +111,8 @@ class SB3VecEnv(VecEnv):
         if not self._terms:
             raise gym.error.ResetNeeded("call reset() before step()")
         observations, rewards, terminated, truncated, info = self.venv.step(self._actions)
-        for name, term in info["reward_terms"].items():
-            self._terms[name] += term
+        for name, total in self._terms.items():
+            total += info[TERM_KEY.format(name)]
         self._returns += rewards
         self._lengths += 1
         dones = terminated | truncated
@@ -254,5 +255,6 @@ def _single_spec(spec: EnvSpec | None) -> EnvSpec | None:
 
 def pick(info: dict[str, Any], devices: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Return the given devices' infos, in the single environment's form, from a vector environment's info."""
-    columns = [pick(value, devices) if isinstance(value, dict) else value[devices].tolist() for value in info.values()]
-    return [dict(zip(info, row, strict=True)) for row in zip(*columns, strict=True)]
+    keys = [key for key in info if not key.startswith("_")]  # without the masks
+    columns = [pick(info[key], devices) if isinstance(info[key], dict) else info[key][devices].tolist() for key in keys]
+    return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]

@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 from amulett_agents.bundles import describe_policy
 from amulett_agents.config import TrainConfig
 from amulett_agents.model import Model
+from amulett_gym.envs.reward import TERM_KEY
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.laws.actor import Actor
 
@@ -50,7 +51,7 @@ def evaluate(
         step += 1
         observations, _, terminated, truncated, info = env.step(act(observations))
         for term in costs:
-            costs[term] -= float(info["reward_terms"][term][playing].sum()) / env.num_envs
+            costs[term] -= float(info[TERM_KEY.format(term)][playing].sum()) / env.num_envs
         failures += int((terminated & playing).sum())
         playing &= ~(terminated | truncated)
     return {"cost": sum(costs.values()), **costs, "failures": failures, "exploration_std": std}

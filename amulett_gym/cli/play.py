@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from amulett_gym import FAILURES
 from amulett_gym.cli.options import add_device, add_json, add_options, check_least, chosen_device
 from amulett_gym.cli.output import print_json
 from amulett_gym.errors import AmulettError
@@ -144,13 +145,17 @@ class _Stage:
 
     def advance(self, time: float) -> None:
         """Take the steps that end by `time` [s], unless the episode ends before."""
+        from amulett_gym.envs.transition import METRICS
+        from amulett_gym.evaluation.metrics import or_nan
+
         while not self.ended and (self.steps + 1) * self.period <= time * (1.0 + 1e-9):
             action = self.policy(self.observation[None])[0]
             self.observation, reward, terminated, truncated, info = self.env.step(action)
             self.steps, self.total = self.steps + 1, self.total + float(reward)
             self.ended = terminated or truncated
             if self.ended:
-                failure, metrics = info["failure"], info["metrics"]
+                found = or_nan({name: info[name] for name in METRICS})
+                failure, metrics = FAILURES[info["failure"]], {name: float(value) for name, value in found.items()}
                 self.played.append({"steps": self.steps, "return": self.total, "failure": failure, "metrics": metrics})
 
 

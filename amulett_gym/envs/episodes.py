@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulett_gym.envs import transition
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
-from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERMS, own_reward
+from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.model.plant import inertia
@@ -66,11 +66,14 @@ class Episodes:
         The entries `privileged.FLEET_PRIVILEGED` of each profile; a fleet with the hidden state observes them.
     terms : tuple of str
         Names of the reward's terms, in order.
+    entries : tuple of str
+        Names in ``info`` of a report's entries after the reward: the terms, the readings and the metrics.
     report_size : int
         Entries of a report.
     """
 
     terms: ClassVar[tuple[str, ...]] = TERMS
+    entries: ClassVar[tuple[str, ...]] = (*map(TERM_KEY.format, TERMS), *transition.READINGS, *transition.METRICS)
     report_size: ClassVar[int] = transition.REPORT_SIZE
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
@@ -119,13 +122,17 @@ class Episodes:
         """Return the profile of one device's present episode."""
         return self.simulation.profile_of(device)
 
-    def names_of(self, devices: NDArray[np.int64] | None = None) -> NDArray[np.str_]:
-        """Return the names of the given devices' (None: all) profiles in the fleet, shape (len(devices),)."""
-        assert self.names is not None
-        of_blocks = self.names[self.simulation.which]
+    def kinds_of(self, devices: NDArray[np.int64] | None = None) -> NDArray[np.int64]:
+        """Return the indices of the given devices' (None: all) profiles in the fleet, shape (len(devices),)."""
+        which = self.simulation.which
         if devices is None:
-            return np.repeat(of_blocks, LANES)[: self.simulation.num_devices]
-        return of_blocks[devices // LANES]
+            return np.repeat(which, LANES)[: self.simulation.num_devices]
+        return which[devices // LANES]
+
+    def names_of(self, devices: NDArray[np.int64]) -> NDArray[np.str_]:
+        """Return the names of the given devices' profiles in the fleet, shape (len(devices),)."""
+        assert self.names is not None
+        return self.names[self.kinds_of(devices)]
 
     def drawn(self) -> NDArray[np.int64] | None:
         """Return the index of each block's profile as the key of its first device draws it for the present episode.

@@ -34,6 +34,8 @@ term for the tension, which not every loop controls.
 
 COST_TERMS = tuple(DEFAULT_WEIGHTS)
 TERMS = (*COST_TERMS, "failure")
+TERM_KEY = "reward_{}"
+"""Key in ``info`` of a term."""
 
 Terms = dict[str, NDArray[np.float64]]
 RewardFunction = Callable[[Terms, Terms], ArrayLike]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -12,39 +11,15 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
+from amulett_gym.envs.info import info_of
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
-from amulett_gym.envs.transition import (
-    FIRST_METRIC,
-    FIRST_READING,
-    FIRST_TERM,
-    MAY_BE_MISSING,
-    METRICS,
-    READINGS,
-    REPORT_SIZE,
-)
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import FAILURES
+from amulett_gym.simulation.layout import RUNNING
 from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario", "device")
 _DEVICE = np.zeros(1, dtype=np.int64)
-
-
-class NotReached(float):
-    """A NaN that equals itself: Gymnasium's checker compares the infos of two equal steps with ``==``."""
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, NotReached)
-
-    def __ne__(self, other: object) -> bool:
-        return not self == other
-
-    def __hash__(self) -> int:
-        return hash(NotReached)
-
-
-_NOT_REACHED = NotReached("nan")
 
 
 class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -86,6 +61,11 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def profile(self) -> Profile:
         """The device; with a fleet, that of the present episode."""
         return self.episodes.profile_of(0)
+
+    @property
+    def devices(self) -> tuple[Profile, ...]:
+        """The fleet, in which ``info["device"]`` is an index, or the one device."""
+        return self.settings.devices
 
     @property
     def scenario(self) -> Scenario:
@@ -148,7 +128,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         info = self._info(report)
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(report[0, 0]), info["failure"] != "", False, info
+        return observations[0], float(report[0, 0]), info["failure"] != RUNNING, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the present state: an array (height, width, 3) for `rgb_array`, a window for `human`."""
@@ -185,18 +165,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         return {**self.__dict__, "_renderer": None}
 
     def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
-        values = report[0].tolist()
-        info: dict[str, Any] = dict(zip(READINGS, values[FIRST_READING:FIRST_METRIC], strict=True))
-        info["failure"] = FAILURES[int(info["failure"])]
-        info["reward_terms"] = dict(zip(self.episodes.terms, values[FIRST_TERM:FIRST_READING], strict=True))
-        info["metrics"] = metrics = dict(zip(METRICS, values[FIRST_METRIC:REPORT_SIZE], strict=True))
-        for found, names in ((metrics, MAY_BE_MISSING), (info, ("stiffness_setpoint",))):
-            for name in names:
-                if math.isnan(found[name]):
-                    found[name] = _NOT_REACHED
-        if self.episodes.names is not None:
-            info["device"] = self.profile.name
-        return info
+        return info_of(self.episodes, report)
 
 
 class ScalingEnv(TensionEnv):
@@ -260,9 +229,9 @@ class ScalingEnv(TensionEnv):
       `position` 0.35 and that of `effort` 0.3;
     - `failure`: if the device left its limits, minus `COST_CAP` for each remaining step of `failure_horizon`.
 
-    A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info["reward_terms"]`
-    holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode.
-    Sums are over the control ticks from the task's begin on. T is the control period and e the setpoint minus the true
+    A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info` holds the weighted
+    terms, which sum to the reward, as `reward_position` and so on, and raw values, cumulative over the episode. Sums
+    are over the control ticks from the task's begin on. T is the control period and e the setpoint minus the true
     angle. In a tick, a drive's command changes by du, of which a jump of the setpoint alone causes dk; the drive turns
     by da, after its lag and its limits. "-": not in the paper.
 
@@ -279,14 +248,16 @@ class ScalingEnv(TensionEnv):
     | `drive_work`                      | J       | sum of max(0, M da), of both drives; M is R_1 f_1,  | eqs. 4-5    |
     |                                   |         | -R_1 f_2, mean of the tick's begin and end          |             |
     | `rise_time`                       | s       | from a step to the first entry into +-2 deg around  | section 2.2 |
-    |                                   |         | its target; mean over steps that reach it, else NaN |             |
-    | `settling_time`                   | s       | the same to the last entry                          | section 2.2 |
+    |                                   |         | its target; mean over `steps_risen`, 0 if none did  |             |
+    | `settling_time`                   | s       | the same to the last entry; mean over               | section 2.2 |
+    |                                   |         | `steps_settled`, 0 if none did                      |             |
     | `overshoot`                       | deg     | largest angle beyond a step's target, at least 0    | section 4   |
     | `contact_ise`                     | N2 m2 s | sum of (contact torque)^2 T                         | as eq. 7    |
     | `contact_peak`                    | N m     | largest abs(contact torque)                         | -           |
     | `push_deflection`                 | deg     | largest abs(e) while a push acts                    | -           |
     | `resting_stiffness`               | N m/rad | mean of R_2^2 (f_1' + f_2') while the setpoint      | eqs. 1, 4-5 |
-    |                                   |         | stands and abs(e) <= 2 deg; NaN if it never does    |             |
+    |                                   |         | stands and abs(e) <= 2 deg; 0 if it never does      |             |
+    | `resting_time`                    | s       | time in which it does                               | section 2.2 |
     | `setpoint_steps`                  | 1       | number of the setpoint's steps and moves            | section 2.2 |
     | `steps_risen`, `steps_settled`    | 1       | number of steps with a rise time, settling time     | section 2.2 |
     | `agonist_switches`                | 1       | number of switches of the agonist                   | section 2.2 |
@@ -303,17 +274,19 @@ class ScalingEnv(TensionEnv):
 
         env = gym.make("Amulett/Scaling-v0", reward_fn=rooted)
 
-    `costs` are the raw costs of the step: `position` [deg2 s], `effort` [deg2/s], `tension` [N2 s], `contact`
-    [N2 m2 s], and `failure`, 1 if the device left its limits. `terms` are the terms above, also in
-    `info["reward_terms"]`. If the function computes each entry from the entries of the same device, the single and the
-    vector environment give the same bits. A function cannot be written as JSON: with one, `env.spec.to_json()` raises a
-    TypeError, and a policy bundle names it only in its provenance.
+    `costs` are the raw costs of the step: `position` [deg2 s], `effort` [deg2/s], `tension` [N2 s], `contact` [N2 m2
+    s], and `failure`, 1 if the device left its limits. `terms` are the terms above. If the function computes each entry
+    from the entries of the same device, the single and the vector environment give the same bits. A function cannot be
+    written as JSON: with one, `env.spec.to_json()` raises a TypeError, and a policy bundle names it only in its
+    provenance.
 
-    Further entries of `info` are the true state: `time` [s], `joint_angle` [deg], `joint_velocity` [deg/s],
-    `tension_setpoint`, `force_biceps`, `force_triceps` [N], `joint_stiffness` [N m/rad], `push_torque`,
-    `contact_torque` [N m], and `failure` (why the device left its limits, or an empty string). With `control`
-    `"torque-stiffness"` or `"feedforward-feedback"`, the tension asks for the joint stiffness that it gives without a
-    torque, `stiffness_setpoint` [N m/rad]; `joint_stiffness` is what comes. In other loops it is NaN.
+    `info` is flat. In every step and reset it has the same keys, each with a finite number of the same type: a float,
+    but for the ints `failure` and, with a fleet, `device`. Its further entries are the true state: `time` [s],
+    `joint_angle` [deg], `joint_velocity` [deg/s], `tension_setpoint`, `force_biceps`, `force_triceps` [N],
+    `joint_stiffness` [N m/rad], `push_torque`, `contact_torque` [N m], and `failure`: 0, or the number of the limit
+    that the device left in :data:`amulett_gym.FAILURES`. With `control` `"torque-stiffness"` or
+    `"feedforward-feedback"`, the tension asks for the joint stiffness that it gives without a torque,
+    `stiffness_setpoint` [N m/rad]; `joint_stiffness` is what comes. In other loops there is no such entry.
 
     ## Starting State
 
@@ -327,17 +300,18 @@ class ScalingEnv(TensionEnv):
     ## Episode End
 
     - Termination: the joint leaves +-150 deg, its velocity leaves its limit, or the state is not finite;
-      `info["failure"]` names the limit.
+      `amulett_gym.FAILURES[info["failure"]]` names the limit.
     - Truncation: after `max_episode_steps`, 500 by default, which is 10 s.
 
     ## Fleets
 
     With `fleet=[...]`, each episode has one of several devices; they may differ in everything but what the agent does:
     the control loop, the range of tensions and the agent period have to fit all. The episode's key draws the device,
-    each with the same probability; `reset(options={"device": name})` or a scenario's `device.name` chooses it.
-    `info["device"]` names it; privileged observations describe it in further entries. Scenarios, divisors of the reward
-    and scales of observations are the device's own. In the vector environment, a block of eight neighbouring devices
-    has one device of the fleet for all episodes, so use at least eight times as many devices as the fleet has.
+    each with the same probability; `reset(options={"device": name})` or a scenario's `device.name` chooses it. It is
+    `env.unwrapped.devices[info["device"]]`; privileged observations describe it in further entries. Scenarios, divisors
+    of the reward and scales of observations are the device's own. In the vector environment, a block of eight
+    neighbouring devices has one device of the fleet for all episodes, so use at least eight times as many devices as
+    the fleet has.
 
     ## Arguments
 

@@ -83,11 +83,12 @@ METRICS = (
     "agonist_switches",
     "drive_effort",
     "drive_work",
+    "resting_time",
 )
-"""Names of ``info["metrics"]``, in order; their units are in the environments' docstring."""
+"""Names of the metrics in ``info``, in order; their units are in the environments' docstring."""
 
-MAY_BE_MISSING = ("rise_time", "settling_time", "resting_stiffness")
-"""Metrics that are NaN if no setpoint step reached its target, or the joint never rested."""
+MAY_BE_MISSING = {"rise_time": "steps_risen", "settling_time": "steps_settled", "resting_stiffness": "resting_time"}
+"""Metrics that are means over what may not have happened yet -> the metric that is 0 as long as they do not exist."""
 
 READINGS = (
     "failure",
@@ -307,8 +308,8 @@ def write_report(p, c, s, i, report):
     m[3] = s.isav_triceps[i] * _DEG * _DEG
     m[4] = s.iav_biceps[i] * _DEG
     m[5] = s.iav_triceps[i] * _DEG
-    m[6] = s.rise_sum[i] / s.rise_count[i]
-    m[7] = settling / settled
+    m[6] = s.rise_sum[i] / max(s.rise_count[i], 1.0)
+    m[7] = settling / max(settled, 1.0)
     m[8] = s.overshoot[i] * _DEG
     m[9] = s.tension_ise_estimated[i]
     m[10] = s.isav_kick[i] * _DEG * _DEG
@@ -317,10 +318,11 @@ def write_report(p, c, s, i, report):
     m[13] = s.contact_ise[i]
     m[14] = s.contact_peak[i]
     m[15] = s.push_deflection[i] * _DEG
-    m[16] = s.resting_stiffness_sum[i] / s.resting_time[i]
+    m[16] = s.resting_stiffness_sum[i] / s.resting_time[i] if s.resting_time[i] > 0.0 else 0.0
     m[17] = s.step_count[i]
     m[18] = s.rise_count[i]
     m[19] = settled
     m[20] = s.switch_count[i]
     m[21] = s.drive_effort[i] * _DEG * _DEG
     m[22] = s.drive_work[i]
+    m[23] = s.resting_time[i]

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
+from amulett_gym.envs.info import infos_of, of_some
 from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
-from amulett_gym.envs.transition import FIRST_METRIC, FIRST_READING, FIRST_TERM, METRICS, READINGS, REPORT_SIZE
+from amulett_gym.envs.transition import FIRST_READING
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.layout import FAILURES, RUNNING
+from amulett_gym.simulation.layout import RUNNING
 from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario", "device", "reset_mask")
-_FAILURES = np.array(FAILURES)
 
 
 class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -73,8 +73,13 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     @property
     def profile(self) -> Profile:
-        """The device; AmulettError with a fleet of several, see `settings.devices` and ``info["device"]``."""
+        """The device; AmulettError with a fleet of several, see `devices`."""
         return self.episodes.simulation.profile
+
+    @property
+    def devices(self) -> tuple[Profile, ...]:
+        """The fleet, in which ``info["device"]`` has indices, or the one device."""
+        return self.settings.devices
 
     @property
     def scenarios(self) -> list[Scenario]:
@@ -117,7 +122,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if devices.size < self.num_envs:
             observations = self.episodes.observe()  # of all devices
         self._clear_renderers(devices)
-        return observations, self._info(self.episodes.report())
+        info = infos_of(self.episodes, self.episodes.report(devices), devices)
+        return observations, info if devices.size == self.num_envs else of_some(info, devices, self.num_envs)
 
     def step(
         self, actions: NDArray[np.floating[Any]]
@@ -146,7 +152,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         terminated = report[:, FIRST_READING] != RUNNING
         truncated = ~terminated & (self.episodes.steps() >= self._limit)
         self._ended = terminated | truncated
-        return observations, report[:, 0].copy(), terminated, truncated, self._info(report)
+        return observations, report[:, 0].copy(), terminated, truncated, infos_of(self.episodes, report)
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start the next episode of some devices; unlike a reset by a mask, this ignores all others.
@@ -180,7 +186,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
         observations, report = self._next_episodes(devices)
         self._ended[devices] = False
-        return observations, self._info(report, devices)
+        return observations, infos_of(self.episodes, report, devices)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3)."""
@@ -233,16 +239,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
             raise AmulettError(f"reset_mask is {mask!r}; it has to be an ndarray of bool, shape ({self.num_envs},)")
         return mask
-
-    def _info(self, report: NDArray[np.float64], devices: NDArray[np.int64] | None = None) -> dict[str, Any]:
-        info: dict[str, Any] = dict(zip(READINGS, report.T[FIRST_READING:FIRST_METRIC], strict=True))
-        failures = info["failure"].astype(np.int64)
-        info["failure"] = _FAILURES[failures] if failures.any() else np.zeros(failures.size, dtype=_FAILURES.dtype)
-        info["reward_terms"] = dict(zip(self.episodes.terms, report.T[FIRST_TERM:FIRST_READING], strict=True))
-        info["metrics"] = dict(zip(METRICS, report.T[FIRST_METRIC:REPORT_SIZE], strict=True))
-        if self.episodes.names is not None:
-            info["device"] = self.episodes.names_of(devices)
-        return info
 
 
 class ScalingVectorEnv(TensionVectorEnv):

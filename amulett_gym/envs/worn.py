@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
 from amulett_gym import WORN_ID
 from amulett_gym.envs.settings import Settings, VectorSettings, signature
 from amulett_gym.envs.single import TensionEnv
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.envs.worn_episodes import WornEpisodes
 from amulett_gym.envs.worn_settings import WornSettings, WornVectorSettings
-from amulett_gym.envs.worn_transition import FIRST_WORN_METRIC, FIRST_WORN_READING, METRICS, READINGS
 
 
 class WornEnv(TensionEnv):
@@ -81,12 +75,12 @@ class WornEnv(TensionEnv):
       suite assembly exactly;
     - `failure`: if the device left its limits, minus `COST_CAP` for each remaining step of `failure_horizon`.
 
-    A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info["reward_terms"]`
-    holds the weighted terms, which sum to the reward. `info["metrics"]` holds raw values, cumulative over the episode
-    from the task's begin on: those of the device, whose setpoint is its own, and those of the wearer. T is the control
-    period, a_f and a_e are the muscles' activations, tau_c is the true torque of the cuff, and e is the intention minus
-    the elbow's angle. The intention moves when it is faster than 5 deg/s. `drive_work` counts the friction of cables at
-    the drives' side, too.
+    A step without failure costs at most `COST_CAP` = 1; above it, all terms are scaled down. `info` holds the weighted
+    terms, which sum to the reward, as `reward_muscle` and so on, and raw values, cumulative over the episode from the
+    task's begin on: those of the device, whose setpoint is its own, and those of the wearer. T is the control period,
+    a_f and a_e are the muscles' activations, tau_c is the true torque of the cuff, and e is the intention minus the
+    elbow's angle. The intention moves when it is faster than 5 deg/s. `drive_work` counts the friction of cables at the
+    drives' side, too.
 
     | Metric            | Unit    | Formula                                              | Source |
     |-------------------|---------|------------------------------------------------------|--------|
@@ -146,13 +140,6 @@ class WornEnv(TensionEnv):
         assert isinstance(settings, WornSettings)
         return WornEpisodes(1, settings)
 
-    def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
-        info = super()._info(report)
-        values = report[0].tolist()
-        info |= zip(READINGS, values[FIRST_WORN_READING:FIRST_WORN_METRIC], strict=True)
-        info["metrics"] |= zip(METRICS, values[FIRST_WORN_METRIC:], strict=True)
-        return info
-
 
 class WornVectorEnv(TensionVectorEnv):
     """Many devices of `Amulett/Worn-v0`, specified by :class:`WornEnv`.
@@ -168,9 +155,3 @@ class WornVectorEnv(TensionVectorEnv):
     def _make_episodes(self, settings: VectorSettings) -> WornEpisodes:
         assert isinstance(settings, WornVectorSettings)
         return WornEpisodes(settings.num_envs, settings, settings.threads)
-
-    def _info(self, report: NDArray[np.float64], devices: NDArray[np.int64] | None = None) -> dict[str, Any]:
-        info = super()._info(report, devices)
-        info |= zip(READINGS, report.T[FIRST_WORN_READING:FIRST_WORN_METRIC], strict=True)
-        info["metrics"] |= zip(METRICS, report.T[FIRST_WORN_METRIC:], strict=True)
-        return info

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from amulett_gym.envs import worn_transition
+from amulett_gym.envs import transition, worn_transition
 from amulett_gym.envs.episodes import Arrays, Drawn, Episodes, Keys, Observations, Report
+from amulett_gym.envs.reward import TERM_KEY
 from amulett_gym.envs.worn_reward import WORN_TERMS, worn_prices
 from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.errors import AmulettError
@@ -30,6 +31,13 @@ class WornEpisodes(Episodes):
 
     simulation: WornSimulation
     terms = WORN_TERMS
+    entries = (
+        *map(TERM_KEY.format, WORN_TERMS),
+        *transition.READINGS,
+        *transition.METRICS,
+        *worn_transition.READINGS,
+        *worn_transition.METRICS,
+    )
     report_size = worn_transition.REPORT_SIZE
 
     def __init__(self, num_devices: int, settings: WornSettings, threads: int = 1) -> None:

@@ -33,7 +33,8 @@ METRICS = (
     "moving_time",
     "load_deflection",
 )
-"""Names of further entries of ``info["metrics"]``."""
+"""Names of further metrics in ``info``, after those of the wearer's state."""
+
 
 FIRST_WORN_READING = transition.REPORT_SIZE
 FIRST_WORN_METRIC = FIRST_WORN_READING + len(READINGS)

@@ -120,7 +120,7 @@ def _documented(subject: Subject) -> None:
 
 def _reward_terms(subject: Subject) -> None:
     for _, reward, _, _, info in _steps(subject.make(), 3):
-        total = sum(info["reward_terms"].values())
+        total = sum(value for key, value in info.items() if key.startswith("reward_"))
         _assert(abs(total - reward) <= 1e-12 * max(1.0, abs(reward)), f"terms sum to {total}, the reward is {reward}")
 
 

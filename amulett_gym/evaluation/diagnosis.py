@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym import FAILURES
 from amulett_gym.envs.action import TENSION_RANGE
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import BY_STIFFNESS, FAILURES, LOOPS, Control
+from amulett_gym.simulation.layout import BY_STIFFNESS, LOOPS, Control
 from amulett_gym.tasks.scenario import Move, Scenario, pack
 from amulett_gym.tasks.suites import WORKSPACE_DEG
 

@@ -10,12 +10,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from amulett_gym import FAILURES
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.transition import FIRST_METRIC, METRICS
 from amulett_gym.evaluation.metrics import UNITS, control_prices, derive, failure_cost
 from amulett_gym.evaluation.runner import Protocol, load_contender
 from amulett_gym.laws.contenders import Contender, parse_contender
-from amulett_gym.simulation.layout import FAILURES
 from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.tasks.scenario import Scenario
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.reward import COST_CAP, COST_TERMS, FULL_CONTROL, SCHEDULE
+from amulett_gym.envs.transition import MAY_BE_MISSING
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.words import number
 
@@ -28,7 +29,7 @@ class Metric:
     Attributes
     ----------
     key : str
-        In ``results.json``, CSV files and ``info["metrics"]``.
+        In ``results.json``, CSV files and ``info``.
     name : str
         In tables, figures and text.
     unit : str
@@ -108,6 +109,7 @@ _ALL = (
     Metric("setpoint_steps", "setpoint steps", "1", "number of steps of the setpoint"),
     Metric("steps_risen", "steps risen", "1", "number of steps that have a rise time"),
     Metric("steps_settled", "steps settled", "1", "number of steps that have a settling time"),
+    Metric("resting_time", "resting time", "s", "time in the band of a fixed setpoint"),
     Metric("agonist_switches", "agonist switches", "1", "number of switches of the agonist"),
     Metric("drive_effort", "drive effort", "deg2/s", "eq. 8 of both drives' own motion, after lag and limits", True),
     Metric("drive_work", "drive work", "J", "mechanical work of both drives: integral of max(0, torque x rate)", True),
@@ -153,7 +155,7 @@ def control_cost(raw: Mapping[str, Values], charge: Values, prices: Values) -> V
     Parameters
     ----------
     raw : mapping of str to ndarray, shape (N,)
-        Final values of ``info["metrics"]``.
+        Final values of the metrics in ``info``.
     charge : ndarray, shape (N,)
         `failure_cost` of the devices that failed, 0 for the others.
     prices : ndarray, shape (N, len(CONTROL_TERMS))
@@ -178,7 +180,7 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_pr
     Parameters
     ----------
     raw : mapping of str to ndarray, shape (N,)
-        Final values of ``info["metrics"]``.
+        Final values of the metrics in ``info``.
     charge : ndarray, shape (N,)
         `failure_cost` of the devices that failed, 0 for the others.
     prices : ndarray, shape (N, len(COST_TERMS))
@@ -193,7 +195,13 @@ def derive(raw: Mapping[str, Values], charge: Values, prices: Values, control_pr
     failed = np.asarray(charge > 0.0, dtype=np.float64)
     cost, control = np.sum(list(costs.values()), axis=0), control_cost(raw, charge, control_prices)
     costs |= _control_shares(raw, control_prices)
-    return {"cost": cost, **costs, "control_cost": control, "failed": failed, "effort": effort, **raw}
+    return {"cost": cost, **costs, "control_cost": control, "failed": failed, "effort": effort, **or_nan(raw)}
+
+
+def or_nan(raw: Mapping[str, ArrayLike]) -> dict[str, Values]:
+    """Return metrics as ``info`` has them, but NaN where one does not exist yet: ``info`` has 0 there."""
+    missing = {name: np.asarray(raw[count]) == 0.0 for name, count in MAY_BE_MISSING.items()}
+    return {name: np.where(missing.get(name, False), np.nan, values) for name, values in raw.items()}
 
 
 def capped_cost(values: Mapping[str, Values]) -> Values:

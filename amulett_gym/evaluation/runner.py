@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
+from amulett_gym import DRIVES_ID, ENV_IDS, FAILURES, WORN_ID
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, Track
 from amulett_gym.envs.transition import METRICS
@@ -515,9 +515,9 @@ def play(protocol: Protocol, env: Any, policy: Policy, advance: Callable[[int], 
         seen.append((error[kept], info["tension_setpoint"][kept], phase[kept], approach[kept]))
         ended = running & (terminated | truncated)
         for name, column in metrics.items():
-            column[ended] = info["metrics"][name][ended]
+            column[ended] = info[name][ended]
         for device in np.flatnonzero(ended & terminated):
-            failures[device] = str(info["failure"][device])
+            failures[device] = FAILURES[int(info["failure"][device])]
             charges[device] = failure_cost(info["time"][device], protocol.duration, protocol.agent_period)
         running &= ~ended
     unit = protocol.unit or protocol.profile

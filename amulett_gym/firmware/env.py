@@ -17,11 +17,12 @@ from amulett_gym.firmware.description import KEYS, read_description
 from amulett_gym.firmware.host import LATE, MOVE_BEGINS
 from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, misses_tick, open_step, set_stiffness
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
-from amulett_gym.firmware.protocol import MODES, REASONS, Report
+from amulett_gym.firmware.protocol import Report
 from amulett_gym.firmware.recording import Reader, begin_of
 from amulett_gym.simulation.layout import BY_STIFFNESS, MOTION_BLOCK, RUNNING
 
 _DEVICE = np.zeros(1, dtype=np.int64)
+_TOLD = ("status", "mode", "reason", "cycles")
 
 
 class FirmwareEpisodes(Episodes):
@@ -139,8 +140,9 @@ class HardwareEnv(TensionEnv):
 
     Each control tick, the firmware gets the simulated sensors' readings and answers with the drives' commands, in lock
     step: on this computer, on a simulated ATmega2560, or on a real board. Observations, rewards and ``info`` are those
-    of `Amulett/Tension-v0`; ``info["board"]`` has the firmware's `status` (bits of ``controller.h``), `mode`, `reason`
-    and `cycles`. The firmware's own law chooses the tension: actions change nothing.
+    of `Amulett/Tension-v0`, and ``info`` also has the firmware's state: ``board_status`` (bits of ``controller.h``),
+    ``board_mode`` and ``board_reason`` (indices into `protocol.MODES` and `protocol.REASONS`), and ``board_cycles``.
+    The firmware's own law chooses the tension: actions change nothing.
 
     Parameters
     ----------
@@ -195,12 +197,8 @@ class HardwareEnv(TensionEnv):
         self.get_state()
 
     def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
-        info = super()._info(report)
-        board = self.episodes.report_of_board
-        if board is not None:
-            mode, reason = MODES[board.mode], REASONS[board.reason]
-            info["board"] = {"status": board.status, "mode": mode, "reason": reason, "cycles": board.cycles}
-        return info
+        board = self.episodes.report_of_board or Report((0.0, 0.0), 0.0, 1, 0)  # at a reset there was no tick yet
+        return super()._info(report) | {f"board_{name}": getattr(board, name) for name in _TOLD}
 
 
 def _count(value: float, resolution: float) -> float:

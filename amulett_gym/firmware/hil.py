@@ -202,9 +202,9 @@ def play(
                 if terminated:
                     charges[k] = failure_cost(info["time"], protocol.duration, protocol.agent_period)
                     break
-            let_go += info["board"]["reason"] != ""
+            let_go += info["board_reason"] != 0
             for name, column in raw.items():
-                column[k] = info["metrics"][name]
+                column[k] = info[name]
         tables = (table(protocol.profile, protocol.suite, families=families) for table in (prices, control_prices))
         costs = derive(raw, charges, *tables)["cost"]
         failures = int((charges > 0.0).sum())

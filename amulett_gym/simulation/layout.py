@@ -65,7 +65,7 @@ AGENT, EQ6, EQ6_PRINTED = 0, 1, 2
 TENSION_LAWS = {"agent": AGENT, "eq6": EQ6, "eq6-printed": EQ6_PRINTED}
 
 RUNNING, ANGLE_LIMIT, VELOCITY_LIMIT, NOT_FINITE = 0, 1, 2, 3
-FAILURES = ("", "joint angle limit", "joint velocity limit", "state is not finite")
+"""Indices into `amulett_gym.FAILURES`."""
 
 CLAMP, HOLD, IGNORE = 0, 1, 2
 _BELOW_FLOOR = {"clamp": CLAMP, "hold": HOLD, "ignore": IGNORE}

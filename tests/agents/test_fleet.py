@@ -86,8 +86,8 @@ def test_policies_are_compared_on_other_devices_each_as_often():
     config = load_train_config(None, [*SMALL, *fleets, "validation.episodes=25"])
     with contextlib.closing(make_validation_env(config)) as env:
         _, info = env.reset(seed=0)
-    names, counts = np.unique(info["device"], return_counts=True)
-    assert (names.tolist(), counts.tolist()) == (["heavy", "simulation", "testbed"], [16, 16, 16])
+    assert [profile.name for profile in env.devices] == ["testbed", "heavy", "simulation"]
+    assert np.bincount(info["device"]).tolist() == [16, 16, 16]
     config = load_train_config(None, [*SMALL, fleets[1], "validation.episodes=24"])
     assert config.env.keywords()["profile"] == "testbed"
     assert config.validation_keywords["num_envs"] == 24

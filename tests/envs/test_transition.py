@@ -14,7 +14,7 @@ from helpers import BUSY
 import amulett_gym  # noqa: F401  (registers the ids)
 from amulett_gym.envs.action import tension_to_action
 from amulett_gym.envs.prices import divisors
-from amulett_gym.envs.single import NotReached, ScalingEnv
+from amulett_gym.envs.single import ScalingEnv
 from amulett_gym.envs.transition import METRICS, OBSERVATIONS
 from amulett_gym.evaluation.metrics import UNITS
 from amulett_gym.model.spring import build_tables
@@ -105,11 +105,12 @@ def test_metrics_are_the_simulations_in_degrees(played):
         "steps_risen": read["rise_count"],
         "steps_settled": settled,
         "agonist_switches": read["switch_count"],
+        "resting_time": read["resting_time"],
     }
     assert set(expected) == set(METRICS)
     for name, value in expected.items():
-        assert info["metrics"][name] == pytest.approx(value), name
-    assert info["metrics"]["setpoint_steps"] == 2.0
+        assert info[name] == pytest.approx(value), name
+    assert info["setpoint_steps"] == 2.0
 
 
 def test_the_docstring_gives_each_metric_with_its_unit_formula_and_source():
@@ -133,10 +134,10 @@ def test_each_step_is_charged_for_what_it_added_to_the_metrics(suite):
     env = gym.make(ID, suite=suite, reward_weights=weights).unwrapped
     _, info = env.reset(seed=0, options={"scenario": BUSY})
     paid = divisors(env.profile, "contact")  # what eq. 6 costs; there is an obstacle
-    before = info["metrics"]
+    before = info
     for _ in range(80):
         _, reward, _, _, info = env.step(np.zeros(1, dtype=np.float32))
-        after = info["metrics"]
+        after = info
         added = {name: after[name] - before[name] for name in after}
         terms = {
             "position": -0.5 * added["position_ise"] / paid["position"],
@@ -148,7 +149,7 @@ def test_each_step_is_charged_for_what_it_added_to_the_metrics(suite):
         cost = -sum(terms.values())
         share = min(1.0 / cost, 1.0)  # of a cost of at most 1, a whole episode of eq. 6
         for name, term in terms.items():
-            assert info["reward_terms"][name] == pytest.approx(share * term, rel=1e-6, abs=1e-9), name
+            assert info[f"reward_{name}"] == pytest.approx(share * term, rel=1e-6, abs=1e-9), name
         assert reward == pytest.approx(-min(cost, 1.0), rel=1e-6)
         before = after
     assert before["contact_ise"] > 0
@@ -164,7 +165,7 @@ def test_a_failure_costs_the_cap_for_each_step_that_was_left(horizon):
         _, reward, terminated, _, info = env.step(np.zeros(1, dtype=np.float32))
         before += not terminated
     assert 5 <= before < 20
-    assert info["reward_terms"]["failure"] == -max(horizon - before, 1)
+    assert info["reward_failure"] == -max(horizon - before, 1)
     assert -max(horizon - before, 1) - 1 <= reward <= -max(horizon - before, 1)
 
 
@@ -204,5 +205,4 @@ def test_the_info_holds_the_stiffness_that_the_tension_asks_for(control):
 
 def test_loops_that_take_no_stiffness_ask_for_none(played):
     _, (*_, info) = played
-    assert math.isnan(info["stiffness_setpoint"])
-    assert info["stiffness_setpoint"] == NotReached("nan")  # equal infos are equal
+    assert "stiffness_setpoint" not in info

@@ -21,7 +21,7 @@ from amulett_gym.firmware import HardwareEnv
 from amulett_gym.firmware import env as env_module
 from amulett_gym.firmware.description import read_description
 from amulett_gym.firmware.loops import Sample
-from amulett_gym.firmware.protocol import BoardError, Report
+from amulett_gym.firmware.protocol import MODES, REASONS, BoardError, Report
 
 
 def play(env: Any, action: Any, steps: int, **reset: Any) -> list[Any]:
@@ -95,7 +95,7 @@ def test_a_seed_chooses_the_episodes(firmware, transport: str, tmp_path: Path):
         seen = [env.reset(seed=seed)[0].tolist()]
         for _ in range(2):
             observation, _, _, _, info = env.step(np.zeros(1))
-            seen.append((observation.tolist(), info["board"]))
+            seen.append((observation.tolist(), info))
         return [*seen, env.reset()[0].tolist()]
 
     with closing(HardwareEnv(firmware("eq6").folder, transport, suite="mixed")) as env:
@@ -132,7 +132,12 @@ def test_the_info_has_the_boards_state(firmware):
     env = HardwareEnv(firmware("eq6").folder)
     env.reset(seed=0)
     info = env.step(np.zeros(1))[-1]
-    assert info["board"] == {"status": 0, "mode": "lock step", "reason": "", "cycles": 0}
+    assert {key: value for key, value in info.items() if key.startswith("board_")} == {
+        "board_status": 0,
+        "board_mode": MODES.index("lock step"),
+        "board_reason": REASONS.index(""),
+        "board_cycles": 0,
+    }
     env.close()
 
 

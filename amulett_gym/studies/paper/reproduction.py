@@ -14,13 +14,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from amulett_gym import FAILURES
 from amulett_gym.control.agonist import BICEPS
 from amulett_gym.errors import unknown
 from amulett_gym.identification.parameters import spring_end_changes
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import merge
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import FAILURES, Control
+from amulett_gym.simulation.layout import Control
 from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.studies.paper.tables import (
     CONFIGURATIONS,

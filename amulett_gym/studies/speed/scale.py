@@ -146,7 +146,7 @@ def long_run(
             failures += int(terminated.sum())
             info = lone.step(held)[4]
             readings.append((info["joint_angle"].mean(), info["force_biceps"].mean() + info["force_triceps"].mean()))
-        failures += int((info["failure"] != "").sum())
+        failures += int(np.count_nonzero(info["failure"]))
         speeds.append(devices * episodes * (EPISODE_STEPS + 1) / passed)
         memory.append(resident_bytes())
         lone_means.append(np.mean(readings, axis=0))

@@ -74,8 +74,8 @@ def test_the_cost_is_minus_the_environments_return(device, scenarios):
         returns += rewards
     played = play(device, LOOP, scenarios, law)
     assert played["cost"] == pytest.approx(-returns, rel=1e-12)
-    assert np.array_equal(played["muscle_effort"], info["metrics"]["muscle_effort"])
-    assert np.array_equal(played["cuff_peak"], info["metrics"]["cuff_peak"])
+    assert np.array_equal(played["muscle_effort"], info["muscle_effort"])
+    assert np.array_equal(played["cuff_peak"], info["cuff_peak"])
 
 
 def test_a_doffed_wearer_has_neither_cuff_nor_drives(scenarios):

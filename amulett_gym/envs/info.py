@@ -1,0 +1,73 @@
+"""``info``, what `reset` and `step` return beside the observation.
+
+It is flat, with the same keys and types in every step of an environment: each value is a finite float, but for two
+numbers that stand for names, `failure` and `device`, which are ints. The vector environments have the same keys with
+arrays, and as Gymnasium's, for each key a mask, ``"_" + key``, of the devices that it tells something of.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amulett_gym.envs.episodes import Episodes, Report
+from amulett_gym.envs.transition import FIRST_TERM
+from amulett_gym.simulation.layout import BY_STIFFNESS
+
+_BY_STIFFNESS = "stiffness_setpoint"
+
+
+def info_of(episodes: Episodes, report: Report) -> dict[str, Any]:
+    """Return the info of a single device.
+
+    Parameters
+    ----------
+    episodes : Episodes
+        Of one device.
+    report : ndarray, shape (1, report_size)
+    """
+    info: dict[str, Any] = dict(zip(episodes.entries, report[0, FIRST_TERM:].tolist(), strict=True))
+    info["failure"] = int(info["failure"])
+    if episodes.settings.control not in BY_STIFFNESS:
+        del info[_BY_STIFFNESS]
+    if episodes.names is not None:
+        info["device"] = int(episodes.simulation.which[0])
+    return info
+
+
+def infos_of(episodes: Episodes, report: Report, devices: NDArray[np.int64] | None = None) -> dict[str, Any]:
+    """Return the info of several devices, with the masks.
+
+    Parameters
+    ----------
+    episodes : Episodes
+    report : ndarray, shape (len(devices), report_size)
+    devices : ndarray of int, optional
+        Those of the report; None: all.
+    """
+    info: dict[str, Any] = dict(zip(episodes.entries, report.T[FIRST_TERM:], strict=True))
+    info["failure"] = info["failure"].astype(np.int64)
+    if episodes.settings.control not in BY_STIFFNESS:
+        del info[_BY_STIFFNESS]
+    if episodes.names is not None:
+        info["device"] = episodes.kinds_of(devices)
+    return masked(info, np.ones(len(report), dtype=bool))
+
+
+def of_some(info: dict[str, Any], devices: NDArray[np.int64], count: int) -> dict[str, Any]:
+    """Return the info of all of `count` devices that has that of some of them, and 0 for the others."""
+    found = {}
+    for key, values in info.items():
+        if not key.startswith("_"):
+            found[key] = np.zeros(count, dtype=values.dtype)
+            found[key][devices] = values
+    mask = np.zeros(count, dtype=bool)
+    mask[devices] = True
+    return masked(found, mask)
+
+
+def masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return an info with the mask of each entry; all of them are the same array."""
+    return info | {f"_{key}": mask for key in info}
