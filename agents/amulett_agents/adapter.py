@@ -10,7 +10,9 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
@@ -22,11 +24,13 @@ from amulett_gym.errors import AmulettError, unknown
 
 Indices = None | int | Iterable[int]
 
-_OF_VECTORS = ("num_envs", "threads", "vectorization_mode")
+_OF_VECTORS = ("num_envs", "threads", "vectorization_mode", "autoreset_mode")
 """Keywords that only the vector environments have."""
 
 
-def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywords: Any) -> SB3VecEnv:
+def make_sb3_env(
+    env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, seed: int | None = None, **keywords: Any
+) -> SB3VecEnv:
     """Make the native vector environment for Stable-Baselines3.
 
     Returns and lengths of episodes are logged (``rollout/ep_rew_mean``) without SB3's ``VecMonitor``, which is needed
@@ -38,6 +42,9 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
         An id of `amulett_gym.ENV_IDS`, with or without the prefix ``amulett_gym:``.
     num_envs : int
         Number of devices.
+    seed : int, optional
+        As of SB3's `make_vec_env`: device i's first reset has the seed ``seed + i``, and samples of the action space
+        are seeded. A learner's own seed replaces it.
     **keywords
         Keywords of the environment, ``max_episode_steps`` included; set ``failure_horizon`` with it.
 
@@ -49,7 +56,11 @@ def make_sb3_env(env_id: str = "Amulett/Scaling-v0", num_envs: int = 1, **keywor
     name = env_id.removeprefix("amulett_gym:")
     if name not in amulett_gym.ENV_IDS:
         raise unknown("environment", env_id, amulett_gym.ENV_IDS)
-    return SB3VecEnv(cast(TensionVectorEnv, gym.make_vec(name, num_envs=num_envs, **keywords)))
+    env = SB3VecEnv(cast(TensionVectorEnv, gym.make_vec(name, num_envs=num_envs, **keywords)))
+    if seed is not None:
+        env.seed(seed)
+        env.action_space.seed(seed)
+    return env
 
 
 class SB3VecEnv(VecEnv):
@@ -71,12 +82,17 @@ class SB3VecEnv(VecEnv):
     Raises
     ------
     AmulettError
-        If it is wrapped: the wrappers would miss the reset of finished devices.
+        If it is wrapped: the wrappers would miss the reset of finished devices; or if it has another autoreset mode.
     """
 
     def __init__(self, venv: TensionVectorEnv) -> None:
         if venv is not venv.unwrapped:
             raise AmulettError(f"{venv} is wrapped; give SB3VecEnv the native environment, and wrap the SB3VecEnv")
+        if venv.autoreset_mode is not AutoresetMode.NEXT_STEP:
+            raise AmulettError(
+                f"autoreset_mode is '{venv.autoreset_mode.value}'; SB3VecEnv resets finished devices itself: leave it "
+                "out, or choose 'NextStep'"
+            )
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros(venv.action_space.shape or (), dtype=np.float32)
         self._terms: dict[str, NDArray[np.float64]] = {}
@@ -213,8 +229,8 @@ class SB3VecEnv(VecEnv):
         )
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Indices = None) -> list[bool]:
-        """Return False for each device: none is wrapped."""
-        return [False for _ in self._get_indices(indices)]
+        """Return for each device whether the class is SB3's `Monitor`, whose statistics are in ``infos``."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
         """Start the next episode of some devices; return their observations."""

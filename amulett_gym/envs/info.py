@@ -56,6 +56,26 @@ def infos_of(episodes: Episodes, report: Report, devices: NDArray[np.int64] | No
     return masked(info, np.ones(len(report), dtype=bool))
 
 
+def final_of(info: dict[str, Any], observations: NDArray[np.float32], devices: NDArray[np.int64]) -> dict[str, Any]:
+    """Return what the info of a step has of the episodes that ended in it, in Gymnasium's mode SAME_STEP.
+
+    Parameters
+    ----------
+    info : dict
+        The info of all devices before the next episodes began, as of `infos_of`.
+    observations : ndarray of float32, shape (N, observation_size)
+        The observations with it.
+    devices : ndarray of int
+        Those whose episode ended, at least one.
+    """
+    of_ended = {key: values[devices] for key, values in info.items()}
+    final = np.full(len(observations), None, dtype=object)
+    for device in devices:
+        final[device] = observations[device].copy()
+    found = of_some(of_ended, devices, len(observations))
+    return masked({"final_obs": final, "final_info": found}, found["_failure"])
+
+
 def of_some(info: dict[str, Any], devices: NDArray[np.int64], count: int) -> dict[str, Any]:
     """Return the info of all of `count` devices that has that of some of them, and 0 for the others."""
     found = {}

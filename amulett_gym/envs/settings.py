@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+from gymnasium.vector import AutoresetMode
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, field_validator, model_validator
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
@@ -74,6 +75,13 @@ def _check_steps(steps: int) -> int:
     return steps
 
 
+def _read_autoreset(mode: Any) -> Any:
+    for known in AutoresetMode:
+        if mode in (known, known.value, known.name):
+            return known
+    raise unknown("autoreset_mode", str(mode), [known.value for known in AutoresetMode])
+
+
 # Types of keywords, shared with recipes and bundles.
 AnyProfile = Annotated[Profile, BeforeValidator(load_profile)]
 AnyFleet = Annotated[
@@ -92,6 +100,7 @@ ActionDelay = Annotated[int, Field(ge=0, le=10**6)]
 Noise = Annotated[float, Field(ge=0)]
 Threads = Annotated[int, Field(ge=1)]
 Steps = Annotated[int, AfterValidator(_check_steps)]
+Autoreset = Annotated[AutoresetMode, BeforeValidator(_read_autoreset)]
 
 
 class Settings(Group):
@@ -262,7 +271,7 @@ class Settings(Group):
         """Return the given keywords as JSON types, for making the environment again.
 
         A shipped profile is a name, another one a mapping; so are those of a fleet. Left out are keywords that do not
-        change an episode (`render_mode`, `threads`, `num_envs`, `max_episode_steps`) and `reward_fn`, which is code.
+        change an episode (`render_mode` and those of `VectorSettings`) and `reward_fn`, which is code.
         """
         others = VectorSettings.model_fields.keys() - Settings.model_fields.keys()
         given = self.model_fields_set - others - {"render_mode"}
@@ -277,7 +286,7 @@ class Settings(Group):
 class VectorSettings(Settings):
     """Keywords of the vector environments."""
 
-    render_modes: ClassVar[tuple[str, ...]] = ("rgb_array",)
+    render_modes: ClassVar[tuple[str, ...]] = ("rgb_array", "rgb_array_list")
 
     num_envs: int = Field(default=1, ge=1, description="number of devices")
     max_episode_steps: Steps = Field(
@@ -286,6 +295,12 @@ class VectorSettings(Settings):
     )
     threads: Threads = Field(
         default=1, description="threads that share the devices; the number changes no bit of the results"
+    )
+
+    autoreset_mode: Autoreset = Field(
+        default=AutoresetMode.NEXT_STEP,
+        description="when a device whose episode has ended starts the next one: NextStep, SameStep, or Disabled (at a "
+        "reset with its reset_mask)",
     )
 
     @field_validator("max_episode_steps", mode="before")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
-from amulett_gym.envs.info import infos_of, of_some
+from amulett_gym.envs.info import final_of, infos_of, of_some
 from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
 from amulett_gym.envs.transition import FIRST_READING
@@ -31,17 +31,20 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     """Many devices of `Amulett/Tension-v0`, specified by :class:`amulett_gym.envs.single.ScalingEnv`.
 
     Device i, reset with seed s, plays the same episodes as the single environment after ``reset(seed=s + i)``. A device
-    whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0
-    (autoreset mode NEXT_STEP). ``info`` has the single environment's keys with arrays of length `num_envs`.
+    whose episode has ended starts the next one in the following `step`, which ignores its action and gives it reward 0:
+    Gymnasium's mode NEXT_STEP. With ``autoreset_mode="SameStep"`` it does so in the step that ends the episode; the
+    last observation and info are then in ``info["final_obs"]`` and ``info["final_info"]``. With ``"Disabled"`` it does
+    so at a reset whose `reset_mask` names it, and a step before raises an error. ``info`` has the single environment's
+    keys with arrays of length `num_envs`, and for each a mask ``_key``, as Gymnasium's own vector environments.
 
     With a `fleet`, devices 0 to 7, 8 to 15, ... are blocks, and all devices of a block are one of the fleet in all
     episodes: each of the fleet has as many blocks, give or take one, which are neighbours. ``reset(seed=s)`` of all
     devices begins with number s of the fleet, counted round; the option `device` chooses them. The single environment
     plays the same episodes on the same device, which its option `device` has to name.
 
-    Keywords: those of the single environment, `num_envs`, `max_episode_steps` (None is the default, 500, and -1 no
-    limit, as in `gymnasium.make`) and `threads`, which share the devices: the number changes no bit of the results.
-    Threads help with free cores and a thousand devices or more.
+    Keywords: those of the single environment, `num_envs`, `autoreset_mode`, `max_episode_steps` (None is the default,
+    500, and -1 no limit, as in `gymnasium.make`) and `threads`, which share the devices: the number changes no bit of
+    the results. Threads help with free cores and a thousand devices or more.
     """
 
     metadata: dict[str, Any] = {
@@ -60,13 +63,17 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self.num_envs, self.max_episode_steps = settings.num_envs, settings.max_episode_steps
         self._limit = math.inf if settings.max_episode_steps == NO_LIMIT else settings.max_episode_steps
         self.render_mode = settings.render_mode
-        self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
+        self.autoreset_mode = settings.autoreset_mode
+        own = {"render_fps": frame_rate(settings), "autoreset_mode": settings.autoreset_mode}
+        self.metadata = {**self.metadata, **own}
         self.episodes = self._make_episodes(settings)
         self.single_observation_space, self.single_action_space = spaces_of(self.episodes)
         self.observation_space = _batched(self.single_observation_space, self.num_envs)
         self.action_space = _batched(self.single_action_space, self.num_envs)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         self._renderers: list[Any] = []
+        self._collects = settings.render_mode == "rgb_array_list"
+        self._frames: list[list[NDArray[np.uint8]]] = self._no_frames()
 
     def _make_episodes(self, settings: VectorSettings) -> Episodes:
         return Episodes(settings.num_envs, settings, settings.threads)
@@ -121,7 +128,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         observations = self.episodes.start(devices, scenarios, which, names)
         if devices.size < self.num_envs:
             observations = self.episodes.observe()  # of all devices
-        self._clear_renderers(devices)
+        self._begin_pictures(devices)
+        self._collect(devices)
         info = infos_of(self.episodes, self.episodes.report(devices), devices)
         return observations, info if devices.size == self.num_envs else of_some(info, devices, self.num_envs)
 
@@ -130,14 +138,14 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Hold actions of the space's shape for one agent period; values beyond [-1, 1] are clipped.
 
-        Devices whose episode has ended start the next one instead.
+        In the mode NEXT_STEP, devices whose episode has ended start the next one instead.
 
         Raises
         ------
         AmulettError
             If the actions have another shape or one is NaN.
         gymnasium.error.ResetNeeded
-            If there was no reset yet.
+            If there was no reset yet; in the mode DISABLED, if a device's episode has ended.
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
@@ -146,13 +154,25 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if actions.shape != wanted:
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
         again = np.flatnonzero(self._ended)
+        if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise gym.error.ResetNeeded(
+                f"autoreset_mode is 'Disabled', and the episodes of the devices {', '.join(map(str, again))} "
+                "have ended: call reset(options={'reset_mask': terminated | truncated}) before step()"
+            )
         observations, report = self.episodes.step(actions.reshape(-1))
         if again.size:
             observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
         truncated = ~terminated & (self.episodes.steps() >= self._limit)
-        self._ended = terminated | truncated
-        return observations, report[:, 0].copy(), terminated, truncated, infos_of(self.episodes, report)
+        rewards, info, ended = report[:, 0].copy(), infos_of(self.episodes, report), terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            again = np.flatnonzero(ended)
+            final = final_of(info, observations, again)
+            observations[again], report[again] = self._next_episodes(again)
+            info, ended = infos_of(self.episodes, report) | final, np.zeros_like(ended)
+        self._ended = ended
+        self._collect(np.arange(self.num_envs))
+        return observations, rewards, terminated, truncated, info
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start the next episode of some devices; unlike a reset by a mask, this ignores all others.
@@ -188,17 +208,19 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._ended[devices] = False
         return observations, infos_of(self.episodes, report, devices)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Draw every device: a tuple of arrays (height, width, 3)."""
+    def render(self) -> tuple[NDArray[np.uint8], ...] | tuple[list[NDArray[np.uint8]], ...] | None:
+        """Draw every device: a tuple of arrays (height, width, 3).
+
+        In the mode ``"rgb_array_list"``, a tuple of lists of them: of each step since the last call, or since the
+        device's episode began, if that is later.
+        """
         if self.render_mode is None:
             gym.logger.warn("render() without a render_mode draws nothing; pass render_mode='rgb_array'")
             return None
-        from amulett_gym.envs.rendering.frame import frame_of
-        from amulett_gym.envs.rendering.window import Renderer
-
-        if not self._renderers:
-            self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(self.num_envs)]
-        return tuple(renderer.draw(frame_of(self.episodes, device)) for device, renderer in enumerate(self._renderers))
+        if not self._collects:
+            return tuple(map(self._draw, range(self.num_envs)))
+        frames, self._frames = tuple(self._frames), self._no_frames()
+        return frames
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the renderers; end the threads."""
@@ -226,12 +248,31 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     def _next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         self.episodes.next_episode(devices)
         observations = self.episodes.start(devices)
-        self._clear_renderers(devices)
+        self._begin_pictures(devices)
         return observations, self.episodes.report(devices)
 
-    def _clear_renderers(self, devices: NDArray[np.int64]) -> None:
-        for device in devices if self._renderers else ():
-            self._renderers[device].clear()
+    def _draw(self, device: int) -> NDArray[np.uint8]:
+        from amulett_gym.envs.rendering.frame import frame_of
+        from amulett_gym.envs.rendering.window import Renderer
+
+        if not self._renderers:
+            self._renderers = [Renderer("rgb_array", self.metadata["render_fps"]) for _ in range(self.num_envs)]
+        picture: NDArray[np.uint8] = self._renderers[device].draw(frame_of(self.episodes, device))
+        return picture
+
+    def _no_frames(self) -> list[list[NDArray[np.uint8]]]:
+        return [[] for _ in range(self.num_envs if self._collects else 0)]
+
+    def _begin_pictures(self, devices: NDArray[np.int64]) -> None:
+        """Drop the curves and the frames of devices that begin an episode."""
+        for pictures in (self._renderers, self._frames):
+            for device in devices if pictures else ():
+                pictures[device].clear()
+
+    def _collect(self, devices: NDArray[np.int64]) -> None:
+        """In the mode ``"rgb_array_list"``, draw devices for the next `render`."""
+        for device in devices if self._collects else ():
+            self._frames[device].append(self._draw(device))
 
     def _mask(self, mask: Any) -> NDArray[np.bool_]:
         if mask is None:
@@ -241,14 +282,16 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return mask
 
 
-class ScalingVectorEnv(TensionVectorEnv):
+class ScalingVectorEnv(TensionVectorEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many devices of `Amulett/Scaling-v0`; see :class:`TensionVectorEnv`."""
+
+    # `VectorEnv` is a base of each class itself: skrl's `wrap_env` looks at the direct ones.
 
     env_id = ENV_IDS[0]
     acts_by_factor = True
 
 
-class DrivesVectorEnv(TensionVectorEnv):
+class DrivesVectorEnv(TensionVectorEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many devices of `Amulett/Drives-v0`, specified by :class:`amulett_gym.envs.single.DrivesEnv`.
 
     All else is as in :class:`TensionVectorEnv`.

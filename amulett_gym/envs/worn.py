@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
 from amulett_gym import WORN_ID
 from amulett_gym.envs.settings import Settings, VectorSettings, signature
 from amulett_gym.envs.single import TensionEnv
@@ -141,7 +147,7 @@ class WornEnv(TensionEnv):
         return WornEpisodes(1, settings)
 
 
-class WornVectorEnv(TensionVectorEnv):
+class WornVectorEnv(TensionVectorEnv, VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """Many devices of `Amulett/Worn-v0`, specified by :class:`WornEnv`.
 
     All else is as in :class:`amulett_gym.envs.vector.TensionVectorEnv`.

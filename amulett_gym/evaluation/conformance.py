@@ -118,6 +118,35 @@ def _documented(subject: Subject) -> None:
         _assert(numbers == list(range(size)), f"the docstring's table has the entries {numbers}, not 0 to {size - 1}")
 
 
+def _infos(subject: Subject) -> None:
+    env = subject.make(max_episode_steps=STEPS // 3)
+    infos = [env.reset(seed=6)[1]]
+    for *_, terminated, truncated, info in _steps(env, 6):
+        infos.append(info)
+        if terminated or truncated:
+            infos.append(env.reset()[1])
+    types = {key: type(value) for key, value in infos[0].items()}
+    for info in infos:
+        _assert({key: type(value) for key, value in info.items()} == types, f"keys or types changed: {info}")
+        wrong = [key for key, value in info.items() if not isinstance(value, int | float) or not np.isfinite(value)]
+        _assert(not wrong, f"no finite number: {', '.join(wrong)}")
+
+
+def _vector_infos(subject: Subject) -> None:
+    if "fleet" in subject.keywords:
+        raise NotApplicable("a fleet gives its devices to blocks of a vector environment")
+    count, limit = 2, STEPS // 3
+    modes = ("vector_entry_point", "sync")
+    native, others = (subject.make_vec(count, max_episode_steps=limit, vectorization_mode=mode) for mode in modes)
+    infos = [(native.reset(seed=6)[1], others.reset(seed=6)[1])]
+    infos += [(native.step(actions)[4], others.step(actions)[4]) for actions in _random(native.action_space, STEPS)]
+    for info, other in infos:
+        _assert(info.keys() == other.keys(), f"the keys {info.keys() ^ other.keys()} are only in one of them")
+        for key, values in info.items():
+            same = values.dtype == other[key].dtype and np.array_equal(values, other[key])
+            _assert(same, f"'{key}' is {values!r} and {other[key]!r}")
+
+
 def _reward_terms(subject: Subject) -> None:
     for _, reward, _, _, info in _steps(subject.make(), 3):
         total = sum(value for key, value in info.items() if key.startswith("reward_"))
@@ -186,7 +215,10 @@ def _reset_mask(subject: Subject) -> None:
     mask = np.array([True, False, True, False])
     after, info = vector.reset(options={"reset_mask": mask})
     _assert(np.array_equal(after[~mask], before[~mask]), "an unmasked device changed")
-    _assert(bool((info["time"][mask] == 0).all() and (info["time"][~mask] > 0).all()), "the mask was not followed")
+    _assert(bool((info["time"][mask] == 0).all()), "a masked device was not reset")
+    _assert(np.array_equal(info["_time"], mask), "the info is not that of the masked devices")
+    times = vector.step(np.zeros(vector.action_space.shape or (), dtype=np.float32))[4]["time"]
+    _assert(bool((times[~mask] > times[mask].max()).all()), "an unmasked device was reset")
 
 
 def _bad_actions(subject: Subject) -> None:
@@ -215,6 +247,8 @@ CHECKS: dict[str, Callable[[Subject], None]] = {
     "EnvSpec survives JSON, keywords included": _spec,
     "Finite bounds, actions in [-1, 1], observations float32 within their space": _bounds,
     "The docstring's boxes and tables are those of the spaces": _documented,
+    "Infos have constant keys and types, and finite numbers": _infos,
+    "The vector environment's infos are those of Gymnasium's own vector environments": _vector_infos,
     "Reward terms in info sum to the reward": _reward_terms,
     "Same seed, same trajectory, in this process and another one": _same_seed,
     "Another seed, and another reset, give another episode": _other_seed,

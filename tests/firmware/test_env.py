@@ -27,12 +27,16 @@ from amulett_gym.firmware.protocol import MODES, REASONS, BoardError, Report
 def play(env: Any, action: Any, steps: int, **reset: Any) -> list[Any]:
     """Return observations, rewards and infos without the board's part."""
     observation, info = env.reset(**reset)
-    rows = [(observation.tolist(), info)]
+    rows = [(observation.tolist(), without_board(info))]
     for _ in range(steps):
         observation, reward, terminated, _, info = env.step(action)
-        info.pop("board", None)
-        rows.append((observation.tolist(), reward, terminated, info))
+        rows.append((observation.tolist(), reward, terminated, without_board(info)))
     return rows
+
+
+def without_board(info: dict[str, Any]) -> dict[str, Any]:
+    """Return an info without the board's part."""
+    return {key: value for key, value in info.items() if not key.startswith("board_")}
 
 
 @pytest.mark.parametrize(
