@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gymnasium
 
+from amulett_gym.notebook import register as _show_in_notebooks
+
 if TYPE_CHECKING:
     from amulett_gym.laws.policies import load_policy as load_policy
 
@@ -39,6 +41,8 @@ for _id, (_single, _vector) in zip(ENV_IDS, _ENTRY_POINTS, strict=True):
             vector_entry_point=f"amulett_gym.envs.{_vector}",
             max_episode_steps=500,
         )
+
+_show_in_notebooks()
 
 
 def __getattr__(name: str) -> Any:

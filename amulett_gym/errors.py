@@ -15,6 +15,10 @@ class AmulettError(ValueError):
     """Wrong input: a configuration, a name, a file or an action that cannot be used."""
 
 
+class UnexpectedKeyword(AmulettError, TypeError):
+    """A keyword that an environment does not take: also a TypeError, by which other programs try what it takes."""
+
+
 class ToolMissing(AmulettError):
     """A compiler or the simulated microcontroller is not installed; the message says how to install it."""
 

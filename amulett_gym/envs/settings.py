@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, fi
 
 from amulett_gym.envs.action import FEED_FORWARD_RANGE, TENSION_RANGE
 from amulett_gym.envs.reward import FULL_CONTROL, SCHEDULE, TRACKS, RewardFunction, Track, check_weights
-from amulett_gym.errors import AmulettError, unknown, warn_deprecated
+from amulett_gym.errors import AmulettError, UnexpectedKeyword, nearest, shorten, unknown, warn_deprecated
 from amulett_gym.fleet import load_fleet, names_or_contents
 from amulett_gym.model.structure import string_tables
 from amulett_gym.profile import MOST_TENSION, STABLE_STEP, Profile, is_shipped, load_profile
@@ -251,8 +251,10 @@ class Settings(Group):
 
         Raises
         ------
+        UnexpectedKeyword
+            If a keyword is unknown.
         AmulettError
-            If a keyword is unknown or wrong.
+            If its value is wrong.
         """
         given = dict(keywords)
         if "action_range" in given:
@@ -260,6 +262,11 @@ class Settings(Group):
         try:
             return cls(**given)
         except ValidationError as error:
+            for key in [key for key in given if key not in cls.model_fields]:
+                raise UnexpectedKeyword(
+                    f"{what} got an unexpected keyword argument '{shorten(key)}'{nearest(key, cls.model_fields)} "
+                    f"(allowed: {', '.join(cls.model_fields)})"
+                ) from error
             raise describe(error, cls, what) from error
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from io import BytesIO
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -141,6 +143,22 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._renderer is None:
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
         return self._renderer.draw(frame_of(self.episodes, 0))
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture of the present state, for notebooks; before any reset, of that after ``reset(seed=0)``."""
+        if not self.episodes.started[0]:
+            other = copy.deepcopy(self)
+            other.render_mode = None
+            other.reset(seed=0)
+            return other._repr_png_()
+        from PIL import Image
+
+        from amulett_gym.envs.rendering.frame import frame_of
+        from amulett_gym.envs.rendering.window import Renderer
+
+        picture, file = Renderer("rgb_array", self.metadata["render_fps"]).draw(frame_of(self.episodes, 0)), BytesIO()
+        Image.fromarray(picture).save(file, "PNG")
+        return file.getvalue()
 
     def close(self) -> None:
         """Close the window if one is open."""

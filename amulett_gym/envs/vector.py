@@ -208,7 +208,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._ended[devices] = False
         return observations, infos_of(self.episodes, report, devices)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | tuple[list[NDArray[np.uint8]], ...] | None:
+    def render(self) -> tuple[Any, ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3).
 
         In the mode ``"rgb_array_list"``, a tuple of lists of them: of each step since the last call, or since the

@@ -188,6 +188,10 @@ class HardwareEnv(TensionEnv):
         self.loop.close()
         super().close()
 
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture of the present state, for notebooks; None before the first reset."""
+        return super()._repr_png_() if self.episodes.started[0] else None
+
     def get_state(self) -> dict[str, Any]:
         """Raise an AmulettError: a firmware's memory is not known."""
         raise AmulettError("a firmware's memory is not known, so that an episode cannot be continued from a snapshot")

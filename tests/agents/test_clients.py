@@ -1,7 +1,8 @@
 """Programs that nobody here wrote take the environments as they are: they wrap, record or train a few thousand steps.
 
-Those of Gymnasium, Stable-Baselines3 and sb3-contrib, and a single-file PPO, are in CI. TorchRL, Minari (with jax and
-h5py) and the moviepy of RecordVideo are tested where they are installed; `docs/reliability.md` names the versions.
+Those of Gymnasium, Stable-Baselines3 and sb3-contrib, and a single-file PPO, are in CI. TorchRL, skrl, Tianshou, Minari
+(with jax and h5py), IPython and the moviepy of RecordVideo are tested where they are installed; `docs/reliability.md`
+names the versions.
 """
 
 from __future__ import annotations
@@ -132,6 +133,44 @@ def test_a_single_file_ppo_trains():
     assert np.mean(learned[-8:]) > 0.5 * np.mean(learned[:8])  # what it pays has halved at least
 
 
+@pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
+def test_gymnasium_converts_all_of_a_step_to_torch(env_id):
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("array_api_compat")
+    envs = vector_wrappers.NumpyToTorch(gym.make_vec(env_id, num_envs=2))
+    _, info = envs.reset(seed=0)
+    *_, stepped = envs.step(torch.zeros(envs.action_space.shape))
+    assert {type(value) for value in [*info.values(), *stepped.values()]} == {torch.Tensor}
+
+
+@pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
+def test_skrl_wraps_the_native_vector_environment(env_id):
+    pytest.importorskip("skrl")
+    import torch
+    from skrl.envs.wrappers.torch import wrap_env
+
+    env = wrap_env(gym.make_vec(env_id, num_envs=3, max_episode_steps=5))
+    env.reset()
+    for _ in range(7):
+        observations, rewards, *_ = env.step(torch.zeros(3, *env.action_space.shape))
+    assert observations.shape == (3, *env.observation_space.shape) and rewards.shape == (3, 1)
+
+
+def test_tianshou_collects():
+    pytest.importorskip("tianshou")
+    from tianshou.algorithm.algorithm_base import RandomActionPolicy
+    from tianshou.data import Collector, VectorReplayBuffer
+    from tianshou.env import DummyVectorEnv
+
+    envs = DummyVectorEnv([lambda: gym.make(SCALING, max_episode_steps=50)] * 2)
+    buffer = VectorReplayBuffer(STEPS, 2)
+    collector = Collector(RandomActionPolicy(gym.make(SCALING).action_space), envs, buffer)
+    collector.reset()
+    collected = collector.collect(n_step=400)
+    assert collected.n_collected_episodes == 8 and (collected.lens == 50).all()
+    assert np.isfinite(buffer.info.settling_time[: len(buffer)]).all()
+
+
 def test_torchrls_gym_env_collects():
     pytest.importorskip("torchrl")
     from torchrl.envs import GymEnv, RewardSum, StepCounter, TransformedEnv
@@ -144,6 +183,45 @@ def test_torchrls_gym_env_collects():
     data = env.rollout(STEPS, break_when_any_done=False)
     assert data.batch_size == (STEPS,) and data["next", "truncated"].sum() == STEPS // 100
     assert bool(data["observation"].isfinite().all())
+
+
+@pytest.mark.parametrize("mode", ["Disabled", "SameStep"])
+def test_torchrls_gym_wrapper_collects_from_the_native_vector_environment(mode):
+    pytest.importorskip("torchrl")
+    from torchrl.envs import GymWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    env = GymWrapper(gym.make_vec(SCALING, num_envs=4, autoreset_mode=mode, max_episode_steps=50))
+    check_env_specs(env)
+    data = env.rollout(STEPS // 4, break_when_any_done=False)
+    assert data.batch_size == (4, STEPS // 4) and data["next", "truncated"].sum() == STEPS // 50
+    assert bool(data["next", "observation"].isfinite().all())
+
+
+def test_torchrls_gym_env_collects_from_several():
+    pytest.importorskip("torchrl")
+    from torchrl.envs import GymEnv
+
+    data = GymEnv(f"amulett_gym:{SCALING}", num_envs=2).rollout(20)
+    assert data.batch_size == (2, 20) and bool(data["next", "reward"].isfinite().all())
+
+
+def test_a_notebook_shows_a_picture():
+    shell = pytest.importorskip("IPython.core.interactiveshell").InteractiveShell.instance()
+    try:
+        shell.run_cell("import importlib, amulett_gym; importlib.reload(amulett_gym)")
+        display = shell.display_formatter
+        display.active_types = ["text/plain", "image/png"]
+        env = gym.make(SCALING)
+        before, _ = display.format(env)
+        assert before["image/png"][1:4] == b"PNG"
+        with pytest.raises(gym.error.ResetNeeded):
+            env.step([0.0])  # the picture is of another environment
+        env.reset(seed=0)
+        assert display.format(env)[0]["image/png"] == before["image/png"]
+        assert "image/png" not in display.format(gym.make("CartPole-v1"))[0]
+    finally:
+        type(shell).clear_instance()
 
 
 def test_minari_records_a_dataset_and_reads_it_back(tmp_path, monkeypatch):

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -166,6 +167,32 @@ def test_sb3_logs_each_episode_of_the_adapter_once():
         model = PPO("MlpPolicy", env, n_steps=60, batch_size=60, n_epochs=1, device="cpu").learn(240)
         assert len(model.ep_info_buffer) == 8
         assert {info["l"] for info in model.ep_info_buffer} == {30}
+
+
+def test_sb3_takes_the_adapters_statistics_as_those_of_a_monitor():
+    evaluated = []
+    limit = {"max_episode_steps": 20}
+    for env in (make_sb3_env(num_envs=4, **limit), make_vec_env(SCALING, 4, env_kwargs=limit)):
+        model = PPO("MlpPolicy", env, n_steps=8, device="cpu", seed=0)
+        env.seed(3)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            evaluated.append(evaluate_policy(model, env, n_eval_episodes=8, return_episode_rewards=True))
+    (returns, lengths), others = evaluated
+    assert lengths == others[1] == [20] * 8
+    assert returns == pytest.approx(others[0], abs=1e-6)
+    assert not any(make_sb3_env(num_envs=2).env_is_wrapped(gym.wrappers.TimeLimit))
+
+
+def test_a_seed_of_the_adapter_is_that_of_sb3s_make_vec_env():
+    ours, theirs = make_sb3_env(num_envs=3, seed=7), make_vec_env(SCALING, 3, seed=7)
+    assert np.array_equal(ours.reset(), theirs.reset())
+    assert np.array_equal(ours.action_space.sample(), make_sb3_env(seed=7).action_space.sample())
+
+
+def test_the_adapter_refuses_an_autoreset_of_the_environment():
+    with pytest.raises(AmulettError, match="autoreset_mode is 'SameStep'; SB3VecEnv resets finished devices itself"):
+        make_sb3_env(autoreset_mode="SameStep")
 
 
 def test_a_recipe_is_refused_without_importing_torch(tmp_path):

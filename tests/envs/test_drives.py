@@ -212,7 +212,7 @@ def test_the_loop_belongs_to_this_environment_alone():
         with pytest.raises(AmulettError, match="the only loop of Amulett/Drives-v0 is 'drives'"):
             gym.make(ENV_ID, control=control)
     assert gym.make(ENV_ID, control="drives").unwrapped.settings.control == "drives"
-    with pytest.raises(AmulettError, match="unknown key 'mean_angle_range'"):
+    with pytest.raises(AmulettError, match="unexpected keyword argument 'mean_angle_range'"):
         ScalingEnv(mean_angle_range=100.0)
     with pytest.raises(AmulettError, match="only the loop 'drives' takes a mean drive angle"):
         Simulation(TESTBED).command_mean(0.1)

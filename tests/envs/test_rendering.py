@@ -10,6 +10,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from io import BytesIO
 
 import gymnasium as gym
 import numpy as np
@@ -453,3 +454,13 @@ def test_an_interrupted_video_leaves_nothing_behind(tmp_path, monkeypatch, name)
     with pytest.raises(KeyboardInterrupt):
         play_command("constant:8", "--steps", 20, "--fps", 50, "--video", tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebooks_picture_is_that_of_render():
+    env = gym.make(SCALING, render_mode="rgb_array")
+    env.reset(seed=0)
+    with Image.open(BytesIO(env.unwrapped._repr_png_())) as picture:
+        assert np.array_equal(np.asarray(picture), env.render())
+    unstarted = gym.make(SCALING).unwrapped
+    assert unstarted._repr_png_() == env.unwrapped._repr_png_()
+    assert not unstarted.episodes.started[0]
