@@ -169,6 +169,8 @@ def _episodes(
         gained.append(rewards)
         ended = (steps == 0) & (terminated | truncated)
         steps[ended], failed[ended] = step, terminated[ended]
+        if steps.all():
+            break
     shown, chosen, paid = (np.stack(parts, axis=1) for parts in (seen, acted, gained))
     for k, length in enumerate(steps.tolist()):
         yield PlayedEpisode(
