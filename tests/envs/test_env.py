@@ -41,20 +41,20 @@ SUBJECTS = [
 SUBJECTS += [Subject(amulett_gym.WORN_ID, {"suite": suite}) for suite in WORN_SUITES]
 
 
-@pytest.fixture(scope="module")
-def played_elsewhere():
-    """Return what another process plays: one for all subjects, since it takes longer to start than to play."""
-    return {repr(subject): text for subject, text in zip(SUBJECTS, conformance.elsewhere(SUBJECTS, 4), strict=True)}
-
-
 @pytest.mark.parametrize(
     "subject", SUBJECTS, ids=lambda subject: "-".join([subject.env_id, *subject.keywords.values()])
 )
-def test_conformance(subject, played_elsewhere, monkeypatch):
-    monkeypatch.setattr(conformance, "elsewhere", lambda subjects, seed: [played_elsewhere[repr(subjects[0])]])
+def test_conformance(subject):
     outcomes = list(run_checks(subject))
     assert len(outcomes) == len(CHECKS)
     assert [outcome for outcome in outcomes if outcome.problem] == []
+
+
+def test_another_process_that_fails_is_started_anew():
+    with pytest.raises(AssertionError, match="another process cannot play it"):
+        conformance.elsewhere(Subject(SCALING, {"suite": "unheard-of"}), 4)
+    subject = Subject(SCALING, {"suite": "steps"})
+    assert conformance.elsewhere(subject, 4) == conformance.fingerprint(subject, 4)
 
 
 def test_ids_resolve_without_an_import_of_ours():
