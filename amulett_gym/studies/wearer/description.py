@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, ValidationError, field_validator
 
 from amulett_gym.envs.settings import one_of
+from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.settings import Group, describe, find_config, merge
@@ -236,6 +237,8 @@ def parse_description(content: Any, path: str | Path | None) -> Description:
     except ValidationError as error:
         raise describe(error, Description, "study of wearers" if path is None else f"'{path}'") from error
     device = found.device()
+    # Laws act at the environment's default agent period, which has to fit the device.
+    WornSettings.read({"profile": device, "split": "held-out"}, f"the device '{device.name}' of the study")
     for cable in (*found.cables, *(each.most for each in found.repetitions if isinstance(each, CableRanges))):
         found.with_cable(device, cable)
     return found

@@ -313,6 +313,10 @@ def test_drawn_cables_are_each_wearers_own(device, folder, found):
         ({"drawn_cables": {"friction": [0.2, 0.1]}}, "the first has to be the least"),
         ({"drawn_cables": {"bend_deg": [0, 2000]}}, "drawn_cables.bend_deg.1"),
         ({"side": "drive"}, "drives.stall_torque"),
+        (
+            {"profile": {"base": "worn", "loop": {"control_period": 0.003}}},
+            "a multiple of the profile's control period",
+        ),
         ({"side": "drive", "cables": []}, "drives.stall_torque"),
     ],
 )
