@@ -82,7 +82,7 @@ def test_another_option_is_no_suggestion(capsys):
         (["quickstart", "--seed", "-1"], "--seed is -1"),
         (["train", "--set", "ppo.gama=0.9", "--out", "x"], "did you mean 'gamma'"),
         (["train", "--set", "env.id=Amulett/Worn-v0", "env.suite=steps", "--out", "x"], "unknown suite 'steps'"),
-        (["evaluate", "--policies", "eq6", "--env-id", "Amulett/Worn-v0"], "not possible in Amulett/Worn-v0"),
+        (["evaluate", "--policies", "eq6", "--env-id", "Amulett/Worn-v0"], "cannot be done in Amulett/Worn-v0"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(words, message, capsys, tmp_path, monkeypatch):
