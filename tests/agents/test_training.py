@@ -256,7 +256,7 @@ def test_attributes_are_those_of_sb3s_own_vector_of_single_environments():
         assert ours.get_attr(name) == theirs.get_attr(name), name
         assert ours.env_method("get_wrapper_attr", name) == theirs.get_attr(name)
     assert ours.get_attr("scenario", 1) == theirs.get_attr("scenario", 1)
-    assert ours.get_attr("metadata") == [{"render_modes": ["rgb_array"], "render_fps": 20}] * 2  # no window for many
+    assert ours.get_attr("metadata") == [{"render_modes": ["rgb_array", "rgb_array_list"], "render_fps": 20}] * 2
     mine, single = ours.get_attr("spec")[0], theirs.get_attr("spec")[0]
     assert (mine.id, mine.max_episode_steps, mine.kwargs) == (single.id, 40, {"suite": "reach", "agent_period": 0.05})
     assert gym.make(mine).unwrapped.observation_space == ours.get_attr("observation_space")[0]

@@ -383,7 +383,7 @@ def test_a_learned_policy_acts_with_its_own_period_range_delay_and_history(perio
         returns += rewards
     assert truncated.all()
     assert played["cost"] == pytest.approx(-returns, rel=1e-12)
-    assert np.array_equal(played["muscle_effort"], info["metrics"]["muscle_effort"])
+    assert np.array_equal(played["muscle_effort"], info["muscle_effort"])
 
 
 def test_a_policy_of_a_fleet_plays_on_the_studys_device(device, tmp_path):
