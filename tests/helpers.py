@@ -66,7 +66,7 @@ def forkserver() -> multiprocessing.context.ForkServerContext:
 def fork_processes(patch: pytest.MonkeyPatch) -> None:
     """Let the package's processes begin with what this one's server has imported, where the start is not tested."""
     context = forkserver()
-    patch.setattr("amulett_gym.evaluation.processes.get_context", lambda kind: context)
+    patch.setattr("amulett_gym.workers.processes.get_context", lambda kind: context)
 
 
 def blank_figures(patch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = {"amulett_gym": ROOT / "amulett_gym", "amulett_agents": ROOT / "agents" / "amulett_agents"}
 
 LAYERS = (
-    ("errors", "settings", "jit", "storage"),
+    ("errors", "settings", "jit", "storage", "workers"),
     ("fitting", "fleet", "gains", "profile"),
     ("model",),
     ("control",),

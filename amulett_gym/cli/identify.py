@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable, Mapping
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_least, command_words
+from amulett_gym.cli.options import add_json, add_options, add_workers, check_least, chosen_workers, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.writing import output_folder
+
+if TYPE_CHECKING:
+    from amulett_gym.workers.call import Workers
 
 HELP = "search for the parameters that the paper does not print, or draw devices that explain it (20 min on two cores)"
 EXAMPLES = """  amulett identify --out runs/identify
@@ -80,21 +82,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--devices", nargs=3, type=int, metavar="N", help=counts)
     parser.add_argument("--write", action="store_true", help="also replace the package's fleets")
     add_options(parser, "--doc", help="of a fleet: renew the generated part of a document, and its figure")
-    cores = os.cpu_count() or 1
-    parser.add_argument("--processes", type=int, default=cores, metavar="N", help="parallel searches (default: cores)")
+    add_workers(parser, "searches")
     parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
     add_json(parser, "the content of identification.json, or of fleet.json")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Identify, print the result, and write the files."""
-    check_least(arguments, **dict.fromkeys((*_COUNTS, "processes"), 1))
+    check_least(arguments, **dict.fromkeys(_COUNTS, 1))
+    workers = chosen_workers(arguments)
     if arguments.population is not None and arguments.population < 5:
         raise AmulettError(f"--population is {arguments.population}; differential evolution needs at least 5")
     if arguments.seeds and (min(arguments.seeds) < 0 or len(set(arguments.seeds)) < len(arguments.seeds)):
         raise AmulettError(f"--seeds are {arguments.seeds}; they have to differ and be at least 0")
     if arguments.fleet:
-        return _sample(arguments)
+        return _sample(arguments, workers)
     if other := [name for name in _OF_FLEET if getattr(arguments, name) not in (None, False)]:
         raise AmulettError(f"--{other[0].replace('_', '-')} is for a sample of devices; add --fleet")
     from amulett_gym.studies.paper.reproduction import Readings
@@ -104,13 +106,13 @@ def run(arguments: argparse.Namespace) -> int:
     recipe = Recipe(**_given(arguments, "seeds", *_COUNTS))
     total = stage_count(recipe)
     show = printer(arguments)
-    show(f"{total} searches, {min(arguments.processes, total)} in parallel; a search may take minutes.")
+    show(f"{total} searches, {workers.words()}; a search may take minutes.")
     progress = Progress(total, "identify", "searches")
     with output_folder(arguments.out, "study", [STUDY_MARKS]), locked_folder(arguments.out), progress:
         words = _command(arguments.out, recipe, arguments.spring_end)
         readings = Readings(spring_end=arguments.spring_end)
         report = _reporter(show, progress, total)
-        content = study(arguments.out, recipe, readings, arguments.processes, report, arguments.overwrite, words)
+        content = study(arguments.out, recipe, readings, workers, report, arguments.overwrite, words)
     if arguments.json:
         print_json(content)
     show(in_words(content))
@@ -118,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sample(arguments: argparse.Namespace) -> int:
+def _sample(arguments: argparse.Namespace, workers: Workers) -> int:
     """Draw a sample of devices, print how they are, and write the files."""
     from amulett_gym.profile import load_profile
     from amulett_gym.reporting.document import check_document, update_document
@@ -143,13 +145,13 @@ def _sample(arguments: argparse.Namespace) -> int:
     if arguments.doc:
         check_document(arguments.doc, [MARKS], images=True)
     total, show = stage_count(recipe), printer(arguments)
-    show(f"{total} steps, {min(arguments.processes, total)} in parallel; a search may take minutes.")
+    show(f"{total} steps, {workers.words()}; a search may take minutes.")
     sizes = command_words(argparse.Namespace(**_plain(recipe)), *(name.replace("_", "-") for name in _plain(recipe)))
     words = ["amulett", "identify", "--fleet", "--spring-end", arguments.spring_end, "--below-floor", floor, *sizes]
     progress = Progress(total, "identify", "steps")
     with output_folder(arguments.out, "sample of devices", [[RECIPE]]), locked_folder(arguments.out), progress:
         report, words = _reporter(show, progress, total), [*words, "--out", arguments.out]
-        content = sample(arguments.out, recipe, readings, arguments.processes, report, arguments.overwrite, words)
+        content = sample(arguments.out, recipe, readings, workers, report, arguments.overwrite, words)
         save_figures(draw(content), Path(arguments.out))
     if arguments.json:
         print_json(content)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +15,7 @@ from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
     from amulett_gym.profile import Profile
+    from amulett_gym.workers.call import Workers
 
 _SHARED: dict[str, dict[str, Any]] = {
     "--suite": {"default": "steps", "help": "suite of scenarios (default: steps)"},
@@ -61,6 +64,38 @@ def chosen_device(arguments: argparse.Namespace) -> Profile:
     if arguments.device is None:
         raise AmulettError(f"choose one of the fleet's {len(fleet)} devices, for example --device {fleet[0].name}")
     return device_of(fleet, arguments.device)
+
+
+def add_workers(parser: argparse.ArgumentParser, what: str, default: int | None = None) -> None:
+    """Add `--workers` and `--ray`: how many of `what` are made at a time, and where; the default is all cores."""
+    number = os.cpu_count() or 1 if default is None else default
+    shown = "cores" if default is None else f"{default}"
+    group = parser.add_mutually_exclusive_group()
+    group.add_argument("--workers", type=int, metavar="N", help=f"{what} at a time (default: {shown}; with --ray all)")
+    group.add_argument("--processes", type=int, metavar="N", help="deprecated: use --workers")
+    ray = "make them on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT (docs/scale.md)"
+    parser.add_argument("--ray", metavar="ADDRESS", help=ray)
+    parser.set_defaults(default_workers=number)
+
+
+def chosen_workers(arguments: argparse.Namespace) -> Workers:
+    """Return the workers that `--workers` and `--ray` choose, after checking both.
+
+    Raises
+    ------
+    AmulettError
+        If the number is below 1, Ray is not installed, or the address is none.
+    """
+    from amulett_gym.workers.call import Workers, check_ray
+
+    check_least(arguments, workers=1, processes=1)
+    if arguments.processes is not None:
+        print("amulett: note: --processes is deprecated; use --workers", file=sys.stderr)
+        arguments.workers, arguments.processes = arguments.processes, None
+    if arguments.ray is None:
+        return Workers(arguments.default_workers if arguments.workers is None else arguments.workers)
+    check_ray(arguments.ray)
+    return Workers(arguments.workers, arguments.ray)
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_device, add_json, add_options, check_least, command_words
+from amulett_gym.cli.options import add_device, add_json, add_options, add_workers, chosen_workers, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from amulett_gym.evaluation.search.law_recipe import Recipe
     from amulett_gym.reporting.table import Table
     from amulett_gym.simulation.layout import Control
+    from amulett_gym.workers.call import Workers
 
 HELP = "tune a law or a loop's gains for a device or a fleet; the same command continues an interrupted search"
 EXAMPLES = """  amulett tune-law eq6-tuned --profile configs/my_device.yaml --out runs/tuned
@@ -61,8 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="N", help=seeds)
     validation = "validation scenarios that choose among the starts (default: 200)"
     parser.add_argument("--validation", type=int, default=200, metavar="N", help=validation)
-    cores = os.cpu_count() or 1
-    parser.add_argument("--processes", type=int, default=cores, metavar="N", help="parallel searches (default: cores)")
+    add_workers(parser, "searches")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted search in it is continued")
     write = "also replace the package's parameters of this law, for a shipped device"
     parser.add_argument("--write", action="store_true", help=write)
@@ -77,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.laws.contenders import split_loop
     from amulett_gym.simulation.layout import LOOPS
 
-    check_least(arguments, processes=1)
+    workers = chosen_workers(arguments)
     loop, law = split_loop(arguments.law)
     if loop:
         raise AmulettError(f"'{arguments.law}' names a loop; write {law} --control {loop}")
@@ -93,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
     if recipes[0].fleet is None:  # the devices of a fleet are taken as they are
         print_remarks(device_remarks(recipes[0].device(), loops=loops, suite=recipes[0].suite))
     try:
-        contents = tune_in(arguments.out, recipes, words, show, arguments.processes)
+        contents = tune_in(arguments.out, recipes, words, show, workers)
     except KeyboardInterrupt:
         print("interrupted; finished generations are kept. Continue with:", file=sys.stderr)
         print(f"       {shlex.join(words)}", file=sys.stderr)
@@ -161,7 +160,7 @@ def read_recipes(config: Mapping[str, Any]) -> list[Recipe]:
 
 
 def tune_in(
-    out: str, recipes: Sequence[Recipe], words: Sequence[str], show: Callable[..., None], processes: int
+    out: str, recipes: Sequence[Recipe], words: Sequence[str], show: Callable[..., None], workers: Workers
 ) -> list[dict[str, Any]]:
     """Tune in each loop in a command's output folder, and return the results.
 
@@ -207,7 +206,7 @@ def tune_in(
         given = {key: config[key] for key in others if config[key] is not None}
         _refuse_other(Path(out), {key: config[key] for key in always} | given)
         write_provenance(out, "tune-law", config, first.seeds, words)
-        contents = tune_all(out, recipes, report, begin, True, processes)
+        contents = tune_all(out, recipes, report, begin, True, workers)
         if len(recipes) > 1:
             write_text(Path(out) / COSTS, _costs(list(zip(recipes, contents, strict=True))).csv())
     show(f"{total:,} episodes were simulated.")
@@ -280,7 +279,7 @@ def _contender(out: str, recipe: Recipe, content: Mapping[str, Any]) -> str:
 
 def _command(arguments: argparse.Namespace) -> list[str]:
     subject = ("control", "track", "suite", _devices(arguments), "choose-fleet")
-    options = (*subject, "budget", "seeds", "validation", "processes", "out")
+    options = (*subject, "budget", "seeds", "validation", "workers", "ray", "out")
     return ["amulett", "tune-law", arguments.law, *command_words(arguments, *options)]
 
 

@@ -1,6 +1,6 @@
 """How well `amulett fit` finds hidden devices: fits of simulated logs, their predictions and intervals.
 
-``python -m amulett_gym.studies.fits --devices 20 --processes 2`` prints a table. Devices are those of
+``python -m amulett_gym.studies.fits --devices 20 --workers 2`` prints a table. Devices are those of
 ``plausible-held-out``, the prior is ``plausible``.
 """
 
@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.evaluation.processes import in_processes
 from amulett_gym.fleet import load_fleet
 from amulett_gym.identification.from_logs.fit import fit
 from amulett_gym.identification.from_logs.model import Model
@@ -26,6 +25,8 @@ from amulett_gym.reporting.words import number
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.trajectory import record
 from amulett_gym.tasks.scenario import Scenario, pack, pack_path
+from amulett_gym.workers.call import Call, Workers
+from amulett_gym.workers.run import results
 
 FITTED, HELD_OUT = 60.0, 15.0
 """Times of a log [s]."""
@@ -115,12 +116,18 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--devices", type=int, default=20, metavar="N", help="hidden devices (default: 20)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="most starts of a search (default: 6)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the first log (default: 0)")
-    parser.add_argument("--processes", type=int, default=1, metavar="N", help="fits at a time (default: 1)")
+    number = "fits at a time (default: 1); --processes is its earlier name"
+    parser.add_argument("--workers", "--processes", type=int, metavar="N", help=number)
+    parser.add_argument("--ray", metavar="ADDRESS", help="fit on a Ray cluster (docs/scale.md)")
     arguments = parser.parse_args(argv)
     devices = load_fleet("plausible-held-out")[: arguments.devices]
-    calls = {each.name: (each.name, arguments.seed + k, arguments.starts) for k, each in enumerate(devices)}
+    calls = {
+        each.name: Call(find_device, (each.name, arguments.seed + k, arguments.starts))
+        for k, each in enumerate(devices)
+    }
+    workers = Workers(arguments.workers, arguments.ray)
     found = {}
-    for name, result in in_processes(find_device, calls, arguments.processes):
+    for name, result in results(calls, workers):
         found[name] = result
         ratio = result["error"] / result["best_error"]
         print(f"{name}: ratio {ratio:.3f}, inside {result['inside']}, {result['seconds']:.0f} s", flush=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 from functools import partial
 
@@ -101,7 +100,7 @@ def test_an_interrupt_keeps_what_is_done_and_names_the_command_that_continues(pl
     assert main([*SEARCH, "--out", "tuned"]) == 130
     err = capsys.readouterr().err
     words = "amulett tune-law eq6-tuned --control decentralized --suite steps --profile testbed --seeds 3"
-    words += f" --validation 4 --processes {os.cpu_count()} --out tuned"
+    words += " --validation 4 --out tuned"
     assert f"interrupted; finished generations are kept. Continue with:\n       {words}\n" in err
     assert main(["rerun", "tuned", "--out", "again"]) == 2
     assert "'tuned' is not finished" in capsys.readouterr().err.replace(str(place) + "/", "")
@@ -174,7 +173,8 @@ def test_the_track_decides_which_cost_is_minimised(place, capsys):
         (["gains", "--control", "all", "cascade", "--out", "x"], "all stands alone; .* the loops without it: cascade"),
         (["constant", "--fleet", "fleet.yaml", "--out", "x"], "cannot read fleet 'fleet.yaml'"),
         (["constant", "--choose-fleet", "fleet.yaml", "--out", "x"], "choose_fleet is for laws .* give fleet, too"),
-        (["constant", "--processes", "0", "--out", "x"], "--processes is 0; it has to be at least 1"),
+        (["constant", "--workers", "0", "--out", "x"], "--workers is 0; it has to be at least 1"),
+        (["constant", "--ray", "there", "--out", "x"], "--ray "),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_made(words, message, place, capsys):

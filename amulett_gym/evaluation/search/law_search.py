@@ -21,6 +21,7 @@ from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.parametric import Device, Law
 from amulett_gym.settings import to_plain
 from amulett_gym.storage.kept import digest, read_kept, write_kept
+from amulett_gym.workers import report
 
 Values = NDArray[np.float64]
 
@@ -38,13 +39,18 @@ class Start:
     result: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.path = Path(self.folder) / "stages" / f"{file_name(self.recipe)}-{self.seed}.json"
+        self.path = Path(self.folder) / self.file
         self.inputs = _inputs(self.recipe, self.seed, self.train, self.validation)
         found = read_kept(self.path, self.inputs)
         if isinstance(found, dict) and "parameters" in found:
             self.result = found
         elif isinstance(found, dict) and _fits(found.get("costs"), self.recipe):
             self.known = found["costs"]
+
+    @property
+    def file(self) -> str:
+        """Name of the start's file in the folder."""
+        return f"stages/{file_name(self.recipe)}-{self.seed}.json"
 
     @property
     def done(self) -> int:
@@ -60,6 +66,7 @@ class Start:
             advance(self.recipe.calls()[len(self.known)])
             self.known.append(costs.tolist())
             write_kept(self.path, self.inputs, {"costs": self.known})
+            report.keep()
 
         self.result = search(self.recipe, self.seed, self.train, self.validation, tuple(self.known), keep)
         advance(self.recipe.judging // len(self.recipe.seeds))

@@ -13,7 +13,7 @@ repeated: starts, and generations of a start. ``amulett tune-law`` is the comman
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,6 @@ import scipy
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError, warn_deprecated
 from amulett_gym.evaluation.metrics import COST_OF
-from amulett_gym.evaluation.processes import advance, in_processes
 from amulett_gym.evaluation.search.gains import GAINS, SHAPE, gains_of, profile_text, shapes_of, shipped_text
 from amulett_gym.evaluation.search.law_recipe import Recipe, file_name
 from amulett_gym.evaluation.search.law_search import Start, described_recipe
@@ -35,6 +34,9 @@ from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import merge
 from amulett_gym.simulation.layout import LOOPS
 from amulett_gym.storage.writing import write_json, write_text
+from amulett_gym.workers.call import ALONE, Call, Workers
+from amulett_gym.workers.report import advance
+from amulett_gym.workers.run import results
 
 Report = Callable[[int, Mapping[str, Any]], None]
 
@@ -82,30 +84,21 @@ def tune_all(
     report: Callable[[Recipe, int, Mapping[str, Any]], None] = lambda recipe, seed, start: None,
     begin: Callable[[int], object] = lambda done: None,
     progress: bool = False,
-    processes: int = 1,
+    workers: Workers = ALONE,
 ) -> list[dict[str, Any]]:
     """Tune by several recipes of different loops, as in `tune`; `profile_path` then holds the gains of all loops.
 
-    `report` is also called with the recipe. Starts are searched in parallel in `processes`; this changes no result.
+    `report` is also called with the recipe. The workers each search from a start; they change no result.
     """
-    starts = [start for recipe in recipes for start in _starts(folder, recipe)]
+    starts = [start for recipe in recipes for start in starts_of(folder, recipe)]
     done = sum(start.done for start in starts)
     total = sum(recipe.episodes + recipe.judging for recipe in recipes)
     begin(done)
     with Progress(total, "tune-law", "episodes", progress, done) as bar:
-        missing = {index: start for index, start in enumerate(starts) if not start.result}
-        searched: Iterable[tuple[int, dict[str, Any]]]
-        if processes == 1 or len(missing) < 2:
-            searched = ((index, start.finish(bar.update)) for index, start in missing.items())
-        else:
-            calls = {index: (folder, start.recipe, start.seed) for index, start in missing.items()}
-            searched = in_processes(_finish, calls, processes, bar.update)
         for start in starts:
             if start.result:
                 report(start.recipe, start.seed, start.result)
-        for index, result in searched:
-            starts[index].result = result
-            report(starts[index].recipe, starts[index].seed, result)
+        finish_all([start for start in starts if not start.result], workers, bar.update, report)
     contents, changes = [], dict[str, Any]()
     for recipe in recipes:
         content = _content(recipe, [start for start in starts if start.recipe is recipe])
@@ -117,13 +110,34 @@ def tune_all(
     return contents
 
 
-def _starts(folder: str | Path, recipe: Recipe) -> list[Start]:
+def finish_all(
+    starts: Sequence[Start],
+    workers: Workers,
+    advance: Callable[[int], object],
+    report: Callable[[Recipe, int, Mapping[str, Any]], object] = lambda recipe, seed, start: None,
+) -> None:
+    """Finish starts, and give each its result; `advance` is called with simulated episodes."""
+    named = {
+        f"{start.recipe.law} on {start.recipe.suite} in {start.recipe.control}, start {start.seed}": start
+        for start in starts
+    }
+    calls = {
+        name: Call(_finish, (start.recipe, start.seed), Path(start.folder), (start.file,))
+        for name, start in named.items()
+    }
+    for name, result in results(calls, workers, advance):
+        start = named[name]
+        start.result = result
+        report(start.recipe, start.seed, result)
+
+
+def starts_of(folder: str | Path, recipe: Recipe) -> list[Start]:
+    """Return the starts of a recipe, as far as they are kept in a folder."""
     trials = recipe.trials()
     return [Start(folder, recipe, seed, *trials) for seed in recipe.seeds]
 
 
-def _finish(folder: str | Path, recipe: Recipe, seed: int) -> dict[str, Any]:
-    """Finish a start in a process of its own."""
+def _finish(folder: Path, recipe: Recipe, seed: int) -> dict[str, Any]:
     return Start(folder, recipe, seed, *recipe.trials()).finish(advance)
 
 

@@ -41,6 +41,7 @@ from amulett_gym.studies.paper.study import EQUAL, shipped
 from amulett_gym.studies.paper.tables import TABLES_2_TO_5
 from amulett_gym.tasks.suites import episode_keys, suite_names
 from amulett_gym.tasks.suites import sample as sample_suite
+from amulett_gym.workers.call import ALONE, Workers
 
 FLEETS = {"plausible": "plausible", "plausible-choose": "choose", "plausible-held-out": "held-out"}
 """Name of each fleet -> begin of its devices' names."""
@@ -81,7 +82,7 @@ def sample(
     folder: str | Path,
     recipe: Recipe,
     readings: Readings,
-    processes: int = 2,
+    workers: Workers = ALONE,
     report: Report = lambda name, stage: None,
     overwrite: bool = False,
     command: Sequence[str] = (),
@@ -108,7 +109,7 @@ def sample(
         too few sets are within the bound.
     """
     folder = Path(folder)
-    stages, run = begin_stages(folder, RECIPE, recipe, readings, processes, report, overwrite, command)
+    stages, run = begin_stages(folder, RECIPE, recipe, readings, workers, report, overwrite, command)
     run(_starts(recipe))
     starts = {name: stages[name] for name in _starts(recipe)}
     limit = min(start["cost"] for start in starts.values()) + recipe.bound

@@ -12,7 +12,6 @@ import numpy as np
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation.processes import in_processes
 from amulett_gym.identification.ensemble import ensemble
 from amulett_gym.identification.parameters import OWN, PARAMETERS, Values, bare, devices, searched, unpack
 from amulett_gym.identification.search import search
@@ -31,6 +30,8 @@ from amulett_gym.studies.paper.objective import (
 )
 from amulett_gym.studies.paper.reproduction import BOUNDS, MEASUREMENT_TIME, Readings
 from amulett_gym.studies.paper.tables import PROTOCOL, TABLES_2_TO_5
+from amulett_gym.workers.call import Call, Workers
+from amulett_gym.workers.run import results
 
 Report = Callable[[str, Mapping[str, Any]], None]
 Work = Callable[[Mapping[str, Any], Mapping[str, Any]], Any]
@@ -41,7 +42,7 @@ def begin_stages(
     file: str,
     recipe: Any,
     readings: Readings,
-    processes: int,
+    workers: Workers,
     report: Report,
     overwrite: bool,
     command: Sequence[str] | None,
@@ -58,7 +59,7 @@ def begin_stages(
     stages: dict[str, Any] = {}
 
     def run(calls: Mapping[str, Mapping[str, Any]], work: Work | None = None) -> None:
-        for name, result in run_stages(folder / "stages", calls, readings, processes, work):
+        for name, result in run_stages(folder / "stages", calls, readings, workers, work):
             stages[name] = result
             report(name, result)
 
@@ -66,7 +67,7 @@ def begin_stages(
 
 
 def run_stages(
-    folder: Path, calls: Mapping[str, Mapping[str, Any]], readings: Readings, processes: int, work: Work | None = None
+    folder: Path, calls: Mapping[str, Mapping[str, Any]], readings: Readings, workers: Workers, work: Work | None = None
 ) -> Iterable[tuple[str, Any]]:
     """Yield each stage's name and result: first those kept in the folder, then the others as they finish.
 
@@ -77,8 +78,7 @@ def run_stages(
     calls : mapping
         Name -> plain data that says what to do.
     readings : Readings
-    processes : int
-        Most processes at a time.
+    workers : Workers
     work : callable, optional
         A function of a module: call, readings as a mapping -> plain data. By default a search or a walk.
     """
@@ -90,8 +90,8 @@ def run_stages(
             missing.append(name)
         else:
             yield name, done
-    arguments = {name: (calls[name], asdict(readings)) for name in missing}
-    for name, result in in_processes(work or _do_stage, arguments, processes):
+    todo = {name: Call(work or _do_stage, (calls[name], asdict(readings))) for name in missing}
+    for name, result in results(todo, workers):
         write_kept(folder / f"{name}.json", inputs[name], result)
         yield name, result
 

@@ -1,7 +1,7 @@
 """Identification of the parameters that reproduce Tables 2-5 on both devices; its result is shipped.
 
 One set of mechanics holds for both devices. Each search is a *stage* (`stages`) with its own random numbers, so that an
-interrupted study can be resumed, and the number of processes changes nothing.
+interrupted study can be resumed, and the number of workers changes nothing.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from amulett_gym.studies.paper.objective import SELECTION_KEY, SELECTION_REPETIT
 from amulett_gym.studies.paper.reproduction import ALTERNATIVES, Readings, Row
 from amulett_gym.studies.paper.stages import Report, begin_stages
 from amulett_gym.studies.paper.tables import CONFIGURATIONS, DEVICES, TABLES_2_TO_5
+from amulett_gym.workers.call import ALONE, Workers
 
 EQUAL = 2.5
 """Sets whose cost exceeds the least one by at most this count as equally good: independent starts differ as much."""
@@ -71,7 +72,7 @@ def study(
     folder: str | Path,
     recipe: Recipe,
     readings: Readings,
-    processes: int = 2,
+    workers: Workers = ALONE,
     report: Report = lambda name, stage: None,
     overwrite: bool = False,
     command: Sequence[str] | None = None,
@@ -95,7 +96,7 @@ def study(
         If a file cannot be read or written, or the folder holds a study of another recipe that may not be replaced.
     """
     folder = Path(folder)
-    stages, run = begin_stages(folder, STUDY_MARKS[0], recipe, readings, processes, report, overwrite, command)
+    stages, run = begin_stages(folder, STUDY_MARKS[0], recipe, readings, workers, report, overwrite, command)
     size = {"population": recipe.population, "generations": recipe.generations}
     run(
         {f"start-{seed}": {"seed": seed, **size} for seed in recipe.seeds}

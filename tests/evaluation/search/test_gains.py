@@ -22,6 +22,7 @@ from amulett_gym.profile import load_profile
 from amulett_gym.settings import Sourced
 from amulett_gym.simulation.layout import LOOPS, pack_loop
 from amulett_gym.storage.safe_yaml import parse_yaml
+from amulett_gym.workers.call import Workers
 
 TESTBED = load_profile("testbed")
 SMALL = Recipe(
@@ -248,8 +249,8 @@ def test_several_loops_are_tuned_into_one_profile_in_any_number_of_processes(tmp
     begun, reported = [], []
     contents = tune_all(tmp_path / "one", recipes, lambda recipe, seed, start: reported.append(recipe.control))
     assert reported == ["decentralized", "equilibrium-point"]
-    assert tune_all(tmp_path / "two", recipes, begin=begun.append, processes=2) == contents
-    assert tune_all(tmp_path / "two", recipes, begin=begun.append, processes=2) == contents
+    assert tune_all(tmp_path / "two", recipes, begin=begun.append, workers=Workers(2)) == contents
+    assert tune_all(tmp_path / "two", recipes, begin=begun.append, workers=Workers(2)) == contents
     assert begun == [0, 2 * (SMALL.episodes + SMALL.judging)]
     for recipe, content in zip(recipes, contents, strict=True):
         alone = tmp_path / recipe.control

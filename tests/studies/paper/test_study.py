@@ -249,7 +249,7 @@ def test_a_study_that_was_interrupted_goes_on_where_it_was(tmp_path, finished):
     (stages / "start-1.json").write_text("{")  # damaged: done again
     (folder / "identification.json").unlink()
     done = []
-    again = study.study(folder, SHORT, Readings(), 1, lambda name, stage: done.append(name))
+    again = study.study(folder, SHORT, Readings(), report=lambda name, stage: done.append(name))
     assert json.loads(json.dumps(again)) == content == json.loads((folder / "identification.json").read_text())
     assert len(done) == len(set(done)) == study.stage_count(SHORT)
     after = {path.name: path.stat().st_mtime_ns for path in stages.iterdir()}
@@ -271,7 +271,7 @@ def test_another_recipe_does_not_replace_a_study_unasked(tmp_path, capsys, finis
 
 @pytest.mark.skipif(not hasattr(os, "setsid"), reason="needs process groups")
 def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
-    words = [sys.executable, "-m", "amulett_gym", "identify", "--out", str(tmp_path / "study"), "--processes", "2"]
+    words = [sys.executable, "-m", "amulett_gym", "identify", "--out", str(tmp_path / "study"), "--workers", "2"]
     process = subprocess.Popen(
         [*words, "--seeds", "1", "--population", "5", "--generations", "2"],
         text=True,
@@ -300,7 +300,7 @@ def test_ctrl_c_ends_all_workers_at_once_and_keeps_finished_stages(tmp_path):
         (["--generations", "0"], "--generations is 0; it has to be at least 1"),
         (["--population", "3"], "--population is 3; differential evolution needs at least 5"),
         (["--seeds", "1", "1"], "they have to differ"),
-        (["--processes", "0"], "--processes is 0; it has to be at least 1"),
+        (["--workers", "0"], "--workers is 0; it has to be at least 1"),
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_written(tmp_path, capsys, arguments, message):

@@ -9,7 +9,11 @@ from multiprocessing import get_context
 
 import pytest
 
-from amulett_gym.evaluation.processes import advance, in_processes
+from amulett_gym.errors import AmulettError
+from amulett_gym.workers.call import MOST_LOST, Call, Workers
+from amulett_gym.workers.processes import in_processes
+from amulett_gym.workers.report import advance
+from amulett_gym.workers.run import results
 
 
 def _square(number):
@@ -26,20 +30,21 @@ def _mark(path, seconds):
 
 def test_results_have_the_names_of_their_calls_and_progress_is_complete():
     units = []
-    found = dict(in_processes(_square, {f"of {number}": (number,) for number in range(4)}, 2, units.append))
+    found = dict(in_processes({f"of {number}": Call(_square, (number,)) for number in range(4)}, 2, units.append))
     assert {name: result for name, (result, _) in found.items()} == {"of 0": 0, "of 1": 1, "of 2": 4, "of 3": 9}
     assert sum(units) == 6
     processes = {process for _, process in found.values()}
     assert os.getpid() not in processes and len(processes) <= 2
-    assert dict(in_processes(_square, {}, 2)) == {}
+    assert dict(in_processes({}, 2)) == {}
 
 
 def test_an_error_ends_the_other_calls(tmp_path):
-    with pytest.raises(ValueError, match="negative"):
-        dict(in_processes(_square, {"wrong": (-1,)}, 1))
-    calls = {"short": (tmp_path / "short", 0.0), "long": (tmp_path / "long", 20.0)}
+    with pytest.raises(ValueError, match="negative") as caught:
+        dict(in_processes({"wrong": Call(_square, (-1,))}, 1))
+    assert caught.value.__notes__[-1] == "amulett: in wrong"
+    calls = {name: Call(_mark, (tmp_path / name, seconds)) for name, seconds in (("short", 0.0), ("long", 20.0))}
     with pytest.raises(ZeroDivisionError):
-        for _ in in_processes(_mark, calls, 2):
+        for _ in in_processes(calls, 2):
             raise ZeroDivisionError
     assert [path.name for path in tmp_path.iterdir()] == ["short"]
 
@@ -49,7 +54,7 @@ def test_an_error_leaves_processes_of_others_running():
     other.start()
     try:
         with pytest.raises(ValueError, match="negative"):
-            dict(in_processes(_square, {"wrong": (-1,)}, 1))
+            dict(in_processes({"wrong": Call(_square, (-1,))}, 1))
         other.join(0.5)
         assert other.is_alive()
     finally:
@@ -62,13 +67,14 @@ def test_an_error_leaves_processes_of_others_running():
 def test_they_end_with_their_parent_and_begin_no_further_call(tmp_path, ended_by):
     (tmp_path / "calls.py").write_text(
         "import os, sys, time\n"
-        "from amulett_gym.evaluation.processes import in_processes\n"
+        "from amulett_gym.workers.call import Call\n"
+        "from amulett_gym.workers.processes import in_processes\n"
         "def work(path):\n"
         "    open(path + str(os.getpid()), 'w').close()\n"
         "    open(f'{path}{os.getpid()}-{time.monotonic_ns()}', 'w').close()\n"
         "    time.sleep(600)\n"
         "if __name__ == '__main__':\n"
-        "    dict(in_processes(work, {k: (sys.argv[1],) for k in range(6)}, 2))\n"
+        "    dict(in_processes({str(k): Call(work, (sys.argv[1],)) for k in range(6)}, 2))\n"
     )
     command = [sys.executable, str(tmp_path / "calls.py"), str(tmp_path / "begun-")]
     parent = subprocess.Popen(
@@ -90,6 +96,53 @@ def test_they_end_with_their_parent_and_begin_no_further_call(tmp_path, ended_by
     _wait_until(lambda: not any(map(_is_running, workers)))
     assert len(workers) == 2 and len(begun) == 4  # one call each
     assert said.count("Traceback") == (ended_by == signal.SIGINT)  # the parent's
+
+
+def _count_on(folder, end, killed_at):
+    """Count on from the number in the folder; this process is killed once at each of some numbers."""
+    path = folder / "number"
+    for number in range(int(path.read_text()) if path.exists() else 0, end):
+        advance(1)
+        path.write_text(str(number + 1))
+        mark = folder / f"killed-at-{number + 1}"
+        if number + 1 in killed_at and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    return end
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_call_whose_process_is_killed_continues_and_others_go_on(tmp_path):
+    units = []
+    (tmp_path / "killed").mkdir(), (tmp_path / "other").mkdir()
+    calls = {name: Call(_count_on, (20, at), tmp_path / name) for name, at in (("killed", (5, 12)), ("other", ()))}
+    assert dict(results(calls, Workers(2), units.append)) == {"killed": 20, "other": 20}
+    assert sum(units) == 40  # nothing was done twice
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_call_that_kills_its_process_again_and_again_is_named(tmp_path):
+    calls = {"good": Call(_mark, (tmp_path / "good", 0.0)), "bad": Call(_end, (signal.SIGKILL,))}
+    with pytest.raises(AmulettError, match=rf"^bad: its worker was killed {MOST_LOST + 1} times"):
+        dict(results(calls, Workers(2)))
+
+
+def _end(number):
+    os.kill(os.getpid(), number)
+    time.sleep(60)
+
+
+def test_one_call_at_a_time_is_made_in_this_process(tmp_path):
+    units = []
+    calls = {f"of {number}": Call(_square, (number,)) for number in range(3)}
+    assert dict(results(calls, watch=units.append)) == {f"of {k}": (k * k, os.getpid()) for k in range(3)}
+    assert units == [0, 1, 2]
+    with pytest.raises(AmulettError, match="^number 1: it is odd"):
+        dict(results({"number 1": Call(_refuse)}))
+
+
+def _refuse():
+    raise AmulettError("it is odd")
 
 
 def _wait_until(condition):

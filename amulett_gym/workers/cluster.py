@@ -1,0 +1,287 @@
+"""Calls on a Ray cluster that is already there; no file system is shared with it.
+
+A call is a Ray task of one processor. Its files go with it, and come back while it is made (`report.keep`) and with its
+result, so that this process alone writes. Lost tasks are submitted again from here with the files of that moment, which
+Ray's own retries do not know.
+"""
+
+from __future__ import annotations
+
+import pickle
+import socket
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Generic, TypeVar
+
+from amulett_gym.errors import AmulettError, shorten
+from amulett_gym.jit.code_cache import fingerprint
+from amulett_gym.storage.lock import locked_folder
+from amulett_gym.storage.provenance import differences, versions
+from amulett_gym.workers.call import MOST_LOST, Call, Workers, check_ray, lost, named
+from amulett_gym.workers.files import Stamps, contents, put, stamps
+from amulett_gym.workers.report import listening
+
+T = TypeVar("T")
+
+_BETWEEN = 1.0
+"""Longest time between two reports of progress [s]."""
+
+_AHEAD = 2
+"""Tasks submitted for each processor of the cluster: the next one waits where the one before it ends."""
+
+_LOOK = 10.0
+"""Time between two looks at the size of the cluster [s]."""
+
+_KNOCK = 20.0
+"""Longest time until a cluster answers [s]."""
+
+_SHARE = 10
+"""Time between two copies of a call's files, in multiples of the time that one takes."""
+
+
+@dataclass(frozen=True)
+class _Done(Generic[T]):
+    """What a task returns: the result or the error of its call, its last files, and units not yet reported."""
+
+    result: T | None
+    error: Exception | None
+    host: str
+    files: dict[str, bytes]
+    removed: list[str]
+    units: int
+
+
+@dataclass
+class _Task:
+    """A submitted call; `number` tells its reports from those of an earlier task of the same call."""
+
+    name: str
+    number: int
+    lock: ExitStack
+
+
+def on_cluster(
+    calls: Mapping[str, Call[T]], workers: Workers, watch: Callable[[int], object] = lambda units: None
+) -> Generator[tuple[str, T]]:
+    """Yield the name and result of each call as it finishes; see `run.results`."""
+    if calls:
+        yield from _make_all(_connected(workers.ray or "auto"), calls, workers.number, watch)
+
+
+_ours: str | None = None  # address of the connection that this module has made
+
+
+def _connected(address: str) -> Any:
+    """Return Ray, connected to the cluster until this process ends: its workers stay for the next calls.
+
+    A connection that this process has made itself is used whatever the address is.
+    """
+    global _ours
+    check_ray(address)
+    import ray
+
+    if ray.is_initialized() and _ours not in (None, address):
+        ray.shutdown()
+    if ray.is_initialized():
+        return ray
+    try:
+        _knock(address)
+        ray.init(address, log_to_driver=False, logging_level="warning")
+    except (ConnectionError, OSError, RuntimeError, ValueError, ImportError) as error:
+        ray.shutdown()  # of a client that is half connected
+        reason = shorten(" ".join(str(error).split()) or type(error).__name__, 400).rstrip(".")
+        raise AmulettError(
+            f"no Ray cluster can be used at '{address}': {reason}. Start one with 'ray start --head', and see "
+            "docs/scale.md"
+        ) from error
+    _ours = address
+    return ray
+
+
+def _knock(address: str) -> None:
+    """Raise OSError if nothing listens at the address: Ray would try for minutes."""
+    if address != "auto":
+        host, _, port = address.removeprefix("ray://").rpartition(":")
+        socket.create_connection((host, int(port)), timeout=_KNOCK).close()
+
+
+def _make_all(
+    ray: Any, calls: Mapping[str, Call[T]], number: int | None, watch: Callable[[int], object]
+) -> Generator[tuple[str, T]]:
+    from ray.util.queue import Queue
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
+    reports = Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here})
+    task = ray.remote(num_cpus=1, max_retries=0)(_make)
+    wanted = _software()
+    todo, losses, submitted = list(calls)[::-1], Counter[str](), 0
+    made: dict[Any, _Task] = {}
+    limit, looked = 0, -float("inf")
+
+    def submit() -> None:
+        nonlocal submitted
+        submitted += 1
+        name = todo.pop()
+        call, files, lock = calls[name], dict[str, bytes](), ExitStack()
+        if call.folder is not None:
+            if not call.files:
+                call.folder.mkdir(parents=True, exist_ok=True)
+                lock.enter_context(locked_folder(call.folder))
+            files = contents(call.folder, stamps(call.folder, call.files))
+        ref = task.options(name=f"amulett: {name}").remote(call, submitted, files, reports, wanted)
+        made[ref] = _Task(name, submitted, lock)
+
+    def read_reports() -> None:
+        names = {task.number: task.name for task in made.values()}
+        for source, units, files, removed in reports.get_nowait_batch(reports.qsize()):
+            watch(units)
+            if (name := names.get(source)) is not None and (files or removed):
+                _write(calls[name], files, removed)
+                losses[name] = 0
+
+    try:
+        while todo or made:
+            if time.monotonic() - looked > _LOOK:  # nodes come and go
+                limit, looked = number or _AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1), time.monotonic()
+            while todo and len(made) < limit:
+                submit()
+            done, _ = ray.wait(list(made), num_returns=1, timeout=_BETWEEN)
+            if done:
+                done, _ = ray.wait(list(made), num_returns=len(made), timeout=0)
+            read_reports()
+            finished: list[tuple[str, T]] = []
+            failure: Exception | None = None
+            for ref in done:
+                ended = made.pop(ref)
+                with ended.lock:
+                    outcome = _outcome(ray, ref)
+                    if isinstance(outcome, str):
+                        losses[ended.name] += 1
+                        todo.append(ended.name)
+                        if losses[ended.name] > MOST_LOST:
+                            failure = lost(ended.name, outcome)
+                        continue
+                    _write(calls[ended.name], outcome.files, outcome.removed)
+                watch(outcome.units)
+                if outcome.error is not None:
+                    failure = named(outcome.error, f"{ended.name}, on {outcome.host}")
+                else:
+                    finished.append((ended.name, outcome.result))  # type: ignore[arg-type]
+            yield from finished
+            if failure is not None:
+                raise failure
+    finally:
+        for ref, running in made.items():
+            ray.cancel(ref, force=True)
+            running.lock.close()
+        reports.shutdown(force=True)
+
+
+def _outcome(ray: Any, ref: Any) -> _Done[Any] | str:
+    """Return what a task returned, or why it is lost."""
+    errors = ray.exceptions
+    try:
+        done: _Done[Any] = ray.get(ref)
+        return done
+    except errors.RayTaskError as error:
+        cause = error.cause
+        if isinstance(cause, (KeyboardInterrupt, SystemExit)):
+            return "its process was ended"
+        raise AmulettError(
+            f"a worker of the cluster cannot make calls: {cause or error}. Install the same amulett-gym on every node"
+        ) from error
+    except errors.TaskCancelledError:
+        return "it was cancelled"
+    except errors.RayError as error:  # its process or its node, or the node that holds its result
+        return type(error).__name__
+
+
+def _write(call: Call[Any], files: Mapping[str, bytes], removed: list[str]) -> None:
+    if call.folder is not None:
+        put(call.folder, files, removed)
+
+
+@cache
+def _software() -> dict[str, str]:
+    """Return what has to be the same on all machines for the same results; Ray compares the versions of Python."""
+    packages = {name: found for name, found in versions().items() if name != "python"}
+    return {**packages, "compiled code": fingerprint()}
+
+
+def _make(call: Call[T], number: int, files: dict[str, bytes], reports: Any, wanted: dict[str, str]) -> _Done[T]:
+    """Make a call on a worker; its files are in a temporary folder."""
+    host = socket.gethostname()
+    with TemporaryDirectory(prefix="amulett-") as place:
+        folder = None if call.folder is None else Path(place)
+        messenger = _Messenger(number, folder, call.files, reports)
+        result, failure = None, None
+        try:
+            messenger.receive(files)
+            if other := differences(wanted, _software()):
+                raise AmulettError(f"other software than that of the command: {'; '.join(other)}; install the same")
+            with listening(messenger.advance, messenger.keep):
+                result = call.make(folder)
+        except Exception as error:
+            failure = _portable(error)
+        return _Done(result, failure, host, *messenger.changes(), messenger.units)
+
+
+class _Messenger:
+    """Sends a task's reports: progress once a second, files at most for a part of the time."""
+
+    def __init__(self, number: int, folder: Path | None, names: tuple[str, ...], reports: Any) -> None:
+        self._number, self._folder, self._names, self._reports = number, folder, names, reports
+        self._sent, self._next_copy = time.monotonic(), 0.0
+        self.units = 0
+        self._known: Stamps = {}
+
+    def receive(self, files: Mapping[str, bytes]) -> None:
+        """Put files into the folder."""
+        if self._folder is not None:
+            put(self._folder, files)
+            self._known = stamps(self._folder, self._names)
+
+    def advance(self, units: int) -> None:
+        self.units += units
+        if time.monotonic() - self._sent >= _BETWEEN:
+            self._send({}, [])
+
+    def keep(self) -> None:
+        begun = time.monotonic()
+        if self._folder is not None and begun >= self._next_copy:
+            self._send(*self.changes())
+            now = time.monotonic()
+            self._next_copy = now + _SHARE * (now - begun)
+
+    def changes(self) -> tuple[dict[str, bytes], list[str]]:
+        """Return the contents of the files that are new or changed since the last time, and those that are gone."""
+        if self._folder is None:
+            return {}, []
+        now, before = stamps(self._folder, self._names), self._known
+        self._known = now
+        new = [name for name, stamp in now.items() if before.get(name) != stamp]
+        return contents(self._folder, new), [name for name in before if name not in now]
+
+    def _send(self, files: dict[str, bytes], removed: list[str]) -> None:
+        self._reports.put((self._number, self.units, files, removed))
+        self.units, self._sent = 0, time.monotonic()
+
+
+def _portable(error: Exception) -> Exception:
+    """Return an error with its traceback in a note; of one that cannot be pickled, its text."""
+    trace = "".join(traceback.format_exception(error))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    if not isinstance(error, AmulettError):
+        error.add_note(trace)
+    return error

@@ -1,0 +1,263 @@
+"""Calls on a Ray cluster of two nodes on this machine give what they give here, whatever is killed meanwhile."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from helpers import SMALL_RECIPE
+
+from amulett_gym.errors import AmulettError
+from amulett_gym.evaluation.search.law_recipe import Recipe
+from amulett_gym.evaluation.search.laws import tune_all
+from amulett_gym.workers import report
+from amulett_gym.workers.call import MOST_LOST, Call, Workers
+from amulett_gym.workers.run import results
+
+ray = pytest.importorskip("ray")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Start a cluster with two nodes of one processor, whose workers import nothing from the folder of tests."""
+    from ray.cluster_utils import Cluster
+
+    ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    # On a busy machine a node that answers late is not dead; one that is refuses the connection.
+    patient = {"health_check_timeout_ms": 300_000, "health_check_period_ms": 1000, "health_check_failure_threshold": 3}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_worker_niceness", "0")  # as this process, also then
+        patch.setenv("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "300")
+        made = Cluster()
+        client = {"ray_client_server_port": _free_port()}
+        made.add_node(num_cpus=1, include_dashboard=False, _system_config=patient, **client)
+        made.add_node(num_cpus=1)
+        yield made
+        ray.shutdown()
+        made.shutdown()
+
+
+def _free_port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@pytest.fixture
+def workers(cluster):
+    return Workers(ray=cluster.address)
+
+
+def _square(number):
+    report.advance(number)
+    if number < 0:
+        raise ValueError("negative")
+    return number * number, ray.get_runtime_context().get_node_id()
+
+
+def test_results_come_from_both_nodes_with_their_progress(workers):
+    units = []
+    calls = {f"of {number}": Call(_slow_square, (number,)) for number in range(6)}
+    found = dict(results(calls, workers, units.append))
+    assert {name: result for name, (result, _) in found.items()} == {f"of {k}": k * k for k in range(6)}
+    assert sum(units) == 15
+    assert len({node for _, node in found.values()}) == 2
+    assert dict(results({}, workers)) == {}
+
+
+def _slow_square(number):
+    time.sleep(0.5)
+    return _square(number)
+
+
+def test_an_error_names_call_and_host(workers):
+    with pytest.raises(ValueError, match="negative") as caught:
+        dict(results({"wrong": Call(_square, (-1,))}, workers))
+    trace, where = caught.value.__notes__
+    assert where == f"amulett: in wrong, on {os.uname().nodename}" and "in _square" in trace
+    with pytest.raises(AmulettError, match=f"^wrong, on {os.uname().nodename}: it is odd$"):
+        dict(results({"wrong": Call(_refuse)}, workers))
+
+
+def _refuse():
+    raise AmulettError("it is odd")
+
+
+def _count_on(folder, end, killed_at, note):
+    """Count on from the number in the folder, which is kept; this process is killed once at each of some numbers."""
+    from amulett_gym.workers import cluster as engine
+
+    engine._SHARE = 0  # in this worker: files are copied each time, however long that takes
+    path = folder / "number"
+    for number in range(int(path.read_text()) if path.exists() else 0, end):
+        with note.open("a") as file:
+            file.write(f"{number}\n")
+        report.advance(1)
+        path.write_text(str(number + 1))
+        (folder / f"part-{number}").write_text("")
+        (folder / f"part-{number - 2}").unlink(missing_ok=True)
+        time.sleep(0.05)
+        report.keep()
+        mark = note.with_name(f"{note.name}-{number}")
+        if number + 1 in killed_at and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+    return str(folder)
+
+
+def test_a_call_whose_worker_is_killed_continues_from_what_it_kept(workers, tmp_path):
+    units = []
+    for name in ("killed", "other"):
+        (tmp_path / name).mkdir()
+    calls = {
+        name: Call(_count_on, (20, at, tmp_path / f"{name}.txt"), tmp_path / name)
+        for name, at in (("killed", (5, 6, 7, 8, 9, 12)), ("other", ()))
+    }
+    found = dict(results(calls, workers, units.append))
+    assert all(not place.startswith(str(tmp_path)) for place in found.values())  # a copy, as on another machine
+    for name in calls:
+        lines = (tmp_path / f"{name}.txt").read_text().splitlines()
+        assert lines == sorted(lines, key=int)
+        assert 20 <= len(lines) <= (20 if name == "other" else 26)  # at most the one that was not yet kept, again
+        assert sorted(path.name for path in (tmp_path / name).iterdir()) == ["number", "part-18", "part-19"]
+        assert (tmp_path / name / "number").read_text() == "20"
+
+
+def test_a_call_that_kills_its_worker_again_and_again_is_named(workers):
+    with pytest.raises(AmulettError, match=rf"^bad: its worker was killed {MOST_LOST + 1} times \(WorkerCrashedError"):
+        dict(results({"bad": Call(_end)}, workers))
+
+
+def _end():
+    os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(60)
+
+
+def test_a_node_that_leaves_loses_no_call(cluster, workers, tmp_path):
+    node = cluster.add_node(num_cpus=2)
+
+    def remove():
+        _wait_until(lambda: any(node.node_id in path.read_text() for path in tmp_path.iterdir()))
+        cluster.remove_node(node, allow_graceful=False)
+
+    removing = threading.Thread(target=remove)
+    removing.start()
+    calls = {f"of {k}": Call(_wait_there, (tmp_path / str(k), k)) for k in range(4)}
+    assert dict(results(calls, workers)) == {f"of {k}": k for k in range(4)}
+    removing.join()
+    places = [(tmp_path / str(k)).read_text().splitlines() for k in range(4)]
+    assert max(map(len, places)) == 2  # once there, and once again elsewhere
+    assert all(names[-1] != node.node_id for names in places if len(names) == 2)
+
+
+def _wait_there(note, number):
+    with note.open("a") as file:
+        file.write(ray.get_runtime_context().get_node_id() + "\n")
+    time.sleep(5.0)
+    return number
+
+
+def _wait_until(condition):
+    for _ in range(2400):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it does not happen")
+
+
+def test_a_law_is_tuned_alike_on_a_cluster(workers, tmp_path):
+    recipe = Recipe("eq6-tuned", seeds=(1, 2), population=6, generations=((2, 3), (3, 2)), validation=3)
+    here = tune_all(tmp_path / "here", [recipe])
+    assert tune_all(tmp_path / "there", [recipe], workers=workers) == here
+    assert _files(tmp_path / "here") == _files(tmp_path / "there")
+
+
+def _files(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+LONGER = Recipe("eq6-tuned", seeds=(1, 2), population=6, generations=((2, 30),), validation=3)
+
+
+def test_a_driver_that_is_killed_goes_on_where_it_was(workers, tmp_path):
+    script = (
+        "import sys\n"
+        "from amulett_gym.evaluation.search.law_recipe import Recipe\n"
+        "from amulett_gym.evaluation.search.laws import tune_all\n"
+        "from amulett_gym.workers.call import Workers\n"
+        f"recipe = Recipe('eq6-tuned', seeds=(1, 2), population=6, generations={LONGER.generations}, validation=3)\n"
+        "tune_all(sys.argv[1], [recipe], workers=Workers(ray=sys.argv[2]))\n"
+    )
+    there, begun = tmp_path / "there", []
+    driver = subprocess.Popen([sys.executable, "-c", script, str(there), workers.ray])
+    _wait_until(lambda: list(there.glob("stages/[!.]*.json")))
+    driver.kill()
+    driver.wait()
+    tune_all(there, [LONGER], begin=begun.append, workers=workers)
+    assert 0 < begun[0] < LONGER.episodes  # what was kept is not simulated again
+    tune_all(tmp_path / "here", [LONGER])
+    assert _files(tmp_path / "here") == _files(there)
+
+
+def test_seeds_are_trained_alike_though_their_workers_are_killed(workers, tmp_path):
+    config = pytest.importorskip("amulett_agents.config")
+    training = pytest.importorskip("amulett_agents.training")
+    recipe = config.load_train_config(None, [*SMALL_RECIPE, "checkpoint_seconds=0", "total_steps=20480"])
+    here, there = tmp_path / "here", tmp_path / "there"
+
+    def kill():
+        _wait_until(lambda: (there / "seed-1" / "evaluations.csv").is_file())
+        assert _kill(f"ray::amulett: training run '{there}")
+
+    killing = threading.Thread(target=kill)
+    killing.start()
+    results_there = training.train_seeds(recipe, [0, 1], there, workers, progress=False)
+    killing.join()
+    results_here = training.train_seeds(recipe, [0, 1], here, progress=False)
+    for found, expected in zip(results_there, results_here, strict=True):
+        assert (found.best_cost, found.last_cost, found.steps) == (
+            expected.best_cost,
+            expected.last_cost,
+            expected.steps,
+        )
+        for bundle in ("best", "last"):
+            weights = [result.out / bundle / "weights.safetensors" for result in (found, expected)]
+            assert weights[0].read_bytes() == weights[1].read_bytes()
+    names = [{name for name in _files(folder) if "tensorboard" not in name.parts} for folder in (here, there)]
+    assert names[0] == names[1]
+
+
+def _kill(title):
+    """Kill the processes whose titles begin so, and return how many they were."""
+    found = 0
+    for place in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            if (place / "cmdline").read_bytes().decode().startswith(title):
+                os.kill(int(place.name), signal.SIGKILL)
+                found += 1
+    return found
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "ray://127.0.0.1:1"])
+def test_a_cluster_that_is_not_there_is_an_error_that_says_what_to_do(address):
+    with pytest.raises(AmulettError, match=f"no Ray cluster can be used at '{address}': .*ray start --head"):
+        dict(results({"one": Call(_refuse)}, Workers(ray=address)))
+
+
+def test_from_outside_the_cluster_it_is_the_same(cluster, tmp_path):
+    pytest.importorskip("grpc")
+    port = cluster.head_node._ray_params.ray_client_server_port
+    (tmp_path / "counted").mkdir()
+    calls = {"counted": Call(_count_on, (3, (2,), tmp_path / "counted.txt"), tmp_path / "counted")}
+    try:
+        assert "counted" in dict(results(calls, Workers(ray=f"ray://127.0.0.1:{port}")))
+    finally:
+        ray.shutdown()
+    assert (tmp_path / "counted" / "number").read_text() == "3"
+    assert (tmp_path / "counted.txt").read_text().split() in (["0", "1", "2"], ["0", "1", "1", "2"])
