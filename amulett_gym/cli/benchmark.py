@@ -6,10 +6,13 @@ import argparse
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from amulett_gym.cli.options import add_json, add_options, check_least, command_words
+from amulett_gym.cli.options import add_json, add_options, add_workers, chosen_workers, command_words
 from amulett_gym.cli.output import print_json, printer
+
+if TYPE_CHECKING:
+    from amulett_gym.workers.call import Workers
 
 T = TypeVar("T")
 
@@ -17,7 +20,7 @@ HELP = "run the benchmark: train missing policies, compare all on all suites, an
 EXAMPLES = """  amulett benchmark --quick --out runs/benchmark-quick
   amulett benchmark --config configs/benchmark.yaml --out runs/benchmark
   amulett benchmark --config configs/full_control.yaml --out runs/full-control
-  amulett benchmark --config configs/devices.yaml --processes 2 --out runs/devices
+  amulett benchmark --config configs/devices.yaml --workers 2 --out runs/devices
   amulett benchmark --config configs/benchmark.yaml --runs runs/stored --out runs/benchmark --doc docs/benchmark.md
 """
 
@@ -30,8 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help=quick)
     runs = "folder of training runs, <entry>/seed-<k>; missing ones are trained there (default: DIR/runs in --out)"
     parser.add_argument("--runs", metavar="DIR", help=runs)
-    processes = "processes for tuning, training, episodes and optimal control (default: 1)"
-    parser.add_argument("--processes", type=int, default=1, metavar="N", help=processes)
+    add_workers(parser, "searches, training runs, contenders, problems of optimal control", 1)
     further = "further contenders: laws, bundles, or trusted zips"
     parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
     add_options(parser, "--trust-pickle", "--doc")
@@ -51,9 +53,9 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.studies.benchmark.results import content
     from amulett_gym.studies.benchmark.stages import run_benchmark
 
-    check_least(arguments, processes=1)
+    workers = chosen_workers(arguments)
     if arguments.config is not None and (content_of_file := _over_devices(arguments.config)) is not None:
-        return _run_over_devices(arguments, content_of_file)
+        return _run_over_devices(arguments, content_of_file, workers)
     description, recipes = load_benchmark(arguments.config), recipe_folder(arguments.config)
     if arguments.quick:
         description = quick(description)
@@ -61,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_document(arguments.doc, [MARKS], images=True)
     profile, words = load_profile_of(description, recipes), _words(arguments)
     print_remarks(device_remarks(profile, loops=description.loops or [PAPERS], suite=description.headline))
-    evidence = _measure(arguments, run_benchmark, description, recipes, profile, words)
+    evidence = _measure(arguments, run_benchmark, description, recipes, profile, words, workers)
     found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
     figures = write_benchmark(evidence, found, claims, arguments.out)
@@ -80,7 +82,7 @@ def _over_devices(path: str) -> Mapping[str, Any] | None:
     return content if "fleets" in content else None
 
 
-def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[str, Any]) -> int:
+def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[str, Any], workers: Workers) -> int:
     """Run a benchmark over devices as `run` does one on a single device."""
     from amulett_gym.reporting.document import check_document
     from amulett_gym.storage.provenance import machine
@@ -104,7 +106,7 @@ def _run_over_devices(arguments: argparse.Namespace, content_of_file: Mapping[st
     if arguments.doc is not None:
         check_document(arguments.doc, [MARKS], images=True)
     device, words = load_fleets(description, folder)["judge"][0], _words(arguments)
-    evidence = _measure(arguments, run_devices_benchmark, description, folder, device, words)
+    evidence = _measure(arguments, run_devices_benchmark, description, folder, device, words, workers)
     found = content(evidence, shlex.join(words), machine(), arguments.quick)
     claims = check_claims(found)
     figures = write_devices_benchmark(evidence, found, claims, arguments.out)
@@ -126,6 +128,7 @@ def _measure(
     folder: Path,
     device: Any,
     words: list[str],
+    workers: Workers,
 ) -> T:
     """Return what the function `stages` finds, which runs those of a description; own policies act on `device`."""
     from amulett_gym import ENV_IDS
@@ -139,7 +142,7 @@ def _measure(
         *(description, arguments.out, folder, arguments.runs, own, [*words, "--out", arguments.out], copies),
         say=show,
         progress=True,
-        processes=arguments.processes,
+        workers=workers,
     )
     show("Drawing intervals and figures ...")
     return evidence

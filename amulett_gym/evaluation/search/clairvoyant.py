@@ -41,7 +41,10 @@ from amulett_gym.evaluation.search.trials import Actions, Trials, held, schedule
 from amulett_gym.laws.actor import TENSION_SETPOINT
 from amulett_gym.laws.contenders import CONSTANT, EQ6_HELD, parse_contender
 from amulett_gym.profile import load_profile
-from amulett_gym.storage.kept import digest, kept
+from amulett_gym.storage.kept import digest, kept, read_kept, write_kept
+from amulett_gym.workers.call import ALONE, Call, Workers
+from amulett_gym.workers.report import advance
+from amulett_gym.workers.run import results
 
 VERSION = 2
 """Version of the search, increased if the same settings would find other schedules."""
@@ -134,6 +137,7 @@ def clairvoyant(
     folder: str | Path | None = None,
     block: int = 25,
     report: Callable[[int], object] = lambda rounds: None,
+    workers: Workers = ALONE,
 ) -> Reference:
     """Return each scenario's best schedule.
 
@@ -151,19 +155,32 @@ def clairvoyant(
         Number of scenarios that are searched at once and stored in one file.
     report : callable
         Called with the number of rounds that were done; those of a reused block count, too.
+    workers : Workers
+        Each searches a block at a time, if there is a folder. They change no result.
 
     Raises
     ------
     AmulettError
         If a contender is unknown or acts in the loop, or a file cannot be read or written.
     """
-    found = []
     count = len(trials.rows) // trials.draws
     schedules = start_schedules(trials, laws)
-    for first in range(0, count, block):
-        scenarios = np.arange(first, min(first + block, count))
-        own = {name: actions[scenarios] for name, actions in schedules.items()}
-        found.append(_kept(trials, scenarios, own, effort, folder, report))
+    blocks = [
+        _Block(
+            trials,
+            (scenarios := np.arange(first, min(first + block, count))),
+            {name: actions[scenarios] for name, actions in schedules.items()},
+            effort,
+        )
+        for first in range(0, count, block)
+    ]
+    missing = {}
+    if folder is not None and not workers.alone:
+        missing = {each.file: each for each in blocks if read_kept(Path(folder) / each.file, each.digest()) is None}
+    calls = {file: Call(_search, (each,)) for file, each in missing.items()}
+    for file, arrays in results(calls, workers, report):
+        write_kept(Path(folder or "") / file, missing[file].digest(), arrays)
+    found = [_kept(each, folder, _nothing if each.file in missing else report) for each in blocks]
     shares = np.array([part.costs.size for part in found]) / count
     return Reference(
         costs=np.concatenate([part.costs for part in found]),
@@ -378,34 +395,56 @@ def _followed(trials: Trials, name: str) -> Actions:
     return np.array(steps).T
 
 
-def _kept(
-    trials: Trials,
-    scenarios: Devices,
-    starts: dict[str, Actions],
-    effort: Effort,
-    folder: str | Path | None,
-    report: Callable[[int], object],
-) -> Reference:
-    """Return the stored result for these scenarios, or search and store it."""
+@dataclass(frozen=True)
+class _Block:
+    """Scenarios that are searched at once, with their starts."""
+
+    trials: Trials
+    scenarios: Devices
+    starts: dict[str, Actions]
+    effort: Effort
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its result."""
+        protocol = self.trials.protocol
+        number = protocol.seed + int(self.scenarios[0])
+        return f"{protocol.profile.name}/{protocol.suite}-{protocol.split}-{number}.npz"
+
+    def digest(self) -> str:
+        """Return the digest of all that its result depends on."""
+        settings = json.dumps([VERSION, asdict(self.effort), list(self.starts)])
+        return digest(settings, self.trials.digest(_rows(self.trials, self.scenarios)), *self.starts.values())
+
+    def search(self, report: Callable[[int], object] = lambda rounds: None) -> Reference:
+        """Return the best schedules."""
+        return improve(self.trials, self.scenarios, self.starts, self.effort, report)
+
+
+def _nothing(rounds: int) -> None:
+    """Report no rounds: they were reported before."""
+
+
+def _search(block: _Block) -> dict[str, NDArray[Any]]:
+    return _pack(block.search(advance))
+
+
+def _kept(block: _Block, folder: str | Path | None, report: Callable[[int], object]) -> Reference:
+    """Return the stored result for a block's scenarios, or search and store it."""
     if folder is None:
-        return improve(trials, scenarios, starts, effort, report)
-    protocol = trials.protocol
-    path = Path(folder) / protocol.profile.name
-    path /= f"{protocol.suite}-{protocol.split}-{protocol.seed + int(scenarios[0])}.npz"
-    settings = json.dumps([VERSION, asdict(effort), list(starts)])
-    inputs = digest(settings, trials.digest(_rows(trials, scenarios)), *starts.values())
+        return block.search(report)
 
     def unpack(arrays: Mapping[str, NDArray[Any]]) -> Reference:
         found = Reference(
             starts=dict(zip(arrays["names"].tolist(), arrays["starts"], strict=True)),
             **{key: arrays[key] for key in ("costs", "actions", "restarts", "curve")},
         )
-        if not np.allclose(_cost(trials, scenarios, found.actions), found.costs, rtol=1e-9):
+        if not np.allclose(_cost(block.trials, block.scenarios, found.actions), found.costs, rtol=1e-9):
             raise ValueError("their costs differ in this version of the simulation")
-        report(effort.rounds)
+        report(block.effort.rounds)
         return found
 
-    return kept(path, inputs, lambda: improve(trials, scenarios, starts, effort, report), _pack, unpack)
+    return kept(Path(folder) / block.file, block.digest(), lambda: block.search(report), _pack, unpack)
 
 
 def _pack(found: Reference) -> dict[str, Any]:

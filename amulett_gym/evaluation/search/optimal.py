@@ -221,6 +221,11 @@ def optimal_costs(
     )
 
 
+def result_file(profile: Profile, suite: str, split: str, scenario: int, options: Options = Options()) -> str:
+    """Return the name of a scenario's file in a folder of results."""
+    return f"{profile.name}/{'causal' if options.causal else 'anticipating'}/{suite}-{split}-{scenario}.npz"
+
+
 def optimise(profile: Profile, row: np.void, price: Values, ticks: int, options: Options = Options()) -> Optimal:
     """Return the optimal commands of one scenario and their costs.
 
@@ -425,8 +430,7 @@ def _kept(
     """Return the stored result of a scenario, or find and store it."""
     if folder is None:
         return optimise(profile, row, price, ticks, options)
-    path = Path(folder) / profile.name / ("causal" if options.causal else "anticipating")
-    path /= f"{protocol.suite}-{protocol.split}-{protocol.seed}.npz"
+    path = Path(folder) / result_file(profile, protocol.suite, protocol.split, protocol.seed, options)
 
     def unpack(arrays: Mapping[str, Any]) -> Optimal:
         success, seconds = bool(arrays["success"]), float(arrays["seconds"])

@@ -10,6 +10,7 @@ import copy
 import hashlib
 import json
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,6 +111,10 @@ class Trials:
         self.rows = first.simulation.read_scenarios(lanes)
         self.draws = 1
         self.tension_range = first.settings.tension_range
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy for another process needs: its batches are made anew."""
+        return {**vars(self), "_batches": {}}
 
     def redrawn(self, draws: int, first: int = 0) -> Trials:
         """Return the same scenarios with `draws` rows each, which differ by chance, from draw number `first` on.

@@ -46,17 +46,45 @@ class Played:
         return cls(values, runs[0].families, [run.failures for run in runs])
 
 
-def played(folder: Path, label: str, protocol: Protocol, contender: Contender, keep_schedule: bool = False) -> Run:
-    """Return a contender's run under a protocol: read from its file, or played and kept.
+@dataclass(frozen=True)
+class Play:
+    """Episodes of a contender under a protocol, kept in a file of a folder."""
 
-    A user's callable is played each time: it has no content to compare.
-    """
-    if isinstance(contender, Own):
-        return play_alone(protocol, contender)
-    path = folder / protocol.split / protocol.suite / f"{label}.npz"
-    inputs = _digest(protocol, contender, keep_schedule)
-    with_schedule = keep_schedule and acts_from_outside(contender)
-    return kept(path, inputs, lambda: play_alone(protocol, contender), partial(_pack, with_schedule), _unpack)
+    folder: Path
+    label: str
+    protocol: Protocol
+    contender: Contender
+    keeps_schedule: bool = False
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.folder / self.protocol.split / self.protocol.suite / f"{self.label}.npz"
+
+    @property
+    def digest(self) -> str:
+        """The digest of everything that the episodes depend on."""
+        return _digest(self.protocol, self.contender, self.keeps_schedule)
+
+    def run(self) -> Run:
+        """Return the run: read from its file, or played and kept.
+
+        A user's callable is played each time: it has no content to compare.
+        """
+        if isinstance(self.contender, Own):
+            return play_alone(self.protocol, self.contender)
+        return kept(
+            self.path,
+            self.digest,
+            lambda: play_alone(self.protocol, self.contender),
+            partial(_pack, self.keeps_schedule and acts_from_outside(self.contender)),
+            _unpack,
+        )
+
+
+def arrays_of(protocol: Protocol, contender: Contender, keep_schedule: bool) -> dict[str, Any]:
+    """Play a contender, and return what `Play` keeps of its run."""
+    return _pack(keep_schedule and acts_from_outside(contender), play_alone(protocol, contender))
 
 
 def file_label(name: str) -> str:

@@ -21,6 +21,7 @@ from amulett_gym.evaluation.search.trials import Trials
 from amulett_gym.laws.contenders import Own, parse_contender
 from amulett_gym.simulation.layout import Control
 from amulett_gym.studies.benchmark.description import Benchmark, loop_of, named
+from amulett_gym.workers.call import ALONE, Workers
 
 CLAIRVOYANT, CHECK, FORESIGHT = "clairvoyant", "clairvoyant-check", "foresight"
 MOST_THREADS = 4
@@ -98,7 +99,12 @@ def rounds(description: Benchmark) -> int:
 
 
 def search(
-    description: Benchmark, protocol: Protocol, folder: Path, report: Callable[[int, str], object], place: Place
+    description: Benchmark,
+    protocol: Protocol,
+    folder: Path,
+    report: Callable[[int, str], object],
+    place: Place,
+    workers: Workers = ALONE,
 ) -> Searched:
     """Search for the best schedules of a suite's first held-out scenarios, or read those found before.
 
@@ -111,6 +117,7 @@ def search(
     report : callable
         Called with a number of finished rounds, and the label of the search.
     place : Place
+    workers : Workers
 
     Raises
     ------
@@ -125,7 +132,8 @@ def search(
 
     def find(what: str, trials: Trials, effort: Effort) -> Reference:
         label = f"{what} on {protocol.suite}"
-        return clairvoyant(trials, effort, place.starts, folder / what, BLOCK, lambda rounds: report(rounds, label))
+        starts, kept = place.starts, folder / what
+        return clairvoyant(trials, effort, starts, kept, BLOCK, lambda rounds: report(rounds, label), workers)
 
     def judged(actions: NDArray[np.float32]) -> Run:
         return play_alone(

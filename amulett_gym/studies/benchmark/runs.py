@@ -123,6 +123,12 @@ def check_runs(runs: Sequence[TrainingRun]) -> list[TrainingRun]:
     return missing
 
 
+def begin_run(run: TrainingRun) -> None:
+    """Write what is needed to train a run from its beginning, unless it is there."""
+    if not (run.folder / _CONFIG).is_file():
+        load_learning("training").begin(run.config, run.folder, ["amulett", "benchmark"])
+
+
 def train_run(run: TrainingRun, progress: bool = False) -> None:
     """Train a run, or resume it. Raises KeyboardInterrupt if Ctrl-C or SIGTERM ended it; its checkpoint is kept."""
     training = load_learning("training")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +19,7 @@ from amulett_gym.evaluation.search.law_recipe import Recipe
 from amulett_gym.evaluation.search.laws import result_path, tune
 from amulett_gym.evaluation.search.optimal import OptimalCosts, optimal_costs
 from amulett_gym.evaluation.search.transcription import load_casadi
-from amulett_gym.laws.contenders import Contender, Own, in_loop, parse_contender, split_loop
+from amulett_gym.laws.contenders import Contender, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile, load_profile, profile_names
 from amulett_gym.reporting.progress import Progress
@@ -32,6 +31,7 @@ from amulett_gym.storage.reading import read_text, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.studies.benchmark import reference
+from amulett_gym.studies.benchmark.ahead import play_ahead, solve_ahead, train_ahead, tune_ahead
 from amulett_gym.studies.benchmark.altered import alter, with_gains
 from amulett_gym.studies.benchmark.description import (
     PAPER_STEP,
@@ -42,9 +42,8 @@ from amulett_gym.studies.benchmark.description import (
     loop_of,
     named,
 )
-from amulett_gym.studies.benchmark.episodes import Played, file_label, played
+from amulett_gym.studies.benchmark.episodes import Play, Played, file_label
 from amulett_gym.studies.benchmark.frozen import check_frozen, hashes, seed_overlap
-from amulett_gym.studies.benchmark.processes import Job, work_ahead
 from amulett_gym.studies.benchmark.reference import Searched
 from amulett_gym.studies.benchmark.runs import (
     TrainingRun,
@@ -53,10 +52,10 @@ from amulett_gym.studies.benchmark.runs import (
     outcome,
     required_runs,
     train_missing,
-    train_run,
     trained_loops,
 )
 from amulett_gym.tasks.hashes import PROFILE
+from amulett_gym.workers.call import ALONE, Workers
 
 DESCRIPTION = "description.json"
 """File by which a benchmark's folder is recognised."""
@@ -151,7 +150,7 @@ def run_benchmark(
     copies: Copies = NO_COPIES,
     say: Say = lambda message: None,
     progress: bool = False,
-    processes: int = 1,
+    workers: Workers = ALONE,
 ) -> Evidence:
     """Run the stages that are missing, and return all measurements.
 
@@ -171,8 +170,8 @@ def run_benchmark(
         The content of `own` policies, which is kept in the folder.
     say : callable
         Called with a line after each stage.
-    processes : int
-        Number of processes for tuning, training, episodes and optimal control; with one, all is done in this process.
+    workers : Workers
+        For tuning, training, episodes, reference searches and optimal control. They change no result.
 
     Raises
     ------
@@ -220,10 +219,10 @@ def run_benchmark(
             f"Episodes: {counts['train']} trained on, {counts['validation']} chosen by, {counts['judged']} judged on a "
             "suite; none is two of these"
         )
-        tunings: list[Job] = [
-            partial(tune, out / TUNED_LAWS / recipe.control, recipe) for recipe in recipes_of_laws.values()
-        ]
-        work_ahead(tunings, processes, "tuning", progress)
+        by_loop: dict[Path, list[Recipe]] = {}
+        for recipe in recipes_of_laws.values():
+            by_loop.setdefault(out / TUNED_LAWS / recipe.control, []).append(recipe)
+        tune_ahead(by_loop, workers, progress)
         tuned = {}
         for name, recipe in recipes_of_laws.items():
             folder = out / TUNED_LAWS / recipe.control
@@ -233,52 +232,43 @@ def run_benchmark(
             laws.append(Entry(name, "law", (in_loop(contender, split_loop(name)[0]),)))
         if description.track == FULL_CONTROL:  # whose return the training minimises
             laws = [_on_track(entry, description) for entry in laws]
-        tried = _try_constants(description, out / EPISODES, protocol, laws, processes, progress)
+        tried = _try_constants(description, out / EPISODES, protocol, laws, workers, progress)
         constant = best_in(tried[description.headline])
         say(f"best constant on train of {description.headline}: {constant}")
         description = description.in_best_loop(loop_of(constant), trained)
         needed = required_runs(description, recipes, runs_folder)
         missing = check_runs(needed)
         say(f"{len(needed) - len(missing)} of {len(needed)} training runs are there")
-        evidence = _work(
-            description, out, protocol, laws, tried, needed, found_hashes, overlap, say, progress, processes
-        )
+        evidence = _work(description, out, protocol, laws, tried, needed, found_hashes, overlap, say, progress, workers)
         evidence = replace(evidence, paper_gains=_with_paper_gains(evidence, out / EPISODES))
         if not description.optimal:
             return replace(evidence, tuned=tuned)
         scenarios = range(description.seed, description.seed + description.optimal)
-        each = (range(scenario, scenario + 1) for scenario in scenarios)
-        problem = profile, description.headline, "held-out"
-        solutions: list[Job] = [
-            partial(optimal_costs, *problem, one, out / OPTIMAL, description.duration) for one in each
-        ]
-        work_ahead(solutions, processes, "optimal control", progress)
+        problem = profile, description.headline, "held-out", scenarios, out / OPTIMAL, description.duration
+        solve_ahead(*problem, workers, progress)
         with Progress(description.optimal, "optimal control", "scenarios", progress) as bar:
-            solved = optimal_costs(
-                *(*problem, scenarios, out / OPTIMAL, description.duration), report=lambda note: bar.update(note=note)
-            )
+            solved = optimal_costs(*problem, report=lambda note: bar.update(note=note))
         say(f"optimal control: mean cost {solved.cost.mean():.4f}, solved {solved.success.sum()} of {len(scenarios)}")
         return replace(evidence, tuned=tuned, optimal=solved)
 
 
 def _try_constants(
-    description: Benchmark, folder: Path, protocol: Protocol, laws: Sequence[Entry], processes: int, progress: bool
+    description: Benchmark, folder: Path, protocol: Protocol, laws: Sequence[Entry], workers: Workers, progress: bool
 ) -> dict[str, dict[str, float]]:
     """Return by suite the mean cost of each constant on the split `train`."""
     constants = [entry for entry in laws if entry.kind == "constant"]
     suites = {suite: replace(protocol, suite=suite, split="train") for suite in description.suites}
 
-    def job(entry: Entry, suite: str) -> partial[Run]:
-        return partial(played, folder, entry.file_labels()[0], suites[suite], entry.members[0])
+    def play(entry: Entry, suite: str) -> Play:
+        return Play(folder, entry.file_labels()[0], suites[suite], entry.members[0])
 
-    work_ahead(
-        [job(entry, suite) for suite in suites for entry in constants], processes, "constants on train", progress
-    )
+    every = [play(entry, suite) for suite in suites for entry in constants]
+    play_ahead(every, workers, "constants on train", progress)
     tried: dict[str, dict[str, float]] = {suite: {} for suite in suites}
     with Progress(len(suites) * len(constants), "constants on train", "runs", progress) as bar:
         for suite in suites:
             for entry in constants:
-                tried[suite][entry.name] = float(job(entry, suite)().values[COST_OF[description.track]].mean())
+                tried[suite][entry.name] = float(play(entry, suite).run().values[COST_OF[description.track]].mean())
                 bar.update(note=f"{entry.name} on {suite}")
     return tried
 
@@ -294,7 +284,7 @@ def _work(
     overlap: dict[str, int],
     say: Say,
     progress: bool,
-    processes: int,
+    workers: Workers,
 ) -> Evidence:
     folder, metric = out / EPISODES, COST_OF[description.track]
 
@@ -305,22 +295,20 @@ def _work(
             f"{result['best_cost']:.4f}"
         )
 
-    trainings: list[Job] = [partial(train_run, run) for run in needed if not run.is_finished()]
-    work_ahead(trainings, processes, "training", progress)
+    train_ahead(needed, workers, progress)
     train_missing(needed, trained, progress)
     entries = [*laws, *_learned(description, needed)]
     plays = [
         play for place in description.places() for play in _plays(description, folder, protocol, entries, tried, place)
     ]
-    ahead = [play.job() for play in plays if not isinstance(play.member, Own)]
-    work_ahead(ahead, processes, "contenders", progress)
+    play_ahead([play.episodes for play in plays], workers, "contenders", progress)
     runs: dict[tuple[str, str], dict[str, list[Run]]] = {}
     with Progress(len(plays), "contenders", "runs", progress) as bar:
         for play in plays:
             if play.place not in runs:
-                say(f"{', '.join(play.place)}: {play.protocol.episodes} scenarios")
-            runs.setdefault(play.place, {}).setdefault(play.entry, []).append(play.job()())
-            bar.update(note=f"{play.label} on {', '.join(play.place)}")
+                say(f"{', '.join(play.place)}: {play.episodes.protocol.episodes} scenarios")
+            runs.setdefault(play.place, {}).setdefault(play.entry, []).append(play.episodes.run())
+            bar.update(note=f"{play.episodes.label} on {', '.join(play.place)}")
     shown = runs[protocol.suite, "held-out"]
     results = {place: {name: Played.of(done) for name, done in found.items()} for place, found in runs.items()}
     schedules = {name: [run.schedule for run in done] for name, done in shown.items() if done[0].schedule.error.size}
@@ -341,7 +329,7 @@ def _work(
     searched, where = {}, reference.place(evidence)
     with Progress(reference.rounds(description), "reference search", "rounds", progress) as bar:
         for suite, there in reference.protocols(description, protocol).items():
-            searched[suite] = reference.search(description, there, out, bar.update, where)
+            searched[suite] = reference.search(description, there, out, bar.update, where, workers)
             foreseen = searched[suite].foresight
             for name, found in (("clairvoyant", searched[suite]), ("foresight", foreseen)):
                 if found is not None:
@@ -353,16 +341,9 @@ def _work(
 class _Play:
     """Episodes that a member of an entry has to play."""
 
-    folder: Path
     place: tuple[str, str]
-    protocol: Protocol
     entry: str
-    label: str
-    member: Contender
-    keep: bool  # its schedule
-
-    def job(self) -> partial[Run]:
-        return partial(played, self.folder, self.label, self.protocol, self.member, self.keep)
+    episodes: Play
 
 
 def _plays(
@@ -387,7 +368,7 @@ def _plays(
         kept = {best_in(tried[each], loop) for each in (suite, description.headline) for loop in description.loops}
         entries = [entry for entry in entries if entry.kind != "constant" or entry.name in kept]
     return [
-        _Play(folder, place, there, entry.name, label, member, headline and entry.kind != "constant")
+        _Play(place, entry.name, Play(folder, label, there, member, headline and entry.kind != "constant"))
         for entry in entries
         for label, member in zip(entry.file_labels(), entry.members, strict=True)
     ]
@@ -406,7 +387,7 @@ def _with_paper_gains(evidence: Evidence, folder: Path) -> dict[str, Run]:
     contender = evidence.entries[YARDSTICK].members[0]
     there = replace(evidence.protocol, profile=papers, split="held-out")
     return {
-        suite: played(folder / "paper-gains", YARDSTICK, replace(there, suite=suite), contender) for suite in suites
+        suite: Play(folder / "paper-gains", YARDSTICK, replace(there, suite=suite), contender).run() for suite in suites
     }
 
 
@@ -507,7 +488,7 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
     for name in (YARDSTICK, evidence.best_constant(loop=loop), named(loop, "eq6-tuned"), named(loop, "parametric")):
         if name in evidence.entries:
             entry = evidence.entries[name]
-            run = played(folder, entry.file_labels()[0], there, entry.members[0])
+            run = Play(folder, entry.file_labels()[0], there, entry.members[0]).run()
             costs[name] = float(capped_cost(run.values).mean())
     return costs
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import fork_processes
 from scipy.optimize import differential_evolution
 
 from amulett_gym.envs.reward import FULL_CONTROL
@@ -21,6 +22,7 @@ from amulett_gym.evaluation.search.clairvoyant import (
 )
 from amulett_gym.evaluation.search.trials import Trials, scheduled
 from amulett_gym.profile import load_profile
+from amulett_gym.workers.call import Workers
 
 EFFORT = Effort((Stage(4, 0.06, 0.6, 2.0), Stage(4, 0.02, 0.2, 1.0)), restarts=2, candidates=8)
 PROTOCOL = Protocol(load_profile("testbed"), episodes=3, seed=7, duration=4.0)
@@ -131,6 +133,18 @@ def test_what_was_found_is_kept_until_something_changes(trials, found, tmp_path,
     assert searched == [[0, 1], [2]]
     clairvoyant(Trials(replace(PROTOCOL, duration=3.0)), short, folder=tmp_path, block=2)
     assert searched == [[0, 1], [2], [0, 1], [2]]
+
+
+def test_workers_find_and_keep_the_same(trials, tmp_path, monkeypatch):
+    fork_processes(monkeypatch)
+    rounds = []
+    folders = tmp_path / "one", tmp_path / "two"
+    alone = clairvoyant(trials, EFFORT, folder=folders[0], block=2)
+    several = clairvoyant(trials, EFFORT, folder=folders[1], block=2, report=rounds.append, workers=Workers(2))
+    assert sum(rounds) == 2 * EFFORT.rounds
+    assert several.costs.tolist() == alone.costs.tolist() and several.curve.tolist() == alone.curve.tolist()
+    kept = [{path.name: path.read_bytes() for path in folder.rglob("*.npz")} for folder in folders]
+    assert kept[0] == kept[1] and len(kept[0]) == 2
 
 
 def test_more_scenarios_search_only_what_is_missing(trials, tmp_path, monkeypatch):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.metrics import COST_OF
-from amulett_gym.evaluation.runner import YARDSTICK, Protocol, Run
+from amulett_gym.evaluation.runner import YARDSTICK, Protocol
 from amulett_gym.evaluation.search.constants import best_constants
 from amulett_gym.evaluation.search.law_recipe import Recipe
 from amulett_gym.evaluation.search.laws import result_path, tune
@@ -32,6 +31,7 @@ from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import read_yaml
 from amulett_gym.storage.writing import output_folder, write_json
+from amulett_gym.studies.benchmark.ahead import play_ahead, train_ahead, tune_ahead
 from amulett_gym.studies.benchmark.altered import with_gains
 from amulett_gym.studies.benchmark.description import Learned, named, training_recipe
 from amulett_gym.studies.benchmark.devices.description import (
@@ -46,11 +46,11 @@ from amulett_gym.studies.benchmark.devices.description import (
     eq6_gains,
     load_fleets,
 )
-from amulett_gym.studies.benchmark.episodes import Played, file_label, played
+from amulett_gym.studies.benchmark.episodes import Play, Played, file_label
 from amulett_gym.studies.benchmark.frozen import check_frozen, seed_overlap
-from amulett_gym.studies.benchmark.processes import Job, work_ahead
-from amulett_gym.studies.benchmark.runs import TrainingRun, check_runs, outcome, train_missing, train_run
+from amulett_gym.studies.benchmark.runs import TrainingRun, check_runs, outcome, train_missing
 from amulett_gym.studies.benchmark.stages import DESCRIPTION, EPISODES, RUNS, TUNED_LAWS, Say, remove_leftovers
+from amulett_gym.workers.call import ALONE, Workers
 
 OWN_CONSTANTS = "own_constants.json"
 
@@ -124,7 +124,7 @@ def run_devices_benchmark(
     copies: Copies = NO_COPIES,
     say: Say = lambda message: None,
     progress: bool = False,
-    processes: int = 1,
+    workers: Workers = ALONE,
 ) -> Evidence:
     """Run the stages that are missing, and return all measurements.
 
@@ -162,20 +162,20 @@ def run_devices_benchmark(
             f"by; episodes: {counts['train']} trained on, {counts['validation']} chosen by, {counts['judged']} judged "
             "on each device; none is two of these"
         )
-        tuned = _tune(recipes, out / TUNED_LAWS, say, progress, processes)
+        tuned = _tune(recipes, out / TUNED_LAWS, say, progress, workers)
         constants = _own_constants(description, judged, out)
         say("best constant of each judged device: " + ", ".join(f"{one['tension']:g}" for one in constants.values()))
-        _train(learned + specialists, say, progress, processes)
+        _train(learned + specialists, say, progress, workers)
         start = int(np.argmin([outcome(run)["best_cost"] for run in _of(learned, description.best_learned)]))
         adapted = _adapted_runs(description, runs_folder, judged, _of(learned, description.best_learned)[start])
-        _train(adapted, say, progress, 1)  # limited by time: one at a time
+        _train(adapted, say, progress, ALONE)  # limited by time: one at a time
         entries = [
             *_given(description, judged, own, gains),
             *_tuned_entries(recipes, judged, out / TUNED_LAWS),
             _own_entry(description, constants),
             *_trained_entries(description, judged, learned, specialists, adapted),
         ]
-        found = _play(description, entries, judged, out / EPISODES, progress, processes)
+        found = _play(description, entries, judged, out / EPISODES, progress, workers)
         say(f"{len(entries)} entries played on {len(judged)} devices, {description.episodes} scenarios each")
     return Evidence(
         description=description,
@@ -268,7 +268,7 @@ def _place(folder: Path, entry: str, profile: Profile, seed: int) -> Path:
     return folder / entry / file_label(profile.name) / f"seed-{seed}"
 
 
-def _train(runs: Sequence[TrainingRun], say: Say, progress: bool, processes: int) -> None:
+def _train(runs: Sequence[TrainingRun], say: Say, progress: bool, workers: Workers) -> None:
     """Train the runs that are missing."""
     missing = check_runs(runs)
 
@@ -280,8 +280,7 @@ def _train(runs: Sequence[TrainingRun], say: Say, progress: bool, processes: int
                 f"{result['best_cost']:.4f}"
             )
 
-    trainings: list[Job] = [partial(train_run, run) for run in missing]
-    work_ahead(trainings, processes, "training", progress)
+    train_ahead(missing, workers, progress)
     train_missing(runs, report, progress)
 
 
@@ -305,10 +304,9 @@ def _tuning(description: DevicesBenchmark, fleets: Mapping[str, Any], config: An
 
 
 def _tune(
-    recipes: Mapping[str, Recipe], folder: Path, say: Say, progress: bool, processes: int
+    recipes: Mapping[str, Recipe], folder: Path, say: Say, progress: bool, workers: Workers
 ) -> dict[str, dict[str, Any]]:
-    tunings: list[Job] = [partial(tune, folder, recipe) for recipe in recipes.values()]
-    work_ahead(tunings, processes, "tuning", progress)
+    tune_ahead({folder: [*recipes.values()]}, workers, progress)
     tuned = {}
     for name, recipe in recipes.items():
         tuned[name] = tune(folder, recipe, progress=progress)
@@ -390,11 +388,11 @@ def _play(
     judged: Sequence[Profile],
     folder: Path,
     progress: bool,
-    processes: int,
+    workers: Workers,
 ) -> dict[str, dict[str, Played]]:
     """Return the held-out episodes of each entry on each of its devices."""
 
-    def jobs(entry: Entry, profile: Profile) -> list[partial[Run]]:
+    def plays(entry: Entry, profile: Profile) -> list[Play]:
         shared: dict[str, Any] = {
             "episodes": description.episodes,
             "seed": description.seed,
@@ -406,14 +404,14 @@ def _play(
         labels = [f"{entry.name}-seed-{seed}" for seed in entry.seeds] or [entry.name]
         place = folder / file_label(profile.name)
         pairs = zip(labels, members, strict=True)
-        return [partial(played, place, file_label(label), protocol, member) for label, member in pairs]
+        return [Play(place, file_label(label), protocol, member) for label, member in pairs]
 
     pairs = [(entry, profile) for profile in judged for entry in entries if profile.name in entry.members]
-    work_ahead([job for pair in pairs for job in jobs(*pair)], processes, "contenders", progress)
+    play_ahead([play for pair in pairs for play in plays(*pair)], workers, "contenders", progress)
     found: dict[str, dict[str, Played]] = {entry.name: {} for entry in entries}
     with Progress(len(pairs), "contenders", "runs", progress) as bar:
         for entry, profile in pairs:
-            found[entry.name][profile.name] = Played.of([job() for job in jobs(entry, profile)])
+            found[entry.name][profile.name] = Played.of([play.run() for play in plays(entry, profile)])
             bar.update(note=f"{entry.name} on {profile.name}")
     return found
 
