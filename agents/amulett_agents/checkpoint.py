@@ -18,6 +18,7 @@ from __future__ import annotations
 import hashlib
 import random
 import shutil
+import sys
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -185,6 +186,13 @@ def newest_checkpoint(out: Path) -> Checkpoint | None:
     if damages:
         raise AmulettError(f"no checkpoint of '{out}' can be used: {'; '.join(damages)}")
     return None
+
+
+def steps_of(out: Path) -> int:
+    """Return the agent steps of a run's newest checkpoint, which is not read; of a finished run a large number."""
+    if (out / "finished.json").is_file():
+        return sys.maxsize
+    return max((int(folder.name) for folder in _found(out)), default=0)
 
 
 def read_checkpoint(folder: Path) -> Checkpoint:

@@ -22,6 +22,7 @@ from amulett_agents.validation import evaluate, reward_terms
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import atomic_path
+from amulett_gym.workers import report
 
 _LOG_EVERY = 16_384
 """Steps between two entries of SAC's log. PPO logs every rollout."""
@@ -60,7 +61,7 @@ class Run(BaseCallback):
         self._best, self._validated_steps, self._next_validation = 0, -1, 0
         self._episodes: deque[dict[str, float]] = deque(maxlen=config.num_envs)
         self._progress: Progress | None = None
-        self._show = progress
+        self._show, self._reported = progress, 0
 
     def stop(self) -> bool:
         """Stop the run at its next rollout; return whether that was requested before."""
@@ -125,6 +126,8 @@ class Run(BaseCallback):
             self.close_progress()
             total = min(config.sac.learning_starts, config.total_steps) if random else config.total_steps
             self._progress = Progress(total, what, "steps", self._show, done)
+        report.advance(done - self._reported)
+        self._reported = done
         costs = f", cost {self._rows[-1]['cost']:.3f} (best {self._rows[self._best]['cost']:.3f})" if self._rows else ""
         self._progress.update(done - self._progress.done if phase == "acting" else 0, phase + costs)
 
@@ -141,6 +144,7 @@ class Run(BaseCallback):
         if self.diverged is None and self.config.checkpoint:
             with atomic_path(self.out / "last_sb3.zip") as path:
                 model.save(path)
+        report.advance(min(model.num_timesteps, self.config.total_steps) - self._reported)
         self.validation.close()
         model.get_env().close()
         model.logger.close()
@@ -168,6 +172,7 @@ class Run(BaseCallback):
         self.check_folder()
         write_checkpoint(self.out, self.model, state, self.config.model_dump())  # type: ignore[arg-type]
         self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
+        report.keep()
 
     def check_folder(self) -> None:
         """Refuse to write if the folder was removed meanwhile: a new one would lack its files."""
@@ -179,6 +184,7 @@ class Run(BaseCallback):
         restore(self.model, checkpoint)  # type: ignore[arg-type]
         state = checkpoint.content.run
         self.num_timesteps = self._checkpointed_steps = self.model.num_timesteps
+        self._reported = min(self.num_timesteps, self.config.total_steps)
         self._started = time.monotonic() - state.seconds
         self._checkpointed = time.monotonic()
         self._rows, self._best = list(state.rows), state.best

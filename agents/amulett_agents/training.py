@@ -1,17 +1,18 @@
-"""Training runs, new or resumed."""
+"""Training runs, new or resumed: one, or one with each of several seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from stable_baselines3.common.logger import Logger, TensorBoardOutputFormat
 from torch.utils.tensorboard import SummaryWriter
 
 from amulett_agents.bundles import has_diverged
-from amulett_agents.checkpoint import Checkpoint, devices_of, newest_checkpoint, remove_checkpoints
-from amulett_agents.config import RecipeError, TrainConfig, load_train_config
+from amulett_agents.checkpoint import Checkpoint, devices_of, newest_checkpoint, remove_checkpoints, steps_of
+from amulett_agents.config import RecipeError, TrainConfig, load_train_config, parse_train_config
 from amulett_agents.interruption import stop_on_signals
 from amulett_agents.model import Model, callbacks, make_model
 from amulett_agents.run import Run, Stopped
@@ -31,10 +32,18 @@ from amulett_agents.run_folder import (
 )
 from amulett_agents.validation import make_validation_env, torch_threads, warm_up
 from amulett_gym.errors import AmulettError
+from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
-from amulett_gym.storage.provenance import differences
-from amulett_gym.storage.reading import user_path
-from amulett_gym.storage.writing import output_folder
+from amulett_gym.storage.provenance import differences, write_provenance
+from amulett_gym.storage.reading import read_json, user_path
+from amulett_gym.storage.writing import output_folder, write_json
+from amulett_gym.workers.call import ALONE, Call, Workers
+from amulett_gym.workers.run import results
+
+SEEDS = "seeds.json"
+"""File by which a folder of several seeds is recognised."""
+
+Report = Callable[[TrainResult], object]
 
 
 def train(
@@ -73,20 +82,52 @@ def train(
         If `out` is not empty, or another process works in it.
     """
     out = user_path(out)
+    with _new_run(out, overwrite), torch_threads(config.threads):
+        model, validation = _made(config, progress)
+        prepare(out, config, command)
+        return _learn(model, Run(config, out, validation, command, progress))
+
+
+def begin(
+    config: TrainConfig,
+    out: str | Path,
+    command: Sequence[str] | None = None,
+    overwrite: bool = False,
+    check: bool = True,
+) -> None:
+    """Write what :func:`resume` needs to train a policy, as :func:`train` does, from the beginning.
+
+    Parameters and errors are those of :func:`train`. Without `check`, or with a teacher, whose imitation takes long,
+    only :func:`resume` finds out whether the environment and the networks accept the recipe.
+    """
+    out = user_path(out)
+    with _new_run(out, overwrite), torch_threads(config.threads):
+        if check and config.teacher is None:
+            model, validation = _made(config, progress=False)
+            model.get_env().close()  # type: ignore[union-attr]
+            validation.close()
+        prepare(out, config, command)
+
+
+@contextmanager
+def _new_run(out: Path, overwrite: bool) -> Iterator[None]:
+    """Reserve the folder of a new run during the block; refuse one that holds a run, unless it may be overwritten."""
     with output_folder(out, "training run", [RUN_MARKS]) as earlier, locked_folder(out):
         if earlier and not overwrite:
             raise AmulettError(
                 f"'{out}' holds a training run already; choose another folder, resume it (--resume), or overwrite it "
                 "(--overwrite)"
             )
-        with torch_threads(config.threads):
-            try:  # a wrong recipe is refused before anything of an earlier run is removed
-                warm_up(config)
-                model, validation = make_model(config, progress=progress), make_validation_env(config)
-            except AmulettError as error:
-                raise RecipeError(str(error)) from error
-            prepare(out, config, command)
-            return _learn(model, Run(config, out, validation, command, progress))
+        yield
+
+
+def _made(config: TrainConfig, progress: bool) -> tuple[Model, Any]:
+    """Return a recipe's model and validation environment; RecipeError if they refuse it."""
+    try:  # before anything of an earlier run is removed
+        warm_up(config)
+        return make_model(config, progress=progress), make_validation_env(config)
+    except AmulettError as error:
+        raise RecipeError(str(error)) from error
 
 
 def resume(out: str | Path, progress: bool = True) -> TrainResult:
@@ -137,6 +178,143 @@ def resume(out: str | Path, progress: bool = True) -> TrainResult:
             if not (out / RUN_MARKS[1]).is_file():  # killed before it was written; the command is lost
                 write_note(out, config, None)
             return _learn(model, Run(config, out, validation, command, progress, checkpoint))
+
+
+def resume_all(
+    folders: Sequence[Path], workers: Workers = ALONE, progress: bool = True, what: str = "training"
+) -> Iterator[tuple[Path, TrainResult]]:
+    """Continue several runs by workers as by :func:`resume`; yield each folder and its result as it is finished.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Of runs, from :func:`begin` or :func:`train`. Finished ones are not repeated.
+    workers : Workers
+        They change no result. On a cluster, the checkpoints are copied to the folders here.
+    progress : bool
+        Show the progress of all runs together on stderr.
+    what : str
+        Name of the work in it.
+
+    Raises
+    ------
+    AmulettError
+        As :func:`resume`, for one of the runs, which it names. The other ones are ended; their checkpoints are kept.
+    KeyboardInterrupt
+        If Ctrl-C, or SIGTERM to a run in this process, ended the runs. Their checkpoints are kept.
+    """
+    runs = {f"training run '{folder}'": folder for folder in folders}
+    steps = {name: load_train_config(folder / CONFIG).total_steps for name, folder in runs.items()}
+    done = sum(min(steps_of(folder), steps[name]) for name, folder in runs.items())
+    missing = {name: folder for name, folder in runs.items() if not is_finished(folder)}
+    calls = {name: Call(_resume_in, (), folder) for name, folder in missing.items()}
+    for folder in folders:
+        if is_finished(folder):
+            yield folder, resume(folder)
+    with Progress(sum(steps.values()), what, "steps", progress, done) as bar:
+        for name, _ in results(calls, workers, bar.update):
+            yield runs[name], read_result(missing[name])
+
+
+def _resume_in(folder: Path) -> None:
+    if resume(folder, progress=False).interrupted:
+        raise KeyboardInterrupt
+
+
+def train_seeds(
+    config: TrainConfig,
+    seeds: Sequence[int],
+    out: str | Path,
+    workers: Workers = ALONE,
+    progress: bool = True,
+    command: Sequence[str] | None = None,
+    overwrite: bool = False,
+    report: Report = lambda result: None,
+) -> list[TrainResult]:
+    """Train a policy with each of several seeds, each in its own folder as by :func:`train`.
+
+    Parameters
+    ----------
+    config : TrainConfig
+        Its own seed is not used.
+    seeds : sequence of int
+    out : str or Path
+        Folder of ``seed-<k>``, made if it does not exist.
+    workers : Workers
+        They change no result, unless `max_seconds` ends runs.
+    progress, command, overwrite
+        As of :func:`train`.
+    report : callable
+        Called with each result as it is there.
+
+    Returns
+    -------
+    list of TrainResult
+        In the order of the seeds.
+
+    Raises
+    ------
+    AmulettError
+        As by :func:`train`, if seeds are equal or negative, or if `out` holds something else.
+    KeyboardInterrupt
+        If Ctrl-C ended the runs; :func:`resume_seeds` continues them.
+    """
+    wrong = [seed for seed in seeds if not 0 <= seed < 2**31]
+    if not seeds or len(set(seeds)) < len(seeds) or wrong:
+        raise AmulettError(f"seeds are {[*seeds]}; they have to differ and be from 0 to 2147483647")
+    out = user_path(out)
+    with output_folder(out, "training runs of several seeds", [[SEEDS]]) as earlier, locked_folder(out):
+        if earlier and not overwrite:
+            raise AmulettError(
+                f"'{out}' holds training runs already; choose another folder, resume them (--resume), or overwrite "
+                "them (--overwrite)"
+            )
+        for number, folder in enumerate(_folders(out, seeds)):
+            begin(_with_seed(config, seeds[number]), folder, command, overwrite, check=number == 0)
+            if number == 0:  # the recipe is accepted
+                words = None if command is None else [*command]
+                write_json(out / SEEDS, {"seeds": [*seeds], "config": config.model_dump(), "command": words})
+                write_provenance(out, "seeds", {}, seeds, command)
+        return _finish(out, seeds, workers, progress, report)
+
+
+def resume_seeds(
+    out: str | Path, workers: Workers = ALONE, progress: bool = True, report: Report = lambda result: None
+) -> list[TrainResult]:
+    """Continue the runs of :func:`train_seeds` that are not finished; parameters and errors as there."""
+    out = user_path(out)
+    content = read_json(out / SEEDS, "file of seeds")
+    try:
+        seeds, command = [int(seed) for seed in content["seeds"]], content["command"]
+        config = parse_train_config(content["config"], f"the recipe in '{out / SEEDS}'")
+    except (KeyError, TypeError, ValueError) as error:
+        raise AmulettError(f"'{out / SEEDS}' is damaged: {error!r}") from error
+    with locked_folder(out):
+        for seed, folder in zip(seeds, _folders(out, seeds), strict=True):
+            if not (folder / CONFIG).is_file():  # killed before it was begun
+                begin(_with_seed(config, seed), folder, command, check=False)
+        return _finish(out, seeds, workers, progress, report)
+
+
+def holds_seeds(out: str | Path) -> bool:
+    """Return whether a folder is of :func:`train_seeds`."""
+    return (user_path(out) / SEEDS).is_file()
+
+
+def _finish(out: Path, seeds: Sequence[int], workers: Workers, progress: bool, report: Report) -> list[TrainResult]:
+    found = {}
+    for folder, result in resume_all(_folders(out, seeds), workers, progress, f"training, {len(seeds)} seeds"):
+        found[folder] = result
+        report(result)
+    return [found[folder] for folder in _folders(out, seeds)]
+
+
+def _folders(out: Path, seeds: Sequence[int]) -> list[Path]:
+    return [out / f"seed-{seed}" for seed in seeds]
+
+
+def _with_seed(config: TrainConfig, seed: int) -> TrainConfig:
+    return config.model_copy(update={"seed": seed})
 
 
 def _learn(model: Model, run: Run) -> TrainResult:

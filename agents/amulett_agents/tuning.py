@@ -11,14 +11,15 @@ A study is a folder:
 ====================  ==============================================================
 
 The state of a study is in its runs: a finished one is not repeated, a killed one is resumed. Trial n depends only on
-the study's seed, on n and on the costs of the trials before it, so that a killed study continues with the same trials.
+the study's seed, on n and on the costs of the trials before its batch, so that a killed study continues with the same
+trials, and any number of workers makes the same ones.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from pydantic import Field, ValidationError, model_validator
 
 from amulett_agents.config import RecipeError, TrainConfig
-from amulett_agents.run_folder import CONFIG, starting_from
-from amulett_agents.training import resume, train
+from amulett_agents.run_folder import CONFIG, TrainResult, starting_from
+from amulett_agents.training import begin, resume_all
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.copies import FOLDER, copy_policies, kept_policies
 from amulett_gym.settings import Group, describe, find_config
@@ -38,10 +39,11 @@ from amulett_gym.storage.provenance import differences, write_provenance
 from amulett_gym.storage.reading import read_json, user_path
 from amulett_gym.storage.safe_yaml import read_yaml, to_yaml
 from amulett_gym.storage.writing import output_folder, write_json, write_text
+from amulett_gym.workers.call import ALONE, Workers
 
 STUDY, TRIALS, BEST = "study.json", "trials.json", "best.yaml"
 RUNS = "trials"
-_RANDOM_TRIALS = 8
+RANDOM_TRIALS = 8
 """Random trials before the sampler uses their costs."""
 
 
@@ -179,6 +181,8 @@ def tune(
     progress: bool = False,
     report: Callable[[Trial, Trial | None], None] | None = None,
     places: Mapping[str, str] | None = None,
+    workers: Workers = ALONE,
+    batch: int = 1,
 ) -> list[Trial] | None:
     """Run the trials of a study, or continue it.
 
@@ -204,6 +208,10 @@ def tune(
         Called after each trial with it and the best one so far.
     places : mapping, optional
         The name of a bundle in the recipe or the space -> where it is now (`laws.copies.kept_policies`).
+    workers : Workers
+        They train the runs of the first `RANDOM_TRIALS` trials and of each batch; they change no result.
+    batch : int
+        Later trials that are proposed together, from the costs of those before the batch.
 
     Returns
     -------
@@ -218,26 +226,34 @@ def tune(
     """
     if config.max_seconds is not None:
         raise AmulettError("max_seconds makes a trial's cost depend on the machine's speed; use total_steps for tuning")
-    for name, value, least in (("trials", trials, 1), ("seeds", seeds, 1), ("seed", seed, 0)):
+    for name, value, least in (("trials", trials, 1), ("seeds", seeds, 1), ("seed", seed, 0), ("batch", batch, 1)):
         if value < least:
             raise AmulettError(f"{name} is {value}; it has to be at least {least}")
     out = user_path(out)
     with output_folder(out, "study", [[STUDY]]), locked_folder(out):
-        kept = _begin(out, config, space, seed, seeds, command, places)
+        kept = _begin(out, config, space, seed, seeds, batch, command, places)
         done: list[Trial] = []
-        for number in range(trials):
-            changes = _propose(space, done, seed, number)
-            trial = _run(config, changes, kept, out / RUNS / f"{number:04d}", number, seeds, progress)
-            if trial is None:
+        for numbers in _batches(trials, batch):
+            proposed = [_Proposed(number, _propose(space, done, seed, number)) for number in numbers]
+            try:
+                for trial in _made(config, proposed, kept, out / RUNS, seeds, workers, progress):
+                    done = sorted([*done, trial], key=lambda one: one.number)
+                    write_json(out / TRIALS, [asdict(one) | {"cost": one.cost} for one in done])
+                    best = best_of(done)
+                    if best is not None:
+                        write_text(out / BEST, to_yaml(_kept(_changed(config, best.changes), kept).model_dump()))
+                    if report is not None:
+                        report(trial, best)
+            except KeyboardInterrupt:
                 return None
-            done.append(trial)
-            write_json(out / TRIALS, [asdict(one) | {"cost": one.cost} for one in done])
-            best = best_of(done)
-            if best is not None:
-                write_text(out / BEST, to_yaml(_kept(_changed(config, best.changes), kept).model_dump()))
-            if report is not None:
-                report(trial, best)
     return done
+
+
+def _batches(trials: int, batch: int) -> Iterator[range]:
+    """Yield the numbers of the trials that know the same ones before them: first the random ones, which know none."""
+    yield range(min(trials, RANDOM_TRIALS))
+    for first in range(RANDOM_TRIALS, trials, batch):
+        yield range(first, min(first + batch, trials))
 
 
 def best_of(trials: Sequence[Trial]) -> Trial | None:
@@ -251,6 +267,7 @@ def _begin(
     space: Space,
     seed: int,
     seeds: int,
+    batch: int,
     command: Sequence[str] | None,
     places: Mapping[str, str] | None,
 ) -> dict[str, str]:
@@ -270,10 +287,11 @@ def _begin(
         "seed": seed,
         "seeds": seeds,
         "kept": record,
+        "batch": batch,
     }
     if not earlier:
         write_json(out / STUDY, study)
-    elif changed := differences({"kept": {}} | earlier, json.loads(json.dumps(study))):
+    elif changed := differences({"kept": {}, "batch": 1} | earlier, json.loads(json.dumps(study))):
         raise AmulettError(
             f"'{out}' holds another study: {'; '.join(changed)}; continue that one, or choose another folder"
         )
@@ -288,7 +306,7 @@ def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dic
     distributions = {key: entry.distribution() for key, entry in space.items()}
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     entropy = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-    sampler = optuna.samplers.TPESampler(seed=entropy, n_startup_trials=_RANDOM_TRIALS, constant_liar=False)
+    sampler = optuna.samplers.TPESampler(seed=entropy, n_startup_trials=RANDOM_TRIALS, constant_liar=False)
     study = optuna.create_study(sampler=sampler)
     for trial in done:
         if trial.costs:
@@ -301,33 +319,57 @@ def _propose(space: Space, done: Sequence[Trial], seed: int, number: int) -> dic
     return {key: entry.choices[drawn[key]] if isinstance(entry, Choice) else drawn[key] for key, entry in space.items()}
 
 
-def _run(
+@dataclass
+class _Proposed:
+    """A trial before its runs are finished: their folders, each with the result as soon as it is there."""
+
+    number: int
+    changes: dict[str, Any]
+    runs: dict[Path, TrainResult | None] = field(default_factory=dict)
+
+    def trial(self) -> Trial | None:
+        """Return the finished trial; None if a run is missing."""
+        results = [result for result in self.runs.values() if result is not None]
+        if len(results) < len(self.runs):
+            return None
+        for result in results:
+            if result.diverged is not None:
+                error = f"diverged after {result.diverged:,} steps, seed {result.seed}"
+                return Trial(self.number, self.changes, [], error)
+        return Trial(self.number, self.changes, [result.best_cost for result in results])
+
+
+def _made(
     config: TrainConfig,
-    changes: Mapping[str, Any],
+    proposed: Sequence[_Proposed],
     kept: Mapping[str, str],
     folder: Path,
-    number: int,
     seeds: int,
+    workers: Workers,
     progress: bool,
-) -> Trial | None:
-    """Return a trial, whose runs are trained, resumed or read; None if one was interrupted."""
-    costs: list[float] = []
-    for k in range(seeds):
+) -> Iterator[Trial]:
+    """Yield each trial as it is finished; its runs are trained, resumed or read. Raises KeyboardInterrupt."""
+    of: dict[Path, _Proposed] = {}
+    for each in proposed:
         try:
-            recipe = _kept(_changed(config, {**changes, "seed": config.seed + k}), kept)
-            run = folder / str(recipe.seed)
-            begun = (run / CONFIG).is_file()  # a process may have been killed in the folder before it wrote that
-            result = resume(run, progress) if begun else train(recipe, run, progress)
+            for k in range(seeds):
+                recipe = _kept(_changed(config, {**each.changes, "seed": config.seed + k}), kept)
+                run = folder / f"{each.number:04d}" / str(recipe.seed)
+                if not (run / CONFIG).is_file():  # a process may have been killed in the folder before it wrote that
+                    begin(recipe, run)
+                each.runs[run] = None
         except ValidationError as error:
-            return Trial(number, dict(changes), [], str(describe(error, TrainConfig, "recipe")))
+            yield Trial(each.number, each.changes, [], str(describe(error, TrainConfig, "recipe")))
         except RecipeError as error:
-            return Trial(number, dict(changes), [], str(error))
-        if result.interrupted:
-            return None
-        if result.diverged is not None:
-            return Trial(number, dict(changes), [], f"diverged after {result.diverged:,} steps, seed {recipe.seed}")
-        costs.append(result.best_cost)
-    return Trial(number, dict(changes), costs)
+            yield Trial(each.number, each.changes, [], str(error))
+        else:
+            of |= dict.fromkeys(each.runs, each)
+    numbers = [each.number for each in proposed]
+    what = f"trial {numbers[0]}" if len(numbers) == 1 else f"trials {numbers[0]} to {numbers[-1]}"
+    for run, result in resume_all([*of], workers, progress, what):
+        of[run].runs[run] = result
+        if (trial := of[run].trial()) is not None:
+            yield trial
 
 
 def _kept(config: TrainConfig, kept: Mapping[str, str]) -> TrainConfig:

@@ -163,6 +163,21 @@ def _trained(folder: Path) -> Numbers:
     return {"validations": validations, "weights": weights}
 
 
+def _seeds_again(note: Provenance, old: Path, new: Path) -> None:
+    from amulett_gym.storage.provenance import read_provenance
+
+    for seed in note.seeds:
+        run = old / f"seed-{seed}"
+        _train_again(read_provenance(run), run, new / run.name)
+
+
+def _trained_seeds(folder: Path) -> Numbers:
+    """Return the validations and digests of each finished run."""
+    from amulett_gym.storage.reading import visible
+
+    return {run.name: _trained(run) for run in visible(folder, "seed-*")}
+
+
 def _evaluate_again(note: Provenance, old: Path, new: Path) -> None:
     from amulett_gym.cli.evaluate import compare
     from amulett_gym.laws.copies import kept_policies
@@ -207,12 +222,14 @@ def _quickstart(folder: Path) -> Numbers:
 def _tune_law_again(note: Provenance, old: Path, new: Path) -> None:
     from amulett_gym.cli.tune_law import read_recipes, tune_in
     from amulett_gym.reporting.progress import say
+    from amulett_gym.workers.call import Workers
 
     try:
         recipes = read_recipes(note.config)
     except (TypeError, ValueError) as error:
         raise AmulettError(f"'{old / 'command.json'}' does not describe a tuning: {error}") from error
-    tune_in(str(new), recipes, note.command or ["amulett", "tune-law"], say, os.cpu_count() or 1)
+    workers = Workers(os.cpu_count() or 1)
+    tune_in(str(new), recipes, note.command or ["amulett", "tune-law"], say, workers)
 
 
 def _tuned(folder: Path) -> Numbers:
@@ -242,7 +259,7 @@ def _command_again(note: Provenance, old: Path, new: Path) -> None:
         raise AmulettError(f"'{old / 'command.json'}' holds no command of this version: {reason}") from error
     if arguments.command != note.kind:
         raise AmulettError(f"'{old / 'command.json'}' names no command of '{note.kind}' to repeat")
-    vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False})
+    vars(arguments).update({"out": str(new), "doc": None, "runs": None, "overwrite": False, "json": False, "ray": None})
     arguments.resolved, arguments.places = note.config, kept_policies(old, note.config.get("kept", {}))
     if (old / STUDY).is_dir():  # the original study of a reproduction
         arguments.study = str(old / STUDY)
@@ -281,6 +298,7 @@ def _measured(folder: Path) -> Numbers:
 
 _KINDS: Mapping[str, tuple[Callable[[Any, Path, Path], None], Callable[[Path], Numbers]]] = {
     "train": (_train_again, _trained),
+    "seeds": (_seeds_again, _trained_seeds),
     "evaluate": (_evaluate_again, _compared),
     "quickstart": (_command_again, _quickstart),
     "hil": (_hil_again, _reader("hil.json")),

@@ -8,13 +8,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.options import add_json, add_options, add_workers, chosen_workers, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.learning import TUNING, check_installed, load_learning
 
 HELP = "search for better settings of a recipe; the same command continues an interrupted or killed search"
 EXAMPLES = """  amulett tune --config configs/ppo.yaml --space configs/tune.yaml --trials 40 --out runs/study
   amulett tune --space configs/tune.yaml --set total_steps=500000 --seeds 3 --trials 20 --out runs/study
+  amulett tune --space configs/tune.yaml --batch 4 --workers 4 --out runs/study
   amulett train --config runs/study/best.yaml --out runs/best
 """
 
@@ -31,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seeds", type=int, default=1, help="seeds of each trial; its result is their mean (default: 1)"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the proposals (default: 0)")
+    batch = "trials proposed together after the 8 random ones, which workers can train at a time (default: 1)"
+    parser.add_argument("--batch", type=int, default=1, metavar="N", help=batch)
+    add_workers(parser, "training runs", 1)
     parser.add_argument("--out", metavar="DIR", required=True, help="folder of the study")
     add_json(parser, "the trials")
     parser.set_defaults(resolved=None, places={})  # settings and kept policies of a study, for `amulett rerun`
@@ -41,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_installed(TUNING)
     from dataclasses import asdict
 
-    tuning = load_learning("tuning")
+    tuning, workers = load_learning("tuning"), chosen_workers(arguments)
     if arguments.resolved is None:
         config = load_learning("recipes").load_train_config(arguments.config, arguments.overrides)
         space = tuning.load_space(arguments.space, config)
@@ -54,10 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
         cost = f"cost {trial.cost:.4f}" if trial.costs else f"failed: {trial.error}"
         show(f"trial {trial.number}: {cost}; best {best.cost if best else float('nan'):.4f}")
 
-    words = ["amulett", "tune", *command_words(arguments, "config", "space", "trials", "seeds", "seed", "out")]
+    batch = [] if arguments.batch == 1 else ["batch"]
+    options = ("config", "space", "trials", "seeds", "seed", *batch, "workers", "ray", "out")
+    words = ["amulett", "tune", *command_words(arguments, *options)]
     words += ["--set", *arguments.overrides] if arguments.overrides else []
     study = (arguments.trials, arguments.out, arguments.seed, arguments.seeds)
-    trials = tuning.tune(config, space, *study, command=words, progress=True, report=report, places=arguments.places)
+    how = {"places": arguments.places, "workers": workers, "batch": arguments.batch}
+    trials = tuning.tune(config, space, *study, command=words, progress=True, report=report, **how)
     if trials is None:
         print(f"interrupted; finished runs are kept. Continue with:\n       {shlex.join(words)}", file=sys.stderr)
         return 130

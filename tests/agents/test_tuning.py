@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from helpers import forkserver
+from helpers import fork_processes, forkserver
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("optuna")
 
-from amulett_agents import load_train_config  # noqa: E402
+from amulett_agents import load_train_config, tuning  # noqa: E402
 from amulett_agents.bundles import save_policy  # noqa: E402
 from amulett_agents.model import make_model  # noqa: E402
 from amulett_agents.tuning import Trial, _propose, best_of, load_space, stored_study, tune  # noqa: E402
@@ -26,6 +26,7 @@ from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.laws.copies import FOLDER  # noqa: E402
 from amulett_gym.storage.lock import locked_folder  # noqa: E402
 from amulett_gym.storage.provenance import read_provenance  # noqa: E402
+from amulett_gym.workers.call import Workers  # noqa: E402
 
 SMALL = [
     "num_envs=16",
@@ -132,6 +133,21 @@ def test_it_keeps_what_was_tried_and_the_best_recipe(uninterrupted):
     note = read_provenance(uninterrupted)
     assert (note.kind, note.seeds, set(note.config["space"])) == ("tune", [0, 0], set(SPACE))
     assert len({trial["changes"]["ppo.learning_rate"] for trial in trials}) == TRIALS
+
+
+def test_workers_make_the_same_trials_and_a_batch_other_ones(space_file, tmp_path, monkeypatch):
+    fork_processes(monkeypatch)
+    monkeypatch.setattr(tuning, "RANDOM_TRIALS", 2)
+    config = load_train_config(None, SMALL)
+    space, trials = load_space(space_file, config), {}
+    for name, how in {"one": {}, "two": {"workers": Workers(2)}, "all": {"workers": Workers(2), "batch": 3}}.items():
+        tune(config, space, 5, tmp_path / name, seeds=2, **how)
+        trials[name] = json.loads((tmp_path / name / "trials.json").read_text())
+    assert [trial["number"] for trial in trials["all"]] == [0, 1, 2, 3, 4]
+    assert trials["one"] == trials["two"]
+    assert trials["one"][:3] == trials["all"][:3] and trials["one"][3:] != trials["all"][3:]
+    with pytest.raises(AmulettError, match="batch was 3 and is 1"):
+        tune(config, space, 5, tmp_path / "all", seeds=2)
 
 
 def test_a_longer_study_begins_with_the_trials_of_a_shorter_one(uninterrupted, space_file, tmp_path):
