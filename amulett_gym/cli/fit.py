@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from amulett_gym.cli.options import add_json, check_least
+from amulett_gym.cli.options import add_json, add_workers, check_least, chosen_workers
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable
@@ -46,12 +46,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--devices", type=int, default=64, metavar="N", help="of that fleet (default: 64)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of that fleet (default: 0)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="most starts of the search (default: 6)")
+    add_workers(parser, "starts of the search", 1)
     add_json(parser, "the content of the .json file")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Fit, print the result, and write the files."""
     check_least(arguments, devices=1, seed=0, starts=1)
+    workers = chosen_workers(arguments)
     out = _files(arguments)
     from amulett_gym.evaluation.fit_page import in_words, page
     from amulett_gym.fleet import load_fleet
@@ -68,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     show, base, prior = printer(arguments), load_profile(arguments.base), load_fleet(arguments.prior)
     fitted, held_out = recordings(arguments, show)
     cut(held_out, base.loop.control_period, whole=True)  # what cannot be predicted is refused before the fit
-    found = fit(base, fitted, prior, arguments.starts, show)
+    found = fit(base, fitted, prior, arguments.starts, show, workers)
     result = content(found, base, held_out, outlooks(found))
     command, name = shlex.join(process_words()), out.stem
     head = f"# Written by: {command}\n"

@@ -20,6 +20,8 @@ from amulett_gym.identification.from_logs.prior import Prior, prior_of, starts
 from amulett_gym.identification.from_logs.recording import CHANNELS, Recording
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import LANES
+from amulett_gym.workers.call import ALONE, Call, Workers
+from amulett_gym.workers.run import results
 
 Values = NDArray[np.float64]
 
@@ -122,6 +124,7 @@ def fit(
     fleet: Sequence[Profile],
     tried: int = 6,
     report: Callable[[str], object] = lambda text: None,
+    workers: Workers = ALONE,
 ) -> Fit:
     """Return the device that explains recordings best, with the plausible devices as prior.
 
@@ -136,6 +139,8 @@ def fit(
         Most starts; there are no more when the residuals of one are hardly larger than the readings' noise.
     report : callable
         Called with a sentence after each stage.
+    workers : Workers
+        They search from plausible devices, whether or not these starts are needed then; they change no result.
 
     Raises
     ------
@@ -151,20 +156,25 @@ def fit(
         found += [(score, model, start) for score, start in _screen(model, members)]
     found.sort(key=lambda each: each[0])
     report(f"{len(found)} plausible devices compared with the logs")
+    begins = {number: found[number // 2 % len(found)] for number in range(0, tried, 2)}
+    calls = {}
+    for number, (_, model, start) in begins.items():
+        members = kinds[_kind(model.template)]
+        calls[f"start {number + 1}"] = Call(_search_from, (model.template, recordings, members, start))
+    searched, ended = results(calls, workers), dict[str, tuple[Values, float]]()
     best: tuple[float, _Search, Values] | None = None
     reached = []
     for number in range(tried):
         if best is not None and number % 2:  # from the best so far, with other drives: their limits make other minima
             _, search, vector = best
-            vector = search.with_other_drives(vector, number // 2)
+            vector, cost = search.run(search.with_other_drives(vector, number // 2))
         else:
-            _, model, start = found[number // 2 % len(found)]
-            prior = prior_of(model.seen, kinds[_kind(model.template)])
-            noise, stride = _noise_at(model, start), -(-model.measured.size // _CELLS)
-            coarse = _Search(model, prior, {name: _COARSE * value for name, value in noise.items()}, stride)
-            search = _Search(model, prior, noise, stride)
-            vector, _ = coarse.run(coarse.vector(start), 3e-3, 20)
-        vector, cost = search.run(vector)
+            _, model, start = begins[number]
+            search = _searches(model, kinds[_kind(model.template)], start)[1]
+            name = f"start {number + 1}"
+            while name not in ended:
+                ended.update([next(searched)])
+            vector, cost = ended[name]
         reached.append(cost)
         left = max(value / search.noise[name] for name, value in search.residual_noise(vector).items())
         report(f"start {number + 1} of at most {tried}: residuals of {left:.3g} times the noise")
@@ -172,6 +182,7 @@ def fit(
             best = cost, search, vector
         if left < _CLEAR:
             break
+    searched.close()  # ends starts that are not needed
     assert best is not None
     _, search, vector = best
     model = search.model
@@ -239,6 +250,22 @@ def _screen(model: Model, members: Sequence[Profile]) -> list[tuple[float, dict[
     devices = starts(model.seen, members)
     apart = (model.predict(devices, _slider_noise(noise)) - model.measured) / _weights(model, noise)
     return list(zip((apart**2).sum(axis=1).tolist(), devices, strict=True))
+
+
+def _searches(model: Model, members: Sequence[Profile], start: Mapping[str, float]) -> tuple[_Search, _Search]:
+    """Return the coarse and the fine search from a plausible device, with the others of its kind as prior."""
+    prior, noise, stride = prior_of(model.seen, members), _noise_at(model, start), -(-model.measured.size // _CELLS)
+    coarse = {name: _COARSE * value for name, value in noise.items()}
+    return _Search(model, prior, coarse, stride), _Search(model, prior, noise, stride)
+
+
+def _search_from(
+    template: Profile, recordings: Sequence[Recording], members: Sequence[Profile], start: Mapping[str, float]
+) -> tuple[Values, float]:
+    """Return the vector that the searches from a plausible device find, and half its sum of squares."""
+    coarse, fine = _searches(Model(template, recordings), members, start)
+    vector, _ = coarse.run(coarse.vector(start), 3e-3, 20)
+    return fine.run(vector)
 
 
 def _weights(model: Model, noise: Mapping[str, float]) -> Values:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import fork_processes
 
 from amulett_gym.fleet import load_fleet
 from amulett_gym.identification.from_logs.fit import Fit, fit
@@ -16,12 +17,22 @@ from amulett_gym.identification.from_logs.result import channel_rms, undetermine
 from amulett_gym.identification.from_logs.sensors import bits_of, encoder, sliders
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import LANES
+from amulett_gym.workers.call import Workers
 from tests.identification.from_logs.conftest import simulate_log
 
 
 @pytest.fixture(scope="module")
 def found(base, fleet, log) -> Fit:
     return fit(base, [replace(log, end=13.0)], fleet, tried=1)
+
+
+def test_workers_find_the_same(base, fleet, log, monkeypatch):
+    fork_processes(monkeypatch)
+    monkeypatch.setattr("amulett_gym.identification.from_logs.fit._CLEAR", 0.0)  # all starts
+    few = [replace(log, end=4.0)]
+    one, two = (fit(base, few, fleet[:12], tried=3, workers=workers) for workers in (Workers(), Workers(2)))
+    assert len(one.starts) == 3 and one.starts == two.starts
+    assert one.place.tolist() == two.place.tolist() and one.covariance.tolist() == two.covariance.tolist()
 
 
 def test_the_hidden_device_predicts_its_log_up_to_the_noise(hidden, log):
