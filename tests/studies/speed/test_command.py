@@ -2,7 +2,7 @@
 
 import pytest
 
-from amulett_gym.studies.speed import overhead, startup, yardstick
+from amulett_gym.studies.speed import overhead, startup, workers, yardstick
 from amulett_gym.studies.speed.command import command
 
 
@@ -15,10 +15,10 @@ def test_options_have_the_defaults_of_the_measurement():
     assert parser.prog == "python -m amulett_gym.studies.speed.name"
 
 
-@pytest.mark.parametrize("module", [overhead, startup, yardstick])
+@pytest.mark.parametrize("module", [overhead, startup, workers, yardstick])
 def test_only_measurements_of_devices_take_their_number(module, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["name", "--help"])
     with pytest.raises(SystemExit) as ended:
         module.main()
     assert ended.value.code == 0
-    assert ("--devices" in capsys.readouterr().out) == (module is not startup)
+    assert ("--devices" in capsys.readouterr().out) == (module not in (startup, workers))
