@@ -16,6 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, unwrap_vec_wrapper
 from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.td3.policies import TD3Policy
 
 from amulett_agents.critic_file import Critic, critic_of_bundle, pack_critic
 from amulett_agents.networks import ACTIVATIONS, AsymmetricPolicy, StandardInputs, policy_inputs, visible_entries
@@ -41,7 +42,7 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     Raises
     ------
     AmulettError
-        If the policy is not an ``MlpPolicy`` of PPO, A2C or SAC with tanh or ReLU.
+        If the policy is not an ``MlpPolicy`` of PPO, A2C, SAC, TD3 or DDPG with tanh or ReLU.
     """
     if isinstance(policy, ActorCriticPolicy):
         extractor, hidden, last = policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net
@@ -49,8 +50,13 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     elif isinstance(policy, SACPolicy):
         extractor, hidden, last = policy.actor.features_extractor, policy.actor.latent_pi, policy.actor.mu
         networks, squashes = None, True
+    elif isinstance(policy, TD3Policy):  # DDPG's, too
+        extractor, (*hidden, last, _) = policy.actor.features_extractor, policy.actor.mu  # the end is a tanh
+        networks, squashes = None, True
     else:
-        raise AmulettError(f"only an MlpPolicy of PPO, A2C or SAC can become a bundle, not {type(policy).__name__}")
+        raise AmulettError(
+            f"only an MlpPolicy of PPO, A2C, SAC, TD3 or DDPG can become a bundle, not {type(policy).__name__}"
+        )
     if not isinstance(extractor, FlattenExtractor):
         raise AmulettError(f"only an MlpPolicy can become a bundle, not {type(policy).__name__}")
     kind = policy.activation_fn
@@ -82,7 +88,7 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
 
     The critic of PPO is written with it, for a training that starts from the bundle.
 
-    Works for PPO, A2C and SAC with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
+    Works for PPO, A2C, SAC, TD3 and DDPG with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
     `ActorView` or a `VecFrameStack`. Other wrappers that change the size or the range of observations or actions
     are refused; those that change values within the same range are not detected.
 

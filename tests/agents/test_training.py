@@ -17,7 +17,7 @@ from helpers import blank_figures
 torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
-from stable_baselines3 import A2C, PPO, SAC, TD3  # noqa: E402
+from stable_baselines3 import A2C, DDPG, DQN, PPO, SAC, TD3  # noqa: E402
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.env_util import make_vec_env  # noqa: E402
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
@@ -324,9 +324,11 @@ def test_ppo_and_a2c_learn_on_the_adapter_and_become_bundles(tmp_path, use_sde):
         assert bundle.env.keywords == {"tension_range": [6.0, 12.0], "profile": "simulation"}
 
 
-def test_sac_learns_on_the_adapter_and_becomes_a_bundle(tmp_path):
+@pytest.mark.parametrize("learner", [SAC, TD3, DDPG])
+def test_sac_td3_and_ddpg_learn_on_the_adapter_and_become_bundles(learner, tmp_path):
     env = make_sb3_env(TENSION, num_envs=8, max_episode_steps=50)
-    model = SAC("MlpPolicy", env, seed=0, device="cpu", buffer_size=2000, gradient_steps=2, learning_rate=0.01)
+    small = {"buffer_size": 2000, "gradient_steps": 2, "policy_kwargs": {"net_arch": [32, 32]}}
+    model = learner("MlpPolicy", env, seed=0, device="cpu", learning_rate=0.001, **small)
     bundle = read_bundle(save_policy(model.learn(1500), tmp_path / "bundle"))
     observations = np.random.default_rng(0).uniform(-1, 1, (200, 13)).astype(np.float32)
     expected, _ = model.predict(observations, deterministic=True)
@@ -413,11 +415,12 @@ def test_a_bundle_names_the_reward_function_it_was_trained_with(tmp_path):
 def test_what_a_bundle_cannot_hold_is_refused(tmp_path):
     small = {"n_steps": 4, "batch_size": 4, "device": "cpu"}
     env = make_sb3_env()
+    two = gym.wrappers.TransformAction(gym.make(SCALING), lambda choice: [choice - 0.5], gym.spaces.Discrete(2))
     cases = [
         (PPO("MlpPolicy", VecNormalize(make_sb3_env()), **small), "VecNormalize"),
         (PPO("MlpPolicy", env, policy_kwargs={"activation_fn": torch.nn.ELU}, **small), "ELU"),
         (PPO("MlpPolicy", make_vec_env("Pendulum-v1"), **small), "AMULETT environment"),
-        (TD3("MlpPolicy", env, device="cpu", buffer_size=10), "PPO, A2C or SAC.*TD3Policy"),
+        (DQN("MlpPolicy", two, device="cpu", buffer_size=10), "PPO, A2C, SAC, TD3 or DDPG.*DQNPolicy"),
     ]
     for model, message in cases:
         with pytest.raises(AmulettError, match=message):
