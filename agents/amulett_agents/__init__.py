@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from amulett_agents.run_folder import TrainResult
     from amulett_agents.sb3_zip import load_sb3_zip
     from amulett_agents.training import resume, train
+    from amulett_agents.wrappers import recipe_view
 
 __all__ = [
     "CloneSettings",
@@ -24,6 +25,7 @@ __all__ = [
     "load_sb3_zip",
     "load_train_config",
     "make_sb3_env",
+    "recipe_view",
     "resume",
     "save_policy",
     "train",
@@ -37,6 +39,7 @@ _NAMES = {
     "run_folder": ("TrainResult",),
     "sb3_zip": ("load_sb3_zip",),
     "training": ("resume", "train"),
+    "wrappers": ("recipe_view",),
 }
 
 

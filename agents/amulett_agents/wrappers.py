@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from amulett_agents.adapter import SB3VecEnv
+from amulett_gym import DRIVES_ID, WORN_ID
+from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import beyond_setpoint, follow
 from amulett_gym.laws.features import FEATURES, WORN_FEATURES, with_features
 from amulett_gym.laws.memory import MEMORY, WORN_MEMORY, Memory
@@ -138,6 +140,38 @@ class ActorView(VecEnvWrapper):
         """Return what the network sees of the present observations of some devices, which are remembered."""
         remembered = None if self.memory is None else self.memory.add(observations, devices)
         return with_features(observations, self.tension_range if self.features else None, remembered, self.worn)
+
+
+def recipe_view(venv: VecEnv, follow_time: float = 0.05, features: bool = True) -> ActorView:
+    """Return an environment as the shipped recipes show it to a network, for a learner of your own.
+
+    The network's output passes a low-pass before it becomes the setpoint: exploration noise costs less effort. Its
+    inputs have a finer scale. `save_policy` keeps both in the bundle.
+
+    Parameters
+    ----------
+    venv : VecEnv
+        `Amulett/Scaling-v0`, `Amulett/Tension-v0` or `Amulett/Worn-v0`: of `make_sb3_env`, or SB3's of single ones.
+    follow_time : float
+        Time constant of the low-pass [s]; 0: none.
+    features : bool
+        Whether `amulett_gym.laws.features` are appended to the observations.
+
+    Raises
+    ------
+    AmulettError
+        If the environment is another one, or `follow_time` is below 0.
+    """
+    if not venv.has_attr("env_id"):
+        raise AmulettError(f"recipe_view is for AMULETT environments, not {venv}")
+    env_id, settings = venv.get_attr("env_id")[0], venv.get_attr("settings")[0]
+    if env_id == DRIVES_ID:
+        raise AmulettError(f"recipe_view is not for {DRIVES_ID}: train with configs/drives.yaml")
+    if not follow_time >= 0.0:
+        raise AmulettError(f"follow_time is {follow_time} s; it has to be at least 0")
+    period = settings.agent_period
+    share = period / max(follow_time, period)
+    return ActorView(venv, settings.tension_range, features, share, worn=env_id == WORN_ID)
 
 
 class ScaledRewards(VecEnvWrapper):

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
 import torch
-from stable_baselines3.common.vec_env import unwrap_vec_wrapper
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.vec_env import DummyVecEnv, unwrap_vec_wrapper
 
-from amulett_agents import load_train_config, make_sb3_env, train
+from amulett_agents import load_train_config, make_sb3_env, recipe_view, save_policy, train
 from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.bundles import describe_policy
 from amulett_agents.model import make_model
 from amulett_agents.validation import torch_threads
 from amulett_agents.wrappers import ActorView, Staggered
-from amulett_gym import ENV_IDS
+from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import Actor
 from amulett_gym.laws.bundle import read_bundle
 from amulett_gym.studies.benchmark.frozen import seed_overlap
@@ -114,3 +118,32 @@ def test_both_kinds_of_action_are_learned_alike(tmp_path):
         result = train(load_train_config(None, [*SMALL, *short]), tmp_path / env_id, progress=False)
         kept.append([array for layer in read_bundle(result.last).layers for array in layer])
     assert all(np.array_equal(a, b) for a, b in zip(*kept, strict=True))
+
+
+@pytest.mark.parametrize("vector", [True, False])
+def test_what_is_learned_in_a_recipes_view_acts_alike_from_its_bundle(vector, tmp_path):
+    native = make_sb3_env(ENV_IDS[1], num_envs=2, tension_range=(4.0, 8.0))
+    single = DummyVecEnv([lambda: gym.make(ENV_IDS[1], tension_range=(4.0, 8.0)) for _ in range(2)])
+    view = recipe_view(native if vector else single, follow_time=0.04)
+    model = PPO("MlpPolicy", view, n_steps=32, batch_size=64, learning_rate=0.01, seed=0, device="cpu").learn(64)
+    bundle = read_bundle(save_policy(model, tmp_path / "bundle"))
+    assert (bundle.policy.follow, bundle.policy.tension_range) == (0.5, [4.0, 8.0])
+    assert bundle.policy.features
+    env = gym.make_vec(ENV_IDS[1], num_envs=2, tension_range=(4.0, 8.0))
+    view.seed(3)
+    seen, (observations, _) = view.reset(), env.reset(seed=3)
+    actor = Actor(bundle.layers, bundle.policy, env)
+    for _ in range(20):
+        np.testing.assert_allclose(actor.inputs(observations), seen, rtol=0, atol=1e-6)
+        seen, rewards, *_ = view.step(model.predict(seen, deterministic=True)[0])
+        observations, expected, *_ = env.step(actor(observations))
+        np.testing.assert_allclose(rewards, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_recipes_view_refuses_what_it_is_not_for():
+    with pytest.raises(AmulettError, match="configs/drives.yaml"):
+        recipe_view(make_sb3_env(DRIVES_ID))
+    with pytest.raises(AmulettError, match="follow_time is -1"):
+        recipe_view(make_sb3_env(), follow_time=-1.0)
+    with pytest.raises(AmulettError, match="for AMULETT environments"):
+        recipe_view(make_vec_env("Pendulum-v1"))
