@@ -88,9 +88,9 @@ def save_policy(model: BaseAlgorithm, folder: str | Path, provenance: Mapping[st
 
     The critic of PPO is written with it, for a training that starts from the bundle.
 
-    Works for PPO, A2C, SAC, TD3 and DDPG with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also within an
-    `ActorView` or a `VecFrameStack`. Other wrappers that change the size or the range of observations or actions
-    are refused; those that change values within the same range are not detected.
+    Works for PPO, A2C, SAC, TD3 and DDPG with an ``MlpPolicy``, trained on ``gym.make`` or on `make_sb3_env`, also
+    within a `recipe_view` or a `VecFrameStack`. Other wrappers that change the size or the range of observations or
+    actions are refused; those that change values within the same range are not detected.
 
     Parameters
     ----------
