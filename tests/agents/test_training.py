@@ -744,8 +744,12 @@ def test_the_quickstart_trains_for_steps_and_not_for_seconds():
 
 
 def test_ctrl_c_in_quickstart_says_what_is_kept(tmp_path):
-    words = [sys.executable, "-m", "amulett_gym", "quickstart", "--out", str(tmp_path)]
-    process = interruptible(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    program = (
+        "import sys; from amulett_agents import load_train_config; from amulett_gym.cli import main, quickstart;"
+        f"quickstart._recipe = lambda arguments: load_train_config(None, {[*SMALL, 'total_steps=100000000']});"
+        f"sys.exit(main(['quickstart', '--out', {str(tmp_path)!r}]))"
+    )  # with small rollouts: it ends after the present one
+    process = interruptible([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     while process.poll() is None and not (tmp_path / "ppo" / "evaluations.csv").is_file():
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
