@@ -18,7 +18,7 @@ from amulett_gym.evaluation.runner import Protocol
 from amulett_gym.identification.parameters import PARAMETERS
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
-from amulett_gym.studies.paper import results
+from amulett_gym.studies.paper import report, results
 from amulett_gym.studies.paper.figures import CAPTIONS, undamped_below
 from amulett_gym.studies.paper.objective import WEIGHTS, cost, residual
 from amulett_gym.studies.paper.report import MARKS, block, in_words
@@ -267,10 +267,17 @@ def test_the_cross_check_predicts_what_it_has_not_seen(evidence):
     assert [row["left_out"] for row in written] == [name for name in CONFIGURATIONS for _ in range(10)]
 
 
+@pytest.fixture(scope="module")
+def drawn(evidence):
+    """Draw the figures once; ``tests/cli/test_reproduce.py`` lets the command draw them itself."""
+    return report.draw(evidence)
+
+
 @pytest.fixture
-def gathered(monkeypatch, evidence):
-    """Let the command find the evidence of the other tests."""
+def gathered(monkeypatch, evidence, drawn):
+    """Let the command find the evidence of the other tests, and write the same figures."""
     monkeypatch.setattr(results, "gather", lambda *_: evidence)
+    monkeypatch.setattr(report, "draw", lambda _: drawn)
 
 
 def test_the_command_writes_its_files_and_prints_both_tables(tmp_path, capsys, evidence, gathered):
