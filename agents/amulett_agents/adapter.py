@@ -34,7 +34,7 @@ def make_sb3_env(
     """Make the native vector environment for Stable-Baselines3.
 
     Returns and lengths of episodes are logged (``rollout/ep_rew_mean``) without SB3's ``VecMonitor``, which is needed
-    only for writing them to a file.
+    only for writing them to a file, and warns that it replaces them.
 
     Parameters
     ----------

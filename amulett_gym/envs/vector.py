@@ -156,8 +156,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         again = np.flatnonzero(self._ended)
         if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gym.error.ResetNeeded(
-                f"autoreset_mode is 'Disabled', and the episodes of the devices {', '.join(map(str, again))} "
-                "have ended: call reset(options={'reset_mask': terminated | truncated}) before step()"
+                f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
+                "call reset(options={'reset_mask': terminated | truncated}) before step()"
             )
         observations, report = self.episodes.step(actions.reshape(-1))
         if again.size:

@@ -79,7 +79,7 @@ def test_without_autoreset_an_ended_device_is_not_stepped():
     *_, truncated, _ = env.step(np.zeros((2, 1)))
     assert truncated.all()
     env.reset(options={"reset_mask": np.array([True, False])})
-    with pytest.raises(gym.error.ResetNeeded, match="the episodes of the devices 1 have ended: call reset"):
+    with pytest.raises(gym.error.ResetNeeded, match=r"the episode of device 1 has ended \(1 in all\): call reset"):
         env.step(np.zeros((2, 1)))
     env.reset(options={"reset_mask": np.array([False, True])})
     env.step(np.zeros((2, 1)))
