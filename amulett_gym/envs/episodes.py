@@ -483,11 +483,11 @@ class Episodes:
         return unpack(self.scenario(device), self.simulation.read_path(device))
 
     def steps(self) -> NDArray[np.int64]:
-        """Return the number of agent steps of each device's episode, shape (N,)."""
+        """Return the number of agent steps of each device's episode, shape (N,); that of a failure counts."""
         passed, ticks = self.simulation.read("tick"), self._constants["ticks"]
-        if ticks.size == 1:
-            return passed // ticks[0]
-        return passed // np.repeat(ticks[self.simulation.which], LANES)[: passed.size]
+        if ticks.size > 1:
+            ticks = np.repeat(ticks[self.simulation.which], LANES)[: passed.size]
+        return -(-passed // ticks)  # rounded up: a device that fails stops in the middle of a step
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""

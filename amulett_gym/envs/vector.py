@@ -163,7 +163,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if again.size:
             observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
-        truncated = ~terminated & (self.episodes.steps() >= self._limit)
+        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
         rewards, info, ended = report[:, 0].copy(), infos_of(self.episodes, report), terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             again = np.flatnonzero(ended)

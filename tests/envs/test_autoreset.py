@@ -58,6 +58,22 @@ def test_each_mode_gives_what_gymnasiums_own_vector_environment_gives(mode, env_
     assert (ends >= (1, 4)).all()  # failures, and truncations
 
 
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_failure_in_the_last_step_is_terminated_and_truncated(mode):
+    single = gym.make(SCALING)
+    single.reset(seed=0, options={"scenario": PUSHED})
+    steps = 1
+    while not single.step([0.0])[2]:
+        steps += 1
+    envs = pair(mode, max_episode_steps=steps)
+    for env in envs:
+        env.reset(seed=0, options={"scenario": PUSHED})
+    for _ in range(steps):
+        native, other = (env.step(np.zeros((COUNT, 1), dtype=np.float32)) for env in envs)
+    assert same(native, other)
+    assert native[2].all() and native[3].all()
+
+
 def test_the_last_observation_and_info_of_an_episode_are_those_before_its_reset():
     envs = [gym.make_vec(SCALING, 2, autoreset_mode=mode, max_episode_steps=3) for mode in ("SameStep", "NextStep")]
     for env in envs:
