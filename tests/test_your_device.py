@@ -21,7 +21,7 @@ PAGE = (ROOT / "docs" / "your-device.md").read_text(encoding="utf-8")
 
 FEWER = {
     "fit": "--starts 1 --devices 2",
-    "tune-law": "--budget 1600 --seeds 1 --validation 2 --processes 1",
+    "tune-law": "--budget 1600 --seeds 1 --validation 2 --workers 1",
     "train": "total_steps=512 num_envs=8 ppo.n_steps=16 ppo.batch_size=64 ppo.n_epochs=1 "
     "validation.every_steps=256 validation.episodes=2 env.suite=steps env.max_episode_steps=50",
     "evaluate": "--episodes 2 --duration 3",

@@ -23,8 +23,9 @@ address="$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-address | 
 # --block keeps a node in the foreground of its step, so that the end of the job ends it.
 srun --nodes=1 --ntasks=1 --nodelist="$head" --overlap \
     ray start --head --node-ip-address="${address%:*}" --port="$port" --num-cpus="$cores" --block &
-for _ in $(seq 60); do
-    ray status --address="$address" >/dev/null 2>&1 && break
+first=$!
+until ray status --address="$address" >/dev/null 2>&1; do
+    kill -0 "$first" 2>/dev/null || { echo "Ray did not start on $head" >&2; exit 1; }
     sleep 2
 done
 if [ "$SLURM_JOB_NUM_NODES" -gt 1 ]; then
