@@ -94,7 +94,7 @@ def _connected(address: str) -> Any:
     try:
         _knock(address)
         ray.init(address, log_to_driver=False, logging_level="warning")
-    except (ConnectionError, OSError, RuntimeError, ValueError, ImportError) as error:
+    except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         ray.shutdown()  # of a client that is half connected
         reason = shorten(" ".join(str(error).split()) or type(error).__name__, 400).rstrip(".")
         raise AmulettError(

@@ -16,9 +16,12 @@ fi
 port="${AMULETT_RAY_PORT:-6379}"
 cores="${SLURM_CPUS_PER_TASK:-1}"
 export RAY_USAGE_STATS_ENABLED=0
+# Only who has the token in the home folder, which all nodes share, can use the cluster.
+export RAY_AUTH_MODE=token
+ray get-auth-token --generate >/dev/null
 
 head="$(scontrol show hostnames "$SLURM_JOB_NODELIST" | head -n 1)"
-address="$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-address | awk '{print $1}'):$port"
+address="$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname -I | awk '{print $1}'):$port"
 
 # --block keeps a node in the foreground of its step, so that the end of the job ends it.
 srun --nodes=1 --ntasks=1 --nodelist="$head" --overlap \

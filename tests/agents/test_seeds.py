@@ -54,6 +54,7 @@ def test_the_command_trains_prints_a_table_and_resumes(tmp_path, monkeypatch, ca
     for path in sorted((out / "seed-1").rglob("*"), reverse=True):  # as if it was killed before this seed was begun
         path.unlink() if path.is_file() else path.rmdir()
     finished = (out / "seed-0" / "finished.json").read_bytes()
+    capsys.readouterr()
     assert main(["train", "--resume", str(out), "--json"]) == 0
     assert [result["seed"] for result in json.loads(capsys.readouterr().out)] == [0, 1]
     assert _weights(out / "seed-1") == weights and (out / "seed-0" / "finished.json").read_bytes() == finished

@@ -32,6 +32,7 @@ def cluster():
     # On a busy machine a node that answers late is not dead; one that is refuses the connection.
     patient = {"health_check_timeout_ms": 300_000, "health_check_period_ms": 1000, "health_check_failure_threshold": 3}
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_MODE", "disabled")  # whatever tokens this user has
         patch.setenv("RAY_worker_niceness", "0")  # as this process, also then
         patch.setenv("RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S", "300")
         made = Cluster()
