@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -44,6 +44,7 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
     AmulettError
         If the policy is not an ``MlpPolicy`` of PPO, A2C, SAC, TD3 or DDPG with tanh or ReLU.
     """
+    hidden: Iterable[torch.nn.Module]
     if isinstance(policy, ActorCriticPolicy):
         extractor, hidden, last = policy.features_extractor, policy.mlp_extractor.policy_net, policy.action_net
         networks, squashes = policy.mlp_extractor, policy.squash_output
@@ -51,8 +52,8 @@ def extract_network(policy: BasePolicy) -> tuple[Layers, Network]:
         extractor, hidden, last = policy.actor.features_extractor, policy.actor.latent_pi, policy.actor.mu
         networks, squashes = None, True
     elif isinstance(policy, TD3Policy):  # DDPG's, too
-        extractor, (*hidden, last, _) = policy.actor.features_extractor, policy.actor.mu  # the end is a tanh
-        networks, squashes = None, True
+        *hidden, last, _ = policy.actor.mu  # the end is a tanh
+        extractor, networks, squashes = policy.actor.features_extractor, None, True
     else:
         raise AmulettError(
             f"only an MlpPolicy of PPO, A2C, SAC, TD3 or DDPG can become a bundle, not {type(policy).__name__}"
