@@ -36,7 +36,7 @@ class Demonstrations:
     policies : dict of str to int
         Policy -> number of its episodes; of episodes of other programs, which do not name it, that is "unknown".
     observations, actions : list of ndarray of float32, shapes (T, entries)
-        Of each episode, without the last observation.
+        Of each episode, without the last observation; actions within [-1, 1], to which the environment clips them.
     mean_return : float
         Of these episodes.
     """
@@ -75,6 +75,8 @@ def read_demonstrations(name: str, policy: str | None = None, root: str | Path |
     try:
         about = list(dataset.storage.get_episode_metadata(dataset.episode_indices))
         names = [str(each.get("policy", "unknown")) for each in about]
+        if not names:
+            raise AmulettError(f"the data set '{name}' has no episodes; record some, or choose another")
         chosen = [index for index, own in enumerate(names) if policy in (None, own)]
         if not chosen:
             raise unknown(f"policy of the data set '{name}'", str(policy), {*names})
@@ -86,20 +88,21 @@ def read_demonstrations(name: str, policy: str | None = None, root: str | Path |
     for episode in played:
         steps = len(episode.rewards)
         found = np.shape(episode.observations), np.shape(episode.actions)
-        if found != ((steps + 1, size[0]), (steps, size[1])):
+        if steps == 0 or found != ((steps + 1, size[0]), (steps, size[1])):
             raise AmulettError(
                 f"episode {episode.id} of the data set '{name}' has observations and actions of the shapes {found}; "
-                f"{env.id} has {(steps + 1, size[0])} and {(steps, size[1])}"
+                f"{env.id} has {(steps + 1, size[0])} and {(steps, size[1])}, and an episode at least 1 step"
             )
-        if not (np.isfinite(episode.observations).all() and np.isfinite(episode.actions).all()):
-            raise AmulettError(f"episode {episode.id} of the data set '{name}' holds a number that is not finite")
+        values = [np.asarray(each) for each in (episode.observations, episode.actions, episode.rewards)]
+        if not all(each.dtype.kind in "fiu" and np.isfinite(each).all() for each in values):
+            raise AmulettError(f"episode {episode.id} of the data set '{name}' holds what is no finite number")
     return Demonstrations(
         name=str(dataset.id),
         env=env,
         settings=settings,
         policies={own: names.count(own) for own in dict.fromkeys(names[index] for index in chosen)},
         observations=[np.asarray(each.observations[:-1], dtype=np.float32) for each in played],
-        actions=[np.asarray(each.actions, dtype=np.float32) for each in played],
+        actions=[np.clip(each.actions, -1.0, 1.0).astype(np.float32) for each in played],
         mean_return=float(np.mean([each.rewards.sum() for each in played])),
     )
 

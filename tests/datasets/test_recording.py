@@ -254,6 +254,46 @@ def test_a_damaged_data_set_is_named(file):
         read_demonstrations(found.name)
 
 
+def put(folder: Path, name: str, values) -> None:
+    """Replace an array of a data set's first episode."""
+    import h5py
+
+    with h5py.File(folder / "data" / "main_data.hdf5", "a") as file:
+        del file["episode_0"][name]
+        file["episode_0"][name] = values
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"actions": np.full((25, 1), np.nan)}, "episode 0 .* holds what is no finite number"),
+        ({"rewards": np.full(25, np.nan)}, "episode 0 .* holds what is no finite number"),
+        ({"actions": np.array([[b"x"]] * 25)}, "episode 0 .* holds what is no finite number"),
+        ({"observations": np.zeros((1, 13)), "actions": np.zeros((0, 1)), "rewards": np.zeros(0)}, "at least 1 step"),
+    ],
+)
+def test_arrays_that_nothing_can_learn_from_are_refused(arrays, message):
+    found = record()
+    for name, values in arrays.items():
+        put(found.folder, name, values)
+    with pytest.raises(AmulettError, match=message):
+        read_demonstrations(found.name)
+
+
+def test_a_data_set_without_episodes_is_refused():
+    found = record()
+    path = found.folder / "data" / "metadata.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "total_episodes": 0}))
+    with pytest.raises(AmulettError, match="has no episodes"):
+        read_demonstrations(found.name)
+
+
+def test_actions_are_read_as_the_environment_takes_them():
+    found = record()
+    put(found.folder, "actions", np.full((25, 1), 1e30))
+    assert (read_demonstrations(found.name).actions[0] == 1.0).all()
+
+
 def test_two_policies_of_one_name_are_refused():
     with pytest.raises(AmulettError, match="none twice"):
         record(EQ6, EQ6)
