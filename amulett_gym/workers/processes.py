@@ -73,14 +73,14 @@ def in_processes(
                     if losses[name] > MOST_LOST:
                         failure = lost(name, "on this machine")
                     todo.append(name)
-                    worker.shutdown(wait=False)
+                    worker.shutdown()
                     worker = new_worker()
                 else:
                     failure = named(error, name) if isinstance(error, Exception) else error
                 if todo and failure is None:
                     begin(worker)
                 else:
-                    worker.shutdown(wait=False)
+                    worker.shutdown()
             yield from finished
             if failure is not None:
                 raise failure
