@@ -7,6 +7,12 @@ names the versions.
 
 from __future__ import annotations
 
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -241,3 +247,17 @@ def test_minari_records_a_dataset_and_reads_it_back(tmp_path, monkeypatch):
     np.testing.assert_array_equal(observation, episode.observations[0])
     for action, expected in zip(episode.actions, episode.rewards, strict=True):
         assert env.step(action)[1] == expected
+
+
+SCRIPTS = Path(__file__).parents[1] / "clients"
+
+
+def test_a_search_with_gymnasium_alone_learns():
+    found = subprocess.run([sys.executable, SCRIPTS / "gymnasium_search.py", "160000"], capture_output=True, text=True)
+    result = json.loads(found.stdout)
+    assert result["steps"] == 160_000 and result["after"] > result["before"] + 0.03
+
+
+def test_every_script_has_a_row_in_the_table():
+    listed = set(re.findall(r"tests/clients/(\w+)\.py\)", (SCRIPTS.parents[1] / "docs" / "clients.md").read_text()))
+    assert listed == {path.stem for path in SCRIPTS.glob("*.py")} - {"judging", "single_file_ppo"}
