@@ -2,7 +2,7 @@
 
 Angles are within 0 to 90 deg, the elbow's comfortable workspace, around the paper's step of 45 deg. External torques
 are scaled by the spare torque, which the drives have left at the nominal tension: (f_max - sigma) R_2 minus the
-weight's torque, 0.467 N m on the shipped devices. With more than that every law fails by winding up its integrators.
+weight's torque, 0.467 N m on simulation and testbed. With more than that every law fails by winding up its integrators.
 
 The split `shifted` draws from outside the ranges of the other three. The draws are versioned: see `tasks.hashes`.
 
@@ -282,8 +282,8 @@ def _pick_place(row: Any, draw: Any, shifted: bool, spare: float) -> None:
 def _contact(row: Any, draw: Any, shifted: bool, spare: float) -> None:
     """Reach 25 to 60 deg out in 0.4 to 1 s and back, with an obstacle at 50 to 95 % of the way.
 
-    It yields by 1.5 to 10 deg under the spare torque (2.7 to 17.8 N m/rad on the shipped devices: at a hand's distance
-    of 0.25 m 43 to 286 N/m, foam and soft tissue). A quarter of the episodes have none, so that constant caution has a
+    It yields by 1.5 to 10 deg under the spare torque (2.7 to 17.8 N m/rad on simulation and testbed: at a hand's
+    distance of 0.25 m 43 to 286 N/m, foam and soft tissue). A quarter of the episodes have none, so that constant caution has a
     cost. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: the task is the impact and the press
     that follows, without long integrator windup. Shifted: 0.3 to 0.8 deg.
     """
