@@ -283,9 +283,9 @@ def _contact(row: Any, draw: Any, shifted: bool, spare: float) -> None:
     """Reach 25 to 60 deg out in 0.4 to 1 s and back, with an obstacle at 50 to 95 % of the way.
 
     It yields by 1.5 to 10 deg under the spare torque (2.7 to 17.8 N m/rad on simulation and testbed: at a hand's
-    distance of 0.25 m 43 to 286 N/m, foam and soft tissue). A quarter of the episodes have none, so that constant caution has a
-    cost. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: the task is the impact and the press
-    that follows, without long integrator windup. Shifted: 0.3 to 0.8 deg.
+    distance of 0.25 m 43 to 286 N/m, foam and soft tissue). A quarter of the episodes have none, so that constant
+    caution has a cost. The setpoint stays out for 0.3 to 0.7 s, about the loop's time constant: the task is the impact
+    and the press that follows, without long integrator windup. Shifted: 0.3 to 0.8 deg.
     """
     out, way, how_long, stay = _four(draw, 0)
     where, softness, viscosity, pause = _four(draw, 1)
