@@ -62,17 +62,16 @@ def final_of(info: dict[str, Any], observations: NDArray[np.float32], devices: N
     Parameters
     ----------
     info : dict
-        The info of all devices before the next episodes began, as of `infos_of`.
+        That of `devices` before their next episodes began, as of `infos_of`.
     observations : ndarray of float32, shape (N, observation_size)
         The observations with it.
     devices : ndarray of int
         Those whose episode ended, at least one.
     """
-    of_ended = {key: values[devices] for key, values in info.items()}
     final = np.full(len(observations), None, dtype=object)
     for device in devices:
         final[device] = observations[device].copy()
-    found = of_some(of_ended, devices, len(observations))
+    found = of_some(info, devices, len(observations))
     return masked({"final_obs": final, "final_info": found}, found["_failure"])
 
 

@@ -164,15 +164,15 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             observations[again], report[again] = self._next_episodes(again)
         terminated = report[:, FIRST_READING] != RUNNING
         truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
-        rewards, info, ended = report[:, 0].copy(), infos_of(self.episodes, report), terminated | truncated
+        rewards, ended, final = report[:, 0].copy(), terminated | truncated, {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             again = np.flatnonzero(ended)
-            final = final_of(info, observations, again)
+            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
             observations[again], report[again] = self._next_episodes(again)
-            info, ended = infos_of(self.episodes, report) | final, np.zeros_like(ended)
+            ended = np.zeros_like(ended)
         self._ended = ended
         self._collect(np.arange(self.num_envs))
-        return observations, rewards, terminated, truncated, info
+        return observations, rewards, terminated, truncated, infos_of(self.episodes, report) | final
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start the next episode of some devices; unlike a reset by a mask, this ignores all others.
