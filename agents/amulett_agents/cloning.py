@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from amulett_agents.networks import LEAST_DEVIATION
+from amulett_agents.regression import regress
 from amulett_agents.validation import torch_threads
 from amulett_gym import WORN_ID
 from amulett_gym.datasets.reading import Demonstrations, read_demonstrations
@@ -46,9 +47,6 @@ from amulett_gym.storage.reading import user_path
 
 _APART = 10
 """Every tenth episode is kept apart, to measure errors in it."""
-
-_CHUNK = 50
-"""Gradient steps between two reports of progress."""
 
 
 class CloneSettings(Group):
@@ -203,20 +201,11 @@ def _fit(inputs: NDArray[np.float32], actions: NDArray[np.float32], settings: Cl
     generator = np.random.default_rng(settings.seed)
     means = inputs.mean(axis=0, dtype=np.float64)
     gains = 1.0 / np.maximum(inputs.std(axis=0, dtype=np.float64), LEAST_DEVIATION)
-    shown, wanted = torch.from_numpy(((inputs - means) * gains).astype(np.float32)), torch.from_numpy(actions)
+    shown = ((inputs - means) * gains).astype(np.float32)
     sizes = [inputs.shape[1], *settings.hidden, actions.shape[1]]
     linear = [torch.nn.Linear(*pair) for pair in pairwise(sizes)]
     network = torch.nn.Sequential(*[part for layer in linear[:-1] for part in (layer, torch.nn.ReLU())], linear[-1])
-    optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
-    for step in range(settings.gradient_steps):
-        optimizer.param_groups[0]["lr"] = settings.learning_rate * (1.0 - step / settings.gradient_steps)
-        batch = torch.from_numpy(generator.integers(len(shown), size=settings.batch_size))
-        loss = torch.nn.functional.mse_loss(network(shown[batch]), wanted[batch])
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        if (step + 1) % _CHUNK == 0:
-            bar.update(_CHUNK)
+    regress(network, network.parameters(), shown, actions, settings, generator, bar)
     layers = [(_array(layer.weight), _array(layer.bias)) for layer in linear]
     first, bias = layers[0]
     raw = first * gains  # the standardisation becomes part of the first layer

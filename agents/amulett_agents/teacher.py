@@ -20,6 +20,7 @@ from stable_baselines3 import PPO
 
 from amulett_agents.bundles import describe_policy
 from amulett_agents.config import TrainConfig
+from amulett_agents.regression import regress
 from amulett_agents.teacher_settings import TeacherSettings
 from amulett_gym.envs.action import tension_to_action
 from amulett_gym.envs.worn_episodes import WornEpisodes
@@ -36,7 +37,7 @@ _CORRECTS = 0.05
 """Measured torque on the cuff that counts as one by which the wearer corrects the device's place [N m]."""
 
 _CHUNK = 50
-"""Agent steps, or gradient steps, between two reports of progress."""
+"""Agent steps between two reports of progress."""
 
 
 def teach(model: PPO, config: TrainConfig, keywords: dict[str, Any], progress: bool = False) -> None:
@@ -131,19 +132,11 @@ def _imitate(
     generator: np.random.Generator,
     bar: Progress,
 ) -> None:
-    """Fit the policy's mean actions to the teacher's, by their squared difference."""
+    """Fit the policy's mean actions to the teacher's."""
     policy = model.policy
     learned = [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]
-    optimizer = torch.optim.Adam(learned, settings.learning_rate)
-    for step in range(settings.gradient_steps):
-        for group in optimizer.param_groups:
-            group["lr"] = settings.learning_rate * (1.0 - step / settings.gradient_steps)
-        batch = generator.integers(len(seen), size=settings.batch_size)
-        shown, named = torch.from_numpy(seen[batch]), torch.from_numpy(wanted[batch])
-        means = policy.get_distribution(shown).distribution.mean  # type: ignore[union-attr]
-        loss = torch.nn.functional.mse_loss(means, named)
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-        if (step + 1) % _CHUNK == 0:
-            bar.update(_CHUNK)
+
+    def mean(shown: torch.Tensor) -> torch.Tensor:
+        return policy.get_distribution(shown).distribution.mean  # type: ignore[union-attr]
+
+    regress(mean, learned, seen, wanted, settings, generator, bar)
