@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import multiprocessing.context
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,15 @@ def fork_processes(patch: pytest.MonkeyPatch) -> None:
     """Let the package's processes begin with what this one's server has imported, where the start is not tested."""
     context = forkserver()
     patch.setattr("amulett_gym.workers.processes.get_context", lambda kind: context)
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    """Return once a condition holds; fail after two minutes."""
+    for _ in range(2400):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it does not happen")
 
 
 def blank_figures(patch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers import SMALL_RECIPE
+from helpers import SMALL_RECIPE, wait_until
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.evaluation.search.law_recipe import Recipe
@@ -144,7 +144,7 @@ def test_a_node_that_leaves_loses_no_call(cluster, workers, tmp_path):
     node = cluster.add_node(num_cpus=2)
 
     def remove():
-        _wait_until(lambda: any(node.node_id in path.read_text() for path in tmp_path.iterdir()))
+        wait_until(lambda: any(node.node_id in path.read_text() for path in tmp_path.iterdir()))
         cluster.remove_node(node, allow_graceful=False)
 
     removing = threading.Thread(target=remove)
@@ -162,14 +162,6 @@ def _wait_there(note, number):
         file.write(ray.get_runtime_context().get_node_id() + "\n")
     time.sleep(5.0)
     return number
-
-
-def _wait_until(condition):
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it does not happen")
 
 
 def test_a_law_is_tuned_alike_on_a_cluster(workers, tmp_path):
@@ -197,7 +189,7 @@ def test_a_driver_that_is_killed_goes_on_where_it_was(workers, tmp_path):
     )
     there, begun = tmp_path / "there", []
     driver = subprocess.Popen([sys.executable, "-c", script, str(there), workers.ray])
-    _wait_until(lambda: list(there.glob("stages/[!.]*.json")))
+    wait_until(lambda: list(there.glob("stages/[!.]*.json")))
     driver.kill()
     driver.wait()
     tune_all(there, [LONGER], begin=begun.append, workers=workers)
@@ -213,7 +205,7 @@ def test_seeds_are_trained_alike_though_their_workers_are_killed(workers, tmp_pa
     here, there = tmp_path / "here", tmp_path / "there"
 
     def kill():
-        _wait_until(lambda: (there / "seed-1" / "evaluations.csv").is_file())
+        wait_until(lambda: (there / "seed-1" / "evaluations.csv").is_file())
         assert _kill(f"ray::amulett: training run '{there}")
 
     killing = threading.Thread(target=kill)

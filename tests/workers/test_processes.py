@@ -8,6 +8,7 @@ import time
 from multiprocessing import get_context
 
 import pytest
+from helpers import wait_until
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.workers.call import MOST_LOST, Call, Workers
@@ -84,7 +85,7 @@ def test_they_end_with_their_parent_and_begin_no_further_call(tmp_path, ended_by
         text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
     )
-    _wait_until(lambda: len(list(tmp_path.glob("begun-*-*"))) == 2)
+    wait_until(lambda: len(list(tmp_path.glob("begun-*-*"))) == 2)
     if ended_by == signal.SIGINT:
         os.killpg(parent.pid, ended_by)  # as a terminal does: to the workers, too
     else:
@@ -93,7 +94,7 @@ def test_they_end_with_their_parent_and_begin_no_further_call(tmp_path, ended_by
     assert parent.returncode == -ended_by
     begun = [path.name.removeprefix("begun-") for path in tmp_path.glob("begun-*")]
     workers = [int(name) for name in begun if "-" not in name]
-    _wait_until(lambda: not any(map(_is_running, workers)))
+    wait_until(lambda: not any(map(_is_running, workers)))
     assert len(workers) == 2 and len(begun) == 4  # one call each
     assert said.count("Traceback") == (ended_by == signal.SIGINT)  # the parent's
 
@@ -143,14 +144,6 @@ def test_one_call_at_a_time_is_made_in_this_process(tmp_path):
 
 def _refuse():
     raise AmulettError("it is odd")
-
-
-def _wait_until(condition):
-    for _ in range(2400):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it does not happen")
 
 
 def _is_running(pid):
