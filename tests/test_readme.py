@@ -15,7 +15,7 @@ from amulett_gym.cli import build_parser, main
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 PAGES = {
-    path.relative_to(ROOT).as_posix(): path.read_text() for path in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    path.relative_to(ROOT).as_posix(): path.read_text() for path in [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
 }
 
 GUIDES = ("README.md", "docs/commands.md", "docs/devices.md", "docs/logs.md", "docs/training.md")

@@ -1,0 +1,33 @@
+"""Links of the pages to files of the repository that are no pages.
+
+The pages are read on GitHub, too, so that they link as `../configs/ppo.yaml`. On the site, such a link leads to a copy
+of the file, and one to README.md, CONTRIBUTING.md or CHANGELOG.md to the page that holds it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+LINK = re.compile(r"\]\((?P<up>(?:\.\./)+)(?P<file>[A-Z]+\.md)(?=[)#])")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the extension with Sphinx."""
+    app.connect("source-read", lead_to_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def lead_to_pages(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Let links to the files at the repository's root lead to their pages."""
+
+    def page(match: re.Match[str]) -> str:
+        beyond = len(Path(docname).parents)  # levels up from the page to the repository
+        if match["up"].count("../") != beyond or match["file"] not in PAGES:
+            return match[0]
+        return f"]({'../' * (beyond - 1)}{PAGES[match['file']]}"
+
+    source[0] = LINK.sub(page, source[0])
