@@ -10,8 +10,9 @@ from amulett_gym import __version__
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
-# Notebooks draw their figures into their cells, whatever the machine's own backend is.
+# Notebooks draw their figures into their cells, whatever the machine's own settings are.
 os.environ.pop("MPLBACKEND", None)
+os.environ["MATPLOTLIBRC"] = str(Path(__file__).parent / "_ext" / "matplotlibrc")
 
 project, author, copyright = "amulett-gym", "The amulett-gym authors", "the amulett-gym authors"
 version = release = __version__
