@@ -58,7 +58,7 @@ _CONSTANTS: dict[str, Any] = {
     **{name: getattr(layout, name) for name in ("AGENT", "EQ6", "EQ6_PRINTED", "CLAMP", "HOLD", "IGNORE")},
     **{name: getattr(layout, name) for name in ("RUNNING", "ANGLE_LIMIT", "VELOCITY_LIMIT", "NOT_FINITE")},
     **{name: getattr(agonist, name) for name in ("BICEPS", "TRICEPS")},
-    **{name: getattr(kernel, name) for name in ("TIME_SLACK", "FARTHEST", "SENSOR_STREAMS")},
+    **{name: getattr(kernel, name) for name in ("NEGLIGIBLE", "TIME_SLACK", "FARTHEST", "SENSOR_STREAMS")},
     **{
         name: getattr(kernel, name)
         for name in ("ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS", "LATENESS", "SHAKE_STREAM")

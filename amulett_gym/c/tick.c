@@ -238,9 +238,11 @@ INLINE real start_counting(Parameters p, Scenarios c, States s, int64_t i) {
 
 INLINE real setpoint_kick(Parameters p, States s, int64_t i, real counting) {
     real decayed = s->kick_derivative[i];
-    if (p->position_on_error)
-        s->kick_derivative[i] =
+    if (p->position_on_error) {
+        real derivative =
             filtered_derivative(decayed, s->setpoint_jump[i], p->position_kd, p->position_filter, p->control_period);
+        s->kick_derivative[i] = select(absolute(derivative) < NEGLIGIBLE, all(0.0), derivative);
+    }
     real kick = p->position_kp * s->setpoint_jump[i] + s->kick_derivative[i] - decayed;
     s->isav_kick[i] += counting * kick * kick / p->control_period;
     s->setpoint_jump[i] = all(0.0);

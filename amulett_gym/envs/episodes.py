@@ -336,9 +336,8 @@ class Episodes:
         num_devices = self.simulation.num_devices
         observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
         report = np.empty((num_devices, self.report_size))
-        if np.isnan(actions).any():
-            device = int(np.isnan(actions).argmax()) // self.action_size
-            raise AmulettError(f"the action of device {device} is NaN; allowed is [-1, 1]")
+        if (first := transition.first_nan(actions)) >= 0:
+            raise AmulettError(f"the action of device {first // self.action_size} is NaN; allowed is [-1, 1]")
         others, actions = self._split(actions)
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()

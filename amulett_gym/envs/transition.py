@@ -155,6 +155,15 @@ def step_block(p, e, c, s, m, paths, loop, own, block, first, end, means, action
 
 
 @compiled
+def first_nan(actions):
+    """Return the index of the first action that is NaN, or -1: in one call, where numpy needs several."""
+    for k in range(actions.size):
+        if math.isnan(actions[k]):
+            return k
+    return -1
+
+
+@compiled
 def wanted_tension(e, action):
     """Return the tension setpoint [N] of an action."""
     return compiled_tension_of(min(max(float(action), -1.0), 1.0), e.low, e.high)

@@ -22,6 +22,7 @@ from amulett_gym.simulation.layout import (
     Control,
     Loop,
     Paths,
+    joined,
     pack_loop,
     pack_parameters,
     words,
@@ -76,7 +77,8 @@ class Simulation:
             raise AmulettError("there is no profile; at least 1 is needed")
         self.num_devices = num_devices
         self.control = control
-        self.parameters = np.concatenate([pack_parameters(each, control, tension_law) for each in self.profiles])
+        packed = (pack_parameters(each, control, tension_law) for each in self.profiles)
+        self.parameters = joined(packed, layout.PARAMETERS)
         num_blocks = -(-num_devices // LANES)
         self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
         self.states = zeros(num_blocks, layout.STATE_BLOCK)
@@ -84,7 +86,7 @@ class Simulation:
         self.paths: Paths | None = None
         self.loop: Loop | None = None
         if control in (*LOOPS, DRIVES):
-            gains = np.concatenate([pack_loop(each, control) for each in self.profiles])
+            gains = joined((pack_loop(each, control) for each in self.profiles), layout.LOOP_PARAMETERS)
             self.loop = gains, zeros(num_blocks, layout.LOOP_BLOCK)
 
     @property
@@ -285,7 +287,7 @@ class Simulation:
             block, lane = np.divmod(list(found), LANES)
             places["count"][block, lane] = lengths = [path.size for path in found.values()]
             places["first"][block, lane] = np.cumsum(lengths) - lengths
-            self.paths = np.concatenate(list(found.values())), places
+            self.paths = joined(found.values(), layout.PATH), places
 
     @property
     def _names(self) -> str:

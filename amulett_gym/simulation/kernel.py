@@ -44,6 +44,7 @@ EXTENDED = True
 SENSOR_STREAMS = np.uint64(4)
 ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 SHAKE_STREAM = np.uint64(0x5A4E)
+NEGLIGIBLE = 1e-100  # [rad]; changes no bit of a command or of a sum
 TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
 # scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
 
@@ -422,9 +423,11 @@ def setpoint_kick(p, s, m, i):
     """
     decayed = s.kick_derivative[i]
     if p.position_on_error:
-        s.kick_derivative[i] = filtered_derivative(
+        derivative = filtered_derivative(
             decayed, s.setpoint_jump[i], p.position_kd, p.position_filter, p.control_period
         )
+        # Without end, it would decay to subnormal numbers, with which some processors take a third longer for a tick.
+        s.kick_derivative[i] = choose(abs(derivative) < NEGLIGIBLE, 0.0, derivative)
     kick = p.position_kp * s.setpoint_jump[i] + s.kick_derivative[i] - decayed
     s.isav_kick[i] += m.counting[i] * kick * kick / p.control_period
     s.setpoint_jump[i] = 0.0

@@ -12,6 +12,7 @@ is in 64 bits.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any, Literal, get_args
 
@@ -280,6 +281,15 @@ def words(records: NDArray[np.void], lanes: int) -> list[NDArray[Any]]:
         raw[:, start:end].view(f"i{width}").reshape(records.size, (end - start) // (width * lanes), lanes)
         for width, start, end in _sections(records.dtype)
     ]
+
+
+def joined(records: Iterable[NDArray[np.void]], dtype: np.dtype[Any]) -> NDArray[np.void]:
+    """Return arrays of records as one, whose dtype is this very object.
+
+    numba looks up an argument's type by the object: an array with an equal one costs microseconds in each call, and
+    `np.concatenate` may make one.
+    """
+    return np.concatenate(list(records), dtype=dtype)
 
 
 def zeros(count: int, block: np.dtype[Any]) -> NDArray[np.void]:

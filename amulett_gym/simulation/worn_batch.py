@@ -13,7 +13,7 @@ from amulett_gym.model.wearer import ACTIVE_SHARE, DAMPING, PASSIVE_DAMPING, STI
 from amulett_gym.profile import STABLE_STEP, Profile
 from amulett_gym.simulation import worn
 from amulett_gym.simulation.batch import Simulation, max_stiffness
-from amulett_gym.simulation.layout import LANES, Control, words, zeros
+from amulett_gym.simulation.layout import LANES, Control, joined, words, zeros
 from amulett_gym.simulation.worn_layout import FITTING, PERSON, PERSON_BLOCK, WORN_BLOCK, WORN_NAMES, Worn, pack_fitting
 
 CABLE_STEP = 1.5
@@ -37,7 +37,7 @@ class WornSimulation(Simulation):
         tension_law: str = "agent",
     ) -> None:
         super().__init__(profile, num_devices, control, tension_law)
-        fittings = np.concatenate([pack_fitting(each) for each in self.profiles])
+        fittings = joined((pack_fitting(each) for each in self.profiles), FITTING)
         blocks = self.states.size
         self._stiffness = np.array([max_stiffness(each) for each in self.parameters])
         self.worn: Worn = fittings, zeros(blocks, PERSON_BLOCK), zeros(blocks, WORN_BLOCK)
