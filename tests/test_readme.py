@@ -75,7 +75,7 @@ def test_links_lead_somewhere(page: str):
 
 
 def test_the_readme_is_short():
-    assert len(README.splitlines()) <= 150
+    assert len(README.splitlines()) <= 120
 
 
 def test_named_functions_exist():
