@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from amulett_agents.run_folder import TrainResult
     from amulett_agents.sb3_zip import load_sb3_zip
     from amulett_agents.training import resume, train
-    from amulett_agents.wrappers import recipe_view
+    from amulett_agents.wrappers import native_view, recipe_view
 
 __all__ = [
     "CloneSettings",
@@ -25,6 +25,7 @@ __all__ = [
     "load_sb3_zip",
     "load_train_config",
     "make_sb3_env",
+    "native_view",
     "recipe_view",
     "resume",
     "save_policy",
@@ -39,7 +40,7 @@ _NAMES = {
     "run_folder": ("TrainResult",),
     "sb3_zip": ("load_sb3_zip",),
     "training": ("resume", "train"),
-    "wrappers": ("recipe_view",),
+    "wrappers": ("native_view", "recipe_view"),
 }
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
-from amulett_agents.adapter import SB3VecEnv
+from amulett_agents.adapter import SB3VecEnv, make_sb3_env
 from amulett_gym import DRIVES_ID, WORN_ID
+from amulett_gym.envs.settings import NO_LIMIT
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import beyond_setpoint, follow
 from amulett_gym.laws.features import FEATURES, WORN_FEATURES, with_features
@@ -172,6 +173,35 @@ def recipe_view(venv: VecEnv, follow_time: float = 0.05, features: bool = True) 
     period = settings.agent_period
     share = period / max(follow_time, period)
     return ActorView(venv, settings.tension_range, features, share, worn=env_id == WORN_ID)
+
+
+def native_view(venv: VecEnv) -> VecEnv:
+    """Return the devices of SB3's vector of single environments as a native one, one compiled call per step.
+
+    For programs that make single environments and let a VecEnv be wrapped, such as rl_zoo3 (``vec_env_wrapper``). The
+    devices have the seeds of the single environments, which are closed: their monitors write nothing. Environments
+    that draw in a window, which the native one does not, are returned as they are.
+
+    Parameters
+    ----------
+    venv : VecEnv
+        SB3's `DummyVecEnv` or `SubprocVecEnv`, without wrappers that change steps.
+
+    Raises
+    ------
+    AmulettError
+        If its environments are others than AMULETT's.
+    """
+    if not venv.has_attr("env_id"):
+        raise AmulettError(f"native_view is for AMULETT environments, not {venv}")
+    env_id, settings = venv.get_attr("env_id")[0], venv.get_attr("settings")[0]
+    if settings.render_mode == "human":
+        return venv
+    steps = venv.get_attr("_max_episode_steps")[0] if venv.has_attr("_max_episode_steps") else NO_LIMIT
+    devices = make_sb3_env(env_id, venv.num_envs, max_episode_steps=steps, **settings.given)
+    devices._seeds = list(venv._seeds)
+    venv.close()
+    return devices
 
 
 class ScaledRewards(VecEnvWrapper):

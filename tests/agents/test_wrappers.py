@@ -18,8 +18,8 @@ from amulett_agents.adapter import SB3VecEnv
 from amulett_agents.bundles import describe_policy
 from amulett_agents.model import make_model
 from amulett_agents.validation import torch_threads
-from amulett_agents.wrappers import ActorView, Staggered
-from amulett_gym import DRIVES_ID, ENV_IDS
+from amulett_agents.wrappers import ActorView, Staggered, native_view
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import Actor
 from amulett_gym.laws.bundle import read_bundle
@@ -147,3 +147,28 @@ def test_a_recipes_view_refuses_what_it_is_not_for():
         recipe_view(make_sb3_env(), follow_time=-1.0)
     with pytest.raises(AmulettError, match="for AMULETT environments"):
         recipe_view(make_vec_env("Pendulum-v1"))
+
+
+@pytest.mark.parametrize("steps", [15, None])
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_native_devices_are_those_of_single_environments(env_id, steps):
+    def singles():
+        keywords = {"suite": "mixed"} if env_id != WORN_ID else {}
+        return make_vec_env(env_id, 3, seed=7, env_kwargs=keywords | {"max_episode_steps": steps})
+
+    alone, together = singles(), native_view(singles())
+    assert isinstance(together, SB3VecEnv)
+    np.testing.assert_array_equal(together.reset(), alone.reset())
+    actions = np.random.default_rng(0).uniform(-1, 1, (40, 3, *alone.action_space.shape)).astype(np.float32)
+    for action in actions:
+        for found, expected in zip(together.step(action)[:3], alone.step(action)[:3], strict=True):
+            np.testing.assert_array_equal(found, expected)
+    assert together.get_attr("settings")[0].given.items() >= alone.get_attr("settings")[0].given.items()
+
+
+def test_native_leaves_windows_and_refuses_other_environments():
+    window = make_vec_env(ENV_IDS[0], 1, env_kwargs={"render_mode": "human"})
+    assert native_view(window) is window
+    window.close()
+    with pytest.raises(AmulettError, match="native_view is for AMULETT environments, not <"):
+        native_view(make_vec_env("Pendulum-v1", 2))
