@@ -85,15 +85,22 @@ def measure_inputs(
 
 
 class StandardInputs(FlattenExtractor):
-    """Standardises observations by fixed means and deviations."""
+    """Standardises observations by fixed means and deviations; without them, `standardise` gives them later."""
 
     means: torch.Tensor
     gains: torch.Tensor
 
-    def __init__(self, observation_space: Space[Any], inputs: Inputs) -> None:
+    def __init__(self, observation_space: Space[Any], inputs: Inputs | None = None) -> None:
         super().__init__(observation_space)
-        self.register_buffer("means", torch.as_tensor(inputs.means))
-        self.register_buffer("gains", 1.0 / torch.as_tensor(inputs.deviations))
+        self.register_buffer("means", torch.zeros(self.features_dim))
+        self.register_buffer("gains", torch.ones(self.features_dim))
+        if inputs is not None:
+            self.standardise(inputs)
+
+    def standardise(self, inputs: Inputs) -> None:
+        """Take new means and deviations."""
+        self.means.copy_(torch.as_tensor(inputs.means))
+        self.gains.copy_(1.0 / torch.as_tensor(inputs.deviations))
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         """Return standardised observations, shape (N, entries)."""

@@ -14,7 +14,7 @@ from amulett_gym.errors import AmulettError, unknown
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-HELP = "check a device, fleet, recipe, scenario, benchmark or tuning file, a bundle or training run; show all values"
+HELP = "check a device, fleet, recipe, scenario, benchmark, tuning or rl_zoo3 file, a bundle or run; show all values"
 EXAMPLES = """  amulett config validate configs/my_device.yaml
   amulett config validate configs/ppo.yaml --show
   amulett config validate pretrained --show
@@ -97,6 +97,7 @@ def validate(path: str | Path) -> Found:
         path = bundle_folder(name)
     if path.is_dir():
         return _validate_folder(path)
+    from amulett_gym.cli.zoo import is_zoo_file, parse_zoo_file
     from amulett_gym.fleet import MAX_BYTES, is_fleet, parse_fleet
     from amulett_gym.learning import load_learning
     from amulett_gym.profile import Profile, parse_profile
@@ -108,11 +109,12 @@ def validate(path: str | Path) -> Found:
     from amulett_gym.studies.wearer.description import Description, parse_description
     from amulett_gym.tasks.scenario import Scenario, parse_scenario
 
-    path = find_config(path, "file")
+    path = find_config(path, "file", kinds=("yaml", "json", "yml"))
     is_json = path.suffix.lower() == ".json"
     if not is_json and path.suffix.lower() not in (".yaml", ".yml"):
         allowed = (
-            ".yaml or .json (device, fleet, recipe, benchmark, scenario) nor the folder of a bundle or a training run"
+            ".yaml or .json (device, fleet, recipe, benchmark, scenario, rl_zoo3) nor the folder of a bundle or a "
+            "training run"
         )
         raise AmulettError(f"'{path}' is neither {allowed}")
     recipes = load_learning("recipes")
@@ -134,6 +136,9 @@ def validate(path: str | Path) -> Found:
         raise AmulettError(
             f"file '{path}' has to hold a mapping of keys to values, or a fleet's list, not {type(content).__name__}"
         )
+    if is_zoo_file(content):
+        entries = parse_zoo_file(content, path)
+        return Found(f"hyper-parameters of rl_zoo3 for {len(entries)} environments", path.stem, entries)
     keys = set(content)
     if keys and all("." in str(key) for key in keys):
         space = load_learning("tuning").parse_space(content, recipes.TrainConfig(), path)

@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 from annotated_types import Ge, Gt, Le, Lt
 from helpers import make_bundle
 from pydantic import BaseModel
@@ -22,13 +23,20 @@ from amulett_gym.studies.benchmark.devices.description import DevicesBenchmark
 from amulett_gym.tasks.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-ALL = sorted([*CONFIGS.rglob("*.yaml"), *CONFIGS.rglob("*.json")])
+ALL = sorted(path for kind in ("yaml", "yml", "json") for path in CONFIGS.rglob(f"*.{kind}"))
+ZOO = sorted(CONFIGS.glob("zoo/*.yml"))
 
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: path.name)
 def test_what_we_ship_is_valid(path, capsys):
     assert main(["config", "validate", str(path)]) == 0
     assert f"{path}: valid, " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", ZOO, ids=lambda path: path.name)
+def test_rl_zoo3_reads_the_same_numbers(path):
+    text = path.read_text()
+    assert yaml.safe_load(text) == parse_yaml(text, path.name)  # it reads YAML 1.1, in which 1e-3 is text
 
 
 @pytest.mark.parametrize(
@@ -38,6 +46,11 @@ def test_what_we_ship_is_valid(path, capsys):
         ("mine.yaml", "{ppo: {gamma: 0.98}}", "a training recipe"),
         ("mine.yaml", "{headline: steps, suites: [steps]}", "a benchmark's description"),
         ("mine.yaml", "{held_out: 16, cables: []}", "a study of wearers"),
+        (
+            "mine.yml",
+            "{default: {policy: MlpPolicy, n_timesteps: 1}, Amulett/Tension-v0: {policy: MlpPolicy, n_timesteps: 1}}",
+            "hyper-parameters of rl_zoo3 for 2 environments",
+        ),
         ("mine.json", '{"moves": []}', "a scenario"),
         ("mine.json", '{"total_steps": 256}', "a training recipe"),
         ("mine.json", '{"name": "mine", "base": "testbed"}', "a device profile"),
@@ -109,6 +122,15 @@ def test_the_folder_of_a_training_run_is_valid_with_its_recipe_and_best_bundle(t
         ("mine.yaml", "{name: mine, base: testbed, plnt: {}}", "unknown key 'plnt'; did you mean 'plant'"),
         ("mine.yaml", "{ppo: {gama: 0.9}}", "unknown key 'ppo.gama'; did you mean 'gamma'"),
         ("mine.json", '{"move": []}', "unknown key 'move'; did you mean 'moves'"),
+        ("mine.yml", "{Amulett/Tensio-v0: {policy: MlpPolicy}}", "did you mean 'Amulett/Tension-v0'"),
+        ("mine.yml", "{Amulett/Tension-v0: {policy: MlpPolicy}}", "n_timesteps"),
+        ("mine.yml", "{Amulett/Tension-v0: {policy: MlpPolicy, n_timesteps: 0}}", "'n_timesteps' is 0"),
+        (
+            "mine.yml",
+            "{Amulett/Tension-v0: {policy: A, n_timesteps: 1, env_kwargs: {suit: mixed}}}",
+            "env_kwargs got an unexpected keyword argument 'suit'; did you mean 'suite'",
+        ),
+        ("mine.yml", "{Amulett/Tension-v0: ppo}", "has to be a mapping of hyper-parameters, not 'ppo'"),
         ("mine.yaml", "{colour: red}", "has no key of any kind of file"),
         ("mine.txt", "", "is neither .yaml"),
         (
