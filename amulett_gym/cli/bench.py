@@ -76,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     from amulett_gym.reporting.document import check_document, update_document
     from amulett_gym.storage.provenance import machine, write_provenance
     from amulett_gym.studies.speed import document as performance
+    from amulett_gym.studies.speed.instructions import compiler_target
     from amulett_gym.studies.speed.sections import MEASURE, Settings, prepare
 
     chosen = [name for name in performance.SECTIONS if _is_chosen(arguments, name)]
@@ -92,6 +93,10 @@ def run(arguments: argparse.Namespace) -> int:
     done: list[str] = []
     interrupted = False
     show = printer(arguments)
+    compiled = compiler_target()
+    here = f"{machine()[:-1]}, compiled for {compiled['target']}"
+    here += "." if compiled["vector_bits"] is None else f", registers of {compiled['vector_bits']} bits."
+    show(f"On {here}\n")
     try:
         for section in chosen:
             try:
@@ -105,10 +110,10 @@ def run(arguments: argparse.Namespace) -> int:
         print("amulett: interrupted; the results until then are kept", file=sys.stderr)
     finally:  # an error in a late section must not lose the early ones
         for target in targets if data else ():
-            write_json(target, data)
+            write_json(target, {"machine": here, **compiled, **data})
             show(f"Written: {target}")
         if arguments.json:
-            print_json(data)
+            print_json({"machine": here, **compiled, **data})
     if arguments.out is not None:
         from amulett_gym.studies.speed.figures import draw
 
@@ -118,7 +123,7 @@ def run(arguments: argparse.Namespace) -> int:
         texts = {}
         for section in done:
             if tables := [table.markdown() for table in performance.tables(section, data)]:
-                head = f"`{shlex.join(_words(arguments, section))}` on {machine()}"
+                head = f"`{shlex.join(_words(arguments, section))}` on {here}"
                 texts[performance.section_marks(section)] = "\n\n".join([head, *tables])
         update_document(arguments.doc, texts)
         show(f"Renewed: {arguments.doc}")
