@@ -26,7 +26,7 @@ LAYERS = (
     ("evaluation",),
     ("datasets",),
     ("c",),
-    ("firmware",),
+    ("firmware", "live"),
     ("studies",),
     ("cli", "__main__"),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,23 +73,33 @@ def find_compiler() -> str | None:
     return next((path for name in COMPILERS if (path := shutil.which(name))), None)
 
 
-def declarations() -> str:
+def declarations(alone: bool = False) -> str:
     """Return ``layout.h``: the kernel's constants and records as C sees them.
 
-    A record of a block holds one number for each group of lanes: a scalar each, or a vector of them all.
+    A record of a block holds one number for each group of lanes: a scalar each, or a vector of them all. `alone`: the
+    records are those of one device, with the gains of the loops that are not the paper's.
     """
-    lines = ["#include <assert.h>", "#include <stddef.h>"]
-    for name, value in _CONSTANTS.items():
-        lines.append(
-            f"#define {name} {int(value)}{'u' * isinstance(value, np.uint64)}"
-            if _whole(value)
-            else f"#define {name} {float(value).hex()}"
-        )
-    lines += _struct("parameters", layout.PARAMETERS, {"f8": "double", "i8": "int64_t"})
+    constants = {**_CONSTANTS, "LANES": 1} if alone else _CONSTANTS
+    scenarios, states = (layout.SCENARIO, layout.STATE) if alone else (layout.SCENARIO_BLOCK, layout.STATE_BLOCK)
+    plain = {"f8": "double", "i8": "int64_t"}
     stored = {"f8": "stored_real", "f4": "stored_float", "i1": "stored_byte", "u8": "stored_word"}
-    lines += _struct("scenarios", layout.SCENARIO_BLOCK, stored)
-    lines += _struct("states", layout.STATE_BLOCK, {"f8": "real", "i8": "integer"})
+    lines = ["#include <assert.h>", "#include <stddef.h>", *define(constants)]
+    lines += _struct("parameters", layout.PARAMETERS, plain)
+    if alone:
+        lines += _struct("loop_parameters", layout.LOOP_PARAMETERS, plain)
+    lines += _struct("scenarios", scenarios, stored, "1" if alone else "LANES / WIDTH")
+    lines += _struct("states", states, {"f8": "real", "i8": "integer"}, "1" if alone else "LANES / WIDTH")
     return "\n".join(lines) + "\n"
+
+
+def define(constants: Mapping[str, Any]) -> list[str]:
+    """Return lines that define numbers to the last bit."""
+    return [
+        f"#define {name} {int(value)}{'u' * isinstance(value, np.uint64)}"
+        if _whole(value)
+        else f"#define {name} {float(value).hex()}"
+        for name, value in constants.items()
+    ]
 
 
 def build(name: str, folder: Path) -> Advance:
@@ -167,14 +177,17 @@ def _whole(value: Any) -> bool:
     return isinstance(value, int | np.integer)
 
 
-def _struct(name: str, dtype: np.dtype[Any], types: dict[str, str]) -> list[str]:
-    """Declare a record; its size and every offset are asserted, so that C cannot see it otherwise than numpy."""
+def _struct(name: str, dtype: np.dtype[Any], types: dict[str, str], lanes: str = "") -> list[str]:
+    """Declare a record; its size and every offset are asserted, so that C cannot see it otherwise than numpy.
+
+    `lanes` is what C has in the place of numpy's lanes, innermost.
+    """
     lines, checks = ["typedef struct {"], [f'static_assert(sizeof({name}) == {dtype.itemsize}, "{name}");']
     for field, (kind, offset, *_) in (dtype.fields or {}).items():
         base, shape = kind.subdtype or (kind, ())
         sizes = [str(size) for size in shape]
-        if name != "parameters":
-            sizes[-1] = "LANES / WIDTH"
+        if lanes:
+            sizes = [*(sizes if lanes == "1" else sizes[:-1]), lanes]
         lines.append(f"    {types[base.str[1:]]} {field}{''.join(f'[{size}]' for size in sizes)};")
         checks.append(f'static_assert(offsetof({name}, {field}) == {offset}, "{name}.{field}");')
     return [*lines, f"}} {name};", *checks]

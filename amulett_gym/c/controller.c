@@ -60,7 +60,7 @@ typedef struct {
     real antagonist_share, position_only_offset, fixed_agonist;
     real switch_filter, switch_hysteresis, tie_width, tie_error, velocity_filter;
     real nominal_tension, minimum_tension, error_offset;
-    real drive_radius, joint_radius, inverse_max_deflection, damping_a, damping_b, damping_c, damping_d;
+    real drive_radius, joint_radius, damping_a, damping_b, damping_c, damping_d;
     uint8_t below_floor, position_on_error, tension_on_error, tension_loop, law, damping_by_mean;
 } parameters;
 

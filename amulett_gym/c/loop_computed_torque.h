@@ -71,8 +71,8 @@ INLINE pair nearest_pair(Gains g, real difference, real lowest, pair near) {
 INLINE void want(Parameters p, Gains g, States s, Memory q) {
     high_level found = find_torque(p, g, s, q);
     real angle = s->measured_angle[0];
-    pair position = nearest_pair(g, over(found.torque, p->joint_radius), found.tension, predict_positions(p, q, angle));
-    move_drives(p, g, q, drives_at(p, angle, position), found.rate);
+    pair position = nearest_pair(g, over(found.torque, p->joint_radius), found.tension, predict_positions(p, g, q, angle));
+    move_drives(p, g, q, drives_at(p, g, angle, position), found.rate);
 }
 
 #endif

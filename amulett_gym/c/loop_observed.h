@@ -24,11 +24,11 @@ static inline dynamics model_acceleration(Parameters p, Gains g, Memory q) {
 
 /* For a start at rest: observed_angle and both forces are those of the averaged readings. */
 INLINE void begin_estimates(Parameters p, Gains g, Memory q) {
-    pair at = predict_positions(p, q, q->observed_angle);
+    pair at = predict_positions(p, g, q, q->observed_angle);
     q->correction_biceps = find_position(g, q->force_biceps) - at.biceps;
     q->correction_triceps = find_position(g, q->force_triceps) - at.triceps;
-    q->slope_biceps = force_at(g, at.biceps + q->correction_biceps).slope * p->inverse_max_deflection;
-    q->slope_triceps = force_at(g, at.triceps + q->correction_triceps).slope * p->inverse_max_deflection;
+    q->slope_biceps = force_at(g, at.biceps + q->correction_biceps).slope * g->inverse_max_deflection;
+    q->slope_triceps = force_at(g, at.triceps + q->correction_triceps).slope * g->inverse_max_deflection;
     q->disturbance = -model_acceleration(p, g, q).acceleration;
     q->load = p->joint_radius * (q->force_biceps - q->force_triceps) - weight_torque(g, q->observed_angle);
 }
@@ -52,14 +52,14 @@ INLINE real next_correction(Gains g, real correction, real reading, curve estima
 
 INLINE void observe_after(Parameters p, Gains g, States s, Memory q, real period) {
     observe_joint(g, s, q, period);
-    pair at = predict_positions(p, q, q->observed_angle);
+    pair at = predict_positions(p, g, q, q->observed_angle);
     at.biceps += q->correction_biceps, at.triceps += q->correction_triceps;
     curve biceps = force_at(g, at.biceps), triceps = force_at(g, at.triceps);
     q->correction_biceps = next_correction(g, q->correction_biceps, q->slider_biceps, biceps, period);
     q->correction_triceps = next_correction(g, q->correction_triceps, q->slider_triceps, triceps, period);
     q->force_biceps = biceps.value, q->force_triceps = triceps.value;
-    q->slope_biceps = biceps.slope * p->inverse_max_deflection;
-    q->slope_triceps = triceps.slope * p->inverse_max_deflection;
+    q->slope_biceps = biceps.slope * g->inverse_max_deflection;
+    q->slope_triceps = triceps.slope * g->inverse_max_deflection;
     q->saturated_biceps = at.biceps >= 1 || s->measured_biceps[0] >= p->slider_end;
     q->saturated_triceps = at.triceps >= 1 || s->measured_triceps[0] >= p->slider_end;
 }

@@ -92,22 +92,22 @@ static inline real affordable_tension(Parameters p, Gains g, real torque, real t
 }
 
 /* The drive angles [rad] at a joint angle for the strings' positions in the force table. */
-static inline pair drives_at(Parameters p, real angle, pair position) {
+static inline pair drives_at(Parameters p, Gains g, real angle, pair position) {
     real wound = angle * p->joint_radius;
-    real biceps = over(position.biceps, p->inverse_max_deflection);
-    real triceps = over(position.triceps, p->inverse_max_deflection);
+    real biceps = over(position.biceps, g->inverse_max_deflection);
+    real triceps = over(position.triceps, g->inverse_max_deflection);
     return (pair){over(wound + biceps, p->drive_radius), over(wound - triceps, p->drive_radius)};
 }
 
 /* The drive angles [rad] that hold a joint angle with a torque at a tension. */
 static inline pair hold_at(Parameters p, Gains g, real angle, real torque, real tension) {
     pair force = string_forces(p, g, torque, tension);
-    return drives_at(p, angle, (pair){find_position(g, force.biceps), find_position(g, force.triceps)});
+    return drives_at(p, g, angle, (pair){find_position(g, force.biceps), find_position(g, force.triceps)});
 }
 
 /* Both strings' positions in the force table by the drives' model and a joint angle. */
-static inline pair predict_positions(Parameters p, Memory q, real angle) {
+static inline pair predict_positions(Parameters p, Gains g, Memory q, real angle) {
     real wound = angle * p->joint_radius;
-    return (pair){(q->model_biceps * p->drive_radius - wound) * p->inverse_max_deflection,
-                  (wound - q->model_triceps * p->drive_radius) * p->inverse_max_deflection};
+    return (pair){(q->model_biceps * p->drive_radius - wound) * g->inverse_max_deflection,
+                  (wound - q->model_triceps * p->drive_radius) * g->inverse_max_deflection};
 }

@@ -57,7 +57,7 @@ INLINE void want(Parameters p, Gains g, States s, Memory q) {
     q->integral = integrate(q->integral, error, g->torque_ki, p->control_period,
                             room.rise && torque + q->integral < most, room.fall && torque + q->integral > -most);
     stiff found = hold_stiff(p, g, s, torque + q->integral);
-    move_drives(p, g, q, drives_at(p, angle, found.position), q->reference_rate);
+    move_drives(p, g, q, drives_at(p, g, angle, found.position), q->reference_rate);
 }
 
 #else /* FEEDFORWARD_FEEDBACK */
@@ -86,8 +86,8 @@ INLINE real control_stiffness(Parameters p, Gains g, States s, Memory q, real st
 
 INLINE void want(Parameters p, Gains g, States s, Memory q) {
     stiff found = hold_stiff(p, g, s, needed_torque(p, g, s, q, q->reference));
-    pair to = drives_at(p, q->reference, found.position);
-    real stiffness = found.slopes * (p->inverse_max_deflection * p->joint_radius * p->joint_radius);
+    pair to = drives_at(p, g, q->reference, found.position);
+    real stiffness = found.slopes * (g->inverse_max_deflection * p->joint_radius * p->joint_radius);
     real both = correct_position(p, g, s, q);
     room room = headroom(p, s);
     uint8_t measurable = least(found.position.biceps, found.position.triceps) >= g->floor_position;

@@ -32,7 +32,7 @@ typedef struct {
 #elif OBSERVES
     Table estimate_table;
 #endif
-    real max_force, floor_position, drive_share, highest_factor, drive_step, inertia, weight;
+    real inverse_max_deflection, max_force, floor_position, drive_share, highest_factor, drive_step, inertia, weight;
     real torque_kp, torque_ki, torque_kd;
     real bandwidth, factor, kd, kf, ki, kp, lead, least_tension, most_rate, observer_bandwidth, reference_time;
     real slider_time, slope_floor, stiffness_filter, stiffness_kd, stiffness_ki, stiffness_kp, taut_force;

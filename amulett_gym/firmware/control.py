@@ -64,7 +64,7 @@ FORCE_LINES, POSITION_LINES, DECAY_LINES = 512, 1024, 256
 _DECAYS = "#ifdef CONTROLLER_DOUBLE\n#define DECAYS\n#else\n#define DECAYS .decay_table = decay_table,\n#endif\n\n"
 
 _NO_GAINS = (
-    *("loop", "reference_shape", "force_table", "position_table", "slope_table", "inverse_max_deflection"),
+    *("loop", "reference_shape", "force_table", "position_table", "slope_table"),
     *("integral_weight", "angle_weight", "rate_weight", "torque_weight"),  # the regulator's gains follow from them
 )
 

@@ -14,7 +14,7 @@ from amulett_gym.envs.transition import OBSERVATION_SCALES
 from amulett_gym.errors import AmulettError
 from amulett_gym.firmware.control import loop_numbers
 from amulett_gym.firmware.numbers import array, defines, initialiser
-from amulett_gym.model.spring import build_tables, estimate_force
+from amulett_gym.model.spring import estimate_force
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import pack_parameters
 
@@ -72,7 +72,6 @@ FIELDS = (
     "error_offset",
     "drive_radius",
     "joint_radius",
-    "inverse_max_deflection",
     "damping_a",
     "damping_b",
     "damping_c",
@@ -121,7 +120,6 @@ def device_header(profile: Profile, settings: Settings, law: Mapping[str, float 
         **law,
     }
     parameters = {name: _plain(record[name]) for name in FIELDS}
-    parameters["inverse_max_deflection"] = 1.0 / build_tables(profile.spring).max_deflection  # it knows no structure
     forces = _FORCES.format(few=int(_has_few_counts(record)))
     return (
         "/* Generated: the numbers of device, loop and law in SI units and rad. */\n\n"

@@ -239,6 +239,9 @@ ON_PATH = -1
 Paths = tuple[NDArray[np.void], NDArray[np.void]]
 """Parts and places."""
 
+STATE = _record(_STATE_FIELDS)
+"""One device's state: the words of a lane of a block."""
+
 STATE_BLOCK = block(_STATE_FIELDS)
 SCENARIO_BLOCK = block(_SCENARIO_FIELDS)
 PLACE_BLOCK = block([("first", "i8"), ("count", "i8")])

@@ -1,0 +1,1 @@
+"""The live twin: the simulation in a browser."""
