@@ -15,7 +15,11 @@
 #include "device.h"
 #include "live.h"
 
+#ifdef __wasm__
 #define EXPORT(name) __attribute__((export_name(#name), used))
+#else /* as a library, to compare speeds */
+#define EXPORT(name)
+#endif
 
 
 LOOP_INDICES(DECLARE_LOOP)

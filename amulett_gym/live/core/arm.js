@@ -191,7 +191,7 @@ Amulett.arm = (() => {
       const wrong = (text) => { throw new AmulettError(`the snapshot ${text}`); };
       const length = bytes instanceof Uint8Array && bytes.length > 4 ? new DataView(bytes.buffer, bytes.byteOffset, 4).getUint32(0, true) : Infinity;
       const [first, second, third] = [4 + length, 4 + length + state.bytes.length, 4 + length + state.bytes.length + scene.bytes.length];
-      if (!(bytes.length === third + memory.length)) wrong("is damaged: it has another length");
+      if (!Number.isFinite(length) || bytes.length !== third + memory.length) wrong("is damaged: it has another length");
       let head;
       try { head = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes.subarray(4, first))); } catch { wrong("is damaged: its head is no JSON"); }
       if (!isObject(head) || head.magic !== MAGIC || head.version !== 1) wrong("is of another version, or none");

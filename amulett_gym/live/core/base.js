@@ -16,6 +16,7 @@ Amulett.base = (() => {
   /** What a value looks like in an error, at most 60 characters. @param {any} value */
   function shown(value) {
     let text;
+    if (typeof value === "string") return `'${value.length > 60 ? `${value.slice(0, 57)}…` : value}'`;
     try { text = typeof value === "number" ? String(value) : JSON.stringify(value); } catch { text = String(value); }
     text = text === undefined ? String(value) : text;
     return text.length > 60 ? `${text.slice(0, 57)}…` : text;
