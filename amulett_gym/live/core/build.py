@@ -44,8 +44,7 @@ NO_COMPILER = (
     "only a change of the C texts needs the compiler"
 )
 
-_TARGET = ("-target", "wasm32-wasi", "-O3")
-_FLAGS = ("-std=gnu11", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror", "-Wno-bitwise-instead-of-logical")
+_FLAGS = ("-std=gnu11", "-ffp-contract=off")
 _C = Path(__file__).parents[2] / "c"
 
 _CONSTANTS: dict[str, Any] = {
@@ -81,17 +80,29 @@ def build() -> bytes:
     """
     if util.find_spec("ziglang") is None:
         raise ToolMissing(NO_COMPILER)
+    compiler = [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-O3"]
     with tempfile.TemporaryDirectory(prefix="amulett-wasm-") as temporary:
         folder = Path(temporary)
-        (folder / "layout.h").write_text(declarations(alone=True))
-        (folder / "device.h").write_text(device_header())
-        texts = [("live.c", "live.o", ()), *(("live_loop.c", f"loop_{k}.o", (f"-DLOOP={k}",)) for k in _loops())]
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda text: _compile(folder, *text), texts))
-        objects = [str(folder / name) for _, name, _ in texts]
+        found = objects(folder, compiler)
         # -s: no names and no paths of this computer
-        _zig([*_TARGET, "-mexec-model=reactor", "-Wl,-z,stack-size=65536", "-s", *objects, "-o", str(folder / WASM)])
+        options = ["-mexec-model=reactor", "-Wl,-z,stack-size=65536", "-s"]
+        _run([*compiler, *options, *found, "-o", str(folder / WASM)])
         return with_section((folder / WASM).read_bytes(), SECTION, json.dumps(description()).encode())
+
+
+def objects(folder: Path, compiler: Sequence[str]) -> list[str]:
+    """Return the paths of the compiled C texts in a folder; AmulettError if the compiler, with its options, refuses."""
+    (folder / "layout.h").write_text(declarations(alone=True))
+    (folder / "device.h").write_text(device_header())
+    texts = [("live.c", "live.o", []), *(("live_loop.c", f"loop_{k}.o", [f"-DLOOP={k}"]) for k in _loops())]
+
+    def compile_text(text: tuple[str, str, list[str]]) -> str:
+        source, name, options = text
+        _run([*compiler, *_FLAGS, *options, f"-I{folder}", "-c", str(_C / source), "-o", str(folder / name)])
+        return str(folder / name)
+
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(compile_text, texts))
 
 
 def device_header() -> str:
@@ -193,15 +204,10 @@ def _loops() -> Iterable[int]:
     return range(len(layout.LOOPS))
 
 
-def _compile(folder: Path, text: str, name: str, flags: Sequence[str]) -> None:
-    _zig([*_TARGET, *_FLAGS, *flags, f"-I{folder}", "-c", str(_C / text), "-o", str(folder / name)])
-
-
-def _zig(arguments: Sequence[str]) -> None:
-    command = [sys.executable, "-m", "ziglang", "cc", *arguments]
+def _run(command: Sequence[str]) -> None:
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode != 0:
-        raise AmulettError(f"the compiler cannot build {WASM}:\n{result.stderr[-2000:]}")
+        raise AmulettError(f"the compiler cannot build the live twin's C texts:\n{result.stderr[-2000:]}")
 
 
 def main() -> None:
