@@ -45,7 +45,8 @@ Amulett.arm = (() => {
     const identity = sha256(new Uint8Array([index, ...parameters.bytes, ...(index < 0 ? [] : gains.bytes), ...parts]));
     /** @type {any} */
     let law = null;
-    let ticks = 0, phase = 0, wanted = 0, range = ranges; // of an agent step: its length, ticks passed, the tension at its end
+    let ticks = 0, phase = 0, wanted = 0, delay = 0; // of an agent step: length, ticks passed, tension at its end, ticks until its ramp
+    let range = ranges;
     setLaw(options.law ?? { name: "eq6" });
     const problem = START[wasm.begin()];
     if (problem) throw new AmulettError(problem);
@@ -56,15 +57,15 @@ Amulett.arm = (() => {
     /** A law with what it needs to act here, checked. */
     function lawOf(next) {
       const found = Amulett.laws.make(layout, next, device, { range: tensionRange || ranges, period: agentPeriod, policies: core.policies });
-      const own = found.range || tensionRange || ranges, steps = ticksOf(found.period || agentPeriod);
+      const own = found.range || tensionRange || ranges, steps = ticksOf(found.period || agentPeriod), late = found.delay ?? actionDelay;
       if (index < 0 && own[0] === 0) throw new AmulettError(`the law chooses tensions from 0 N on; the loop '${loop}' needs more. Choose another loop, such as 'co-rotation'`);
-      number("actionDelay [control ticks]", actionDelay, 0, steps - 1);
-      return { law: found, ticks: steps, range: own };
+      number("the delay of an action [control ticks]", late, 0, steps - 1);
+      return { law: found, ticks: steps, range: own, delay: late };
     }
 
     function take(found) {
       if (law && law.inLoop !== "agent") state.set("tension_command", state.get("tension_setpoint"));
-      ({ law, ticks, range } = found);
+      ({ law, ticks, range, delay } = found);
       phase = 0;
       state.set("tension_rate", 0);
       writeLaw();
@@ -84,11 +85,11 @@ Amulett.arm = (() => {
       return found;
     }
 
-    const observation = () => Float64Array.from(new Float32Array(wasm.memory.buffer, wasm.observe(...range, actionDelay, observationNoise), layout.observations.length));
+    const observation = () => Float64Array.from(new Float32Array(wasm.memory.buffer, wasm.observe(...range, delay, observationNoise), layout.observations.length));
 
     /** Let an agent's tension go on a ramp over its step: envs/transition.py. */
     function beginRamp() { state.set("tension_rate", (wanted - state.get("tension_command")) / ticks); }
-    function endRamp() { state.set("tension_command", wanted - actionDelay * state.get("tension_rate")); }
+    function endRamp() { state.set("tension_command", wanted - delay * state.get("tension_rate")); }
 
     /** Simulate a number of control ticks; a device that failed keeps its state. @param {number} count */
     function step(count) {
@@ -96,8 +97,8 @@ Amulett.arm = (() => {
       for (let left = Math.floor(count); left > 0;) {
         const agent = law.inLoop === "agent";
         if (agent && phase === 0) wanted = Amulett.laws.tensionOf(Math.min(Math.max(law.act(observation()), -1), 1), range);
-        if (agent && phase === actionDelay) beginRamp();
-        const stop = agent && phase < actionDelay ? actionDelay : ticks, now = Math.min(left, stop - phase);
+        if (agent && phase === delay) beginRamp();
+        const stop = agent && phase < delay ? delay : ticks, now = Math.min(left, stop - phase);
         if (wasm.play(now)) return;
         left -= now;
         phase += now;

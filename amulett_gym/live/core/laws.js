@@ -19,6 +19,7 @@ Amulett.laws = (() => {
    * @property {Object<string, number>} fields of the device's record that it sets
    * @property {number[] | null} range tensions of an action of -1 and +1; null: the loop's
    * @property {number | null} period time between two actions; null: the arm's
+   * @property {number | null} delay control ticks from an agent step's begin to its ramp's; null: the arm's
    * @property {(observation: Float64Array) => number} act returns an action, a 32-bit number from -1 to 1
    * @property {() => any} state what it remembers of the episode, as JSON
    * @property {(state: any) => void} remember
@@ -37,7 +38,7 @@ Amulett.laws = (() => {
     for (const key of Object.keys(given)) oneOf("key of a law", key, ["name", "parameters", "policy", "range"]);
     const name = oneOf("law", given.name, NAMES), { parameters = {} } = given;
     if (name === "policy") return Amulett.policy.make(layout, context.policies, given.policy);
-    const plain = { inLoop: "agent", fields: {}, range: null, period: null, act: () => 0, state: () => null, remember: () => {} };
+    const plain = { inLoop: "agent", fields: {}, range: null, period: null, delay: null, act: () => 0, state: () => null, remember: () => {} };
     if (name === "constant") {
       const { tension } = read(name, parameters, { tension: device.parameters.nominal_tension });
       reach(`a tension of ${tension} N`, tension, tension, context.range);

@@ -3,7 +3,7 @@
 // file of it is used before it was checked.
 
 Amulett.policy = (() => {
-  const { AmulettError, checked, isObject, shown, sha256 } = Amulett.base;
+  const { AmulettError, checked, isObject, number, shown, sha256 } = Amulett.base;
   const FILES = ["weights.safetensors", "policy.json", "env.json", "provenance.json"], MANIFEST = "manifest.json";
   const OPTIONAL = ["card.md", "critic.npz"]; // which no policy needs to act
   const MOST_BYTES = 16e6, MOST_WEIGHT = 1e6, MOST_HEADER = 1e5;
@@ -33,7 +33,8 @@ Amulett.policy = (() => {
     checkPolicy(layout, policy);
     const env = json(files, "env.json"), keywords = isObject(env.keywords) ? env.keywords : {};
     const control = typeof keywords.control === "string" ? keywords.control : "decentralized";
-    const found = { id: sha256(files[MANIFEST]), policy, layers: readLayers(files["weights.safetensors"], policy.network), control };
+    const delay = keywords.action_delay === undefined ? 0 : number("'env.json': 'keywords.action_delay'", keywords.action_delay, 0, 1e6);
+    const found = { id: sha256(files[MANIFEST]), delay: Math.floor(delay), policy, layers: readLayers(files["weights.safetensors"], policy.network), control };
     policies.set(found.id, found);
     return found;
   }
@@ -195,7 +196,7 @@ Amulett.policy = (() => {
     }
 
     return {
-      spec: { name: "policy", policy: id }, inLoop: "agent", fields: {}, range, period: policy.agent_period, act,
+      spec: { name: "policy", policy: id }, inLoop: "agent", fields: {}, range, period: policy.agent_period, delay: found.delay, act,
       state: () => kept,
       remember(state) {
         const fits = isObject(state) && Number.isInteger(state.steps) && state.steps >= 0 &&

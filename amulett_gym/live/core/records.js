@@ -121,7 +121,7 @@ Amulett.records = (() => {
     if (seed === null) return null;
     const fits = typeof seed === "bigint" || Number.isSafeInteger(seed) || (typeof seed === "string" && /^\d{1,20}$/.test(seed));
     const value = fits ? BigInt(seed) : -1n;
-    if (value < 0n || value >= 2n ** 64n) throw new AmulettError(`the seed is ${shown(String(seed))}; it has to be a whole number of at least 0, above 2^53 as a text`);
+    if (value < 0n || value >= 2n ** 64n) throw new AmulettError(`the seed is ${String(seed).slice(0, 60)}; it has to be a whole number of at least 0, above 2^53 as a text`);
     return value;
   }
 
