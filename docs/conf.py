@@ -36,7 +36,7 @@ suppress_warnings = ["misc.highlighting_failure"]
 
 # Tutorials are executed once, and again when their code changes; an error in one ends the build.
 nb_execution_mode = "cache"
-nb_execution_timeout = 120  # [s] for a cell
+nb_execution_timeout = 300  # [s] for a cell, on a busy machine
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
