@@ -28,6 +28,11 @@ DEFAULT_STEPS = 500
 NO_LIMIT = -1
 """`max_episode_steps` of episodes without a time limit, as in `gymnasium.make`."""
 
+_ONLY_NATIVE = (
+    "; only the native vector environments take it, from gym.make_vec without vectorization_mode; Gymnasium's own take "
+    "theirs in vector_kwargs"
+)
+
 Bounds = TypeVar("Bounds", bound=Sequence[float])
 
 
@@ -263,8 +268,9 @@ class Settings(Group):
             return cls(**given)
         except ValidationError as error:
             for key in [key for key in given if key not in cls.model_fields]:
+                hint = _ONLY_NATIVE if key in VectorSettings.model_fields else nearest(key, cls.model_fields)
                 raise UnexpectedKeyword(
-                    f"{what} got an unexpected keyword argument '{shorten(key)}'{nearest(key, cls.model_fields)} "
+                    f"{what} got an unexpected keyword argument '{shorten(key)}'{hint} "
                     f"(allowed: {', '.join(cls.model_fields)})"
                 ) from error
             raise describe(error, cls, what) from error

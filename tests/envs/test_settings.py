@@ -76,6 +76,12 @@ def test_wrong_keywords_are_refused_alike(keywords, message):
         assert isinstance(refused.value, TypeError) == ("unexpected keyword argument" in message)  # as Python's own
 
 
+@pytest.mark.parametrize("keyword", [{"autoreset_mode": "SameStep"}, {"threads": 2}])
+def test_single_environments_say_which_take_a_keyword_of_the_vector_ones(keyword):
+    with pytest.raises(AmulettError, match="only the native vector environments take it.*vector_kwargs"):
+        gym.make_vec("Amulett/Scaling-v0", 2, vectorization_mode="sync", **keyword)
+
+
 @pytest.mark.parametrize("steps", [0, -2, 100.5, math.nan, math.inf, True, "100"])
 def test_wrong_time_limits_are_refused(steps):
     with pytest.raises(AmulettError, match=f"'max_episode_steps' is {re.escape(repr(steps))}"):
