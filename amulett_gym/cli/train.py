@@ -140,6 +140,8 @@ def _train_seeds(arguments: argparse.Namespace, workers: Workers, config: Any) -
             how = {"command": process_words(), "overwrite": arguments.overwrite, "report": report}
             results = learning.train_seeds(config, arguments.seeds, out, workers, **how)
     except KeyboardInterrupt:
+        if not learning.holds_seeds(out):  # nothing is begun
+            raise
         words = ["amulett", "train", "--resume", out, *command_words(arguments, "workers", "ray")]
         print(f"interrupted; checkpoints are kept. Continue with:\n       {shlex.join(words)}", file=sys.stderr)
         return 130

@@ -51,5 +51,6 @@ def _here(calls: Mapping[str, Call[T]], watch: Callable[[int], object]) -> Gener
             try:
                 result = call.make()
             except Exception as error:
-                raise named(error, name) from error
+                named(error, name)
+                raise
         yield name, result
