@@ -77,6 +77,12 @@ def prepare(out: Path, config: TrainConfig, command: Sequence[str] | None) -> No
     write_note(out, config, command)
 
 
+def remove_run(out: Path) -> None:
+    """Remove a run, its recipe last: until then the folder is known as a run's."""
+    for name in (*_OUTPUTS, COMMAND, CONFIG):
+        _remove(out / name)
+
+
 def write_note(out: Path, config: TrainConfig, command: Sequence[str] | None) -> None:
     """Write ``command.json``."""
     devices = [device.model_dump(mode="json") for device in config.env.devices]

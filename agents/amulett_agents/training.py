@@ -26,16 +26,18 @@ from amulett_agents.run_folder import (
     prepare,
     read_result,
     remove_leftovers,
+    remove_run,
     with_start,
     write_note,
     write_result,
 )
 from amulett_agents.validation import make_validation_env, torch_threads, warm_up
 from amulett_gym.errors import AmulettError
+from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, write_provenance
-from amulett_gym.storage.reading import read_json, user_path
+from amulett_gym.storage.reading import read_json, user_path, visible
 from amulett_gym.storage.writing import output_folder, write_json
 from amulett_gym.workers.call import ALONE, Call, Workers
 from amulett_gym.workers.run import results
@@ -101,12 +103,19 @@ def begin(
     only :func:`resume` finds out whether the environment and the networks accept the recipe.
     """
     out = user_path(out)
-    with _new_run(out, overwrite), torch_threads(config.threads):
-        if check and config.teacher is None:
-            model, validation = _made(config, progress=False)
-            model.get_env().close()  # type: ignore[union-attr]
-            validation.close()
+    with _new_run(out, overwrite):
+        if check:
+            _check(config)
         prepare(out, config, command)
+
+
+def _check(config: TrainConfig) -> None:
+    """Raise a RecipeError if the environment or the networks refuse a recipe; with a teacher, it is not tried."""
+    if config.teacher is None:
+        with torch_threads(config.threads):
+            model, validation = _made(config, progress=False)
+        model.get_env().close()  # type: ignore[union-attr]
+        validation.close()
 
 
 @contextmanager
@@ -269,13 +278,13 @@ def train_seeds(
                 f"'{out}' holds training runs already; choose another folder, resume them (--resume), or overwrite "
                 "them (--overwrite)"
             )
-        for number, folder in enumerate(_folders(out, seeds)):
-            begin(_with_seed(config, seeds[number]), folder, command, overwrite, check=number == 0)
-            if number == 0:  # the recipe is accepted
-                words = None if command is None else [*command]
-                write_json(out / SEEDS, {"seeds": [*seeds], "config": config.model_dump(), "command": words})
-                write_provenance(out, "seeds", {}, seeds, command)
-        return _finish(out, seeds, workers, progress, report)
+        _check(config)
+        if earlier:
+            _remove_runs(out, config)
+        words = None if command is None else [*command]
+        write_json(out / SEEDS, {"seeds": [*seeds], "config": config.model_dump(), "command": words})
+        write_provenance(out, "seeds", {}, seeds, command)
+        return _finish(out, config, seeds, workers, progress, command, report)
 
 
 def resume_seeds(
@@ -290,10 +299,7 @@ def resume_seeds(
     except (KeyError, TypeError, ValueError) as error:
         raise AmulettError(f"'{out / SEEDS}' is damaged: {error!r}") from error
     with locked_folder(out):
-        for seed, folder in zip(seeds, _folders(out, seeds), strict=True):
-            if not (folder / CONFIG).is_file():  # killed before it was begun
-                begin(_with_seed(config, seed), folder, command, check=False)
-        return _finish(out, seeds, workers, progress, report)
+        return _finish(out, config, seeds, workers, progress, command, report)
 
 
 def holds_seeds(out: str | Path) -> bool:
@@ -301,7 +307,31 @@ def holds_seeds(out: str | Path) -> bool:
     return (user_path(out) / SEEDS).is_file()
 
 
-def _finish(out: Path, seeds: Sequence[int], workers: Workers, progress: bool, report: Report) -> list[TrainResult]:
+def _remove_runs(out: Path, config: TrainConfig) -> None:
+    """Remove the earlier runs with any seed, so that none is taken for one of the new recipe."""
+    start = config.network.start
+    if start is not None and out.resolve() in bundle_folder(start).resolve().parents:
+        raise AmulettError(f"'{start}' is in '{out}', which would be overwritten; choose another folder for --out")
+    for folder in visible(out, "seed-*"):
+        with locked_folder(folder):
+            remove_run(folder)
+        with suppress(OSError):  # it holds files that are not the run's
+            folder.rmdir()
+
+
+def _finish(
+    out: Path,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    workers: Workers,
+    progress: bool,
+    command: Sequence[str] | None,
+    report: Report,
+) -> list[TrainResult]:
+    """Begin the runs that are not begun, and continue all of them."""
+    for seed, folder in zip(seeds, _folders(out, seeds), strict=True):
+        if not (folder / CONFIG).is_file():
+            begin(config.model_copy(update={"seed": seed}), folder, command, check=False)
     found = {}
     for folder, result in resume_all(_folders(out, seeds), workers, progress, f"training, {len(seeds)} seeds"):
         found[folder] = result
@@ -311,10 +341,6 @@ def _finish(out: Path, seeds: Sequence[int], workers: Workers, progress: bool, r
 
 def _folders(out: Path, seeds: Sequence[int]) -> list[Path]:
     return [out / f"seed-{seed}" for seed in seeds]
-
-
-def _with_seed(config: TrainConfig, seed: int) -> TrainConfig:
-    return config.model_copy(update={"seed": seed})
 
 
 def _learn(model: Model, run: Run) -> TrainResult:

@@ -1,6 +1,7 @@
 """Training with several seeds: each has its own run, as if it was trained alone, with any number of workers."""
 
 import json
+from unittest.mock import Mock
 
 import pytest
 from helpers import SMALL_RECIPE, fork_processes
@@ -58,6 +59,20 @@ def test_the_command_trains_prints_a_table_and_resumes(tmp_path, monkeypatch, ca
     assert main(["train", "--resume", str(out), "--json"]) == 0
     assert [result["seed"] for result in json.loads(capsys.readouterr().out)] == [0, 1]
     assert _weights(out / "seed-1") == weights and (out / "seed-0" / "finished.json").read_bytes() == finished
+
+
+def test_overwriting_leaves_no_run_of_the_earlier_recipe(tmp_path, monkeypatch):
+    out, killed = tmp_path / "runs", RuntimeError("killed")
+    train_seeds(CONFIG, [0, 1, 2], out, progress=False)
+    other = load_train_config(None, [*SMALL_RECIPE, "ppo.gamma=0.9"])
+    with monkeypatch.context() as patch:
+        patch.setattr("amulett_agents.training.begin", Mock(side_effect=killed))
+        with pytest.raises(RuntimeError, match="killed"):
+            train_seeds(other, [0, 1], out, progress=False, overwrite=True)
+    assert list(out.glob("seed-*")) == []
+    found = resume_seeds(out, progress=False)
+    assert [result.seed for result in found] == [0, 1]
+    assert load_train_config(out / "seed-1" / "config.yaml").ppo.gamma == 0.9
 
 
 @pytest.mark.parametrize(
