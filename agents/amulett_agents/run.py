@@ -126,10 +126,13 @@ class Run(BaseCallback):
             self.close_progress()
             total = min(config.sac.learning_starts, config.total_steps) if random else config.total_steps
             self._progress = Progress(total, what, "steps", self._show, done)
-        report.advance(done - self._reported)
-        self._reported = done
+        self._report_steps(done)
         costs = f", cost {self._rows[-1]['cost']:.3f} (best {self._rows[self._best]['cost']:.3f})" if self._rows else ""
         self._progress.update(done - self._progress.done if phase == "acting" else 0, phase + costs)
+
+    def _report_steps(self, done: int) -> None:
+        report.advance(done - self._reported)
+        self._reported = done
 
     def close_progress(self) -> None:
         """Stop showing progress."""
@@ -144,7 +147,7 @@ class Run(BaseCallback):
         if self.diverged is None and self.config.checkpoint:
             with atomic_path(self.out / "last_sb3.zip") as path:
                 model.save(path)
-        report.advance(min(model.num_timesteps, self.config.total_steps) - self._reported)
+        self._report_steps(min(model.num_timesteps, self.config.total_steps))
         self.validation.close()
         model.get_env().close()
         model.logger.close()
@@ -172,6 +175,7 @@ class Run(BaseCallback):
         self.check_folder()
         write_checkpoint(self.out, self.model, state, self.config.model_dump())  # type: ignore[arg-type]
         self._checkpointed, self._checkpointed_steps = time.monotonic(), self.num_timesteps
+        self._report_steps(min(self.num_timesteps, self.config.total_steps))
         report.keep()
 
     def check_folder(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -220,8 +220,11 @@ def resume_all(
     for folder in folders:
         if is_finished(folder):
             yield folder, resume(folder)
-    with Progress(sum(steps.values()), what, "steps", progress, done) as bar:
-        for name, _ in results(calls, workers, bar.update):
+    with (
+        Progress(sum(steps.values()), what, "steps", progress, done) as bar,
+        closing(results(calls, workers, bar.update)) as finished,
+    ):
+        for name, _ in finished:
             yield runs[name], read_result(missing[name])
 
 

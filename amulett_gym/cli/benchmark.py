@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help=quick)
     runs = "folder of training runs, <entry>/seed-<k>; missing ones are trained there (default: DIR/runs in --out)"
     parser.add_argument("--runs", metavar="DIR", help=runs)
-    add_workers(parser, "searches, training runs, contenders, problems of optimal control", 1)
+    add_workers(parser, "searches, training runs, contenders, problems of optimal control", 1, processes=True)
     further = "further contenders: laws, bundles, or trusted zips"
     parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
     add_options(parser, "--trust-pickle", "--doc")

@@ -82,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--devices", nargs=3, type=int, metavar="N", help=counts)
     parser.add_argument("--write", action="store_true", help="also replace the package's fleets")
     add_options(parser, "--doc", help="of a fleet: renew the generated part of a document, and its figure")
-    add_workers(parser, "searches")
+    add_workers(parser, "searches", processes=True)
     parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
     add_json(parser, "the content of identification.json, or of fleet.json")
 

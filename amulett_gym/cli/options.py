@@ -66,16 +66,22 @@ def chosen_device(arguments: argparse.Namespace) -> Profile:
     return device_of(fleet, arguments.device)
 
 
-def add_workers(parser: argparse.ArgumentParser, what: str, default: int | None = None) -> None:
-    """Add `--workers` and `--ray`: how many of `what` are made at a time, and where; the default is all cores."""
+def add_workers(
+    parser: argparse.ArgumentParser, what: str, default: int | None = None, processes: bool = False
+) -> None:
+    """Add `--workers` and `--ray`: how many of `what` are made at a time, and where; the default is all cores.
+
+    `processes` adds the earlier name of `--workers`, too.
+    """
     number = os.cpu_count() or 1 if default is None else default
     shown = "cores" if default is None else f"{default}"
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--workers", type=int, metavar="N", help=f"{what} at a time (default: {shown}; with --ray all)")
-    group.add_argument("--processes", type=int, metavar="N", help="deprecated: use --workers")
+    if processes:
+        group.add_argument("--processes", type=int, metavar="N", help="deprecated: use --workers")
     ray = "make them on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT (docs/scale.md)"
     parser.add_argument("--ray", metavar="ADDRESS", help=ray)
-    parser.set_defaults(default_workers=number)
+    parser.set_defaults(default_workers=number, processes=None)
 
 
 def chosen_workers(arguments: argparse.Namespace) -> Workers:
@@ -86,16 +92,14 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers:
     AmulettError
         If the number is below 1, Ray is not installed, or the address is none.
     """
-    from amulett_gym.workers.call import Workers, check_ray
+    from amulett_gym.workers.call import chosen
 
-    check_least(arguments, workers=1, processes=1)
+    check_least(arguments, processes=1)
     if arguments.processes is not None:
         print("amulett: note: --processes is deprecated; use --workers", file=sys.stderr)
         arguments.workers, arguments.processes = arguments.processes, None
-    if arguments.ray is None:
-        return Workers(arguments.default_workers if arguments.workers is None else arguments.workers)
-    check_ray(arguments.ray)
-    return Workers(arguments.workers, arguments.ray)
+    number = arguments.default_workers if (arguments.workers, arguments.ray) == (None, None) else arguments.workers
+    return chosen(number, arguments.ray)
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:

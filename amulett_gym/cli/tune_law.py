@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2], metavar="N", help=seeds)
     validation = "validation scenarios that choose among the starts (default: 200)"
     parser.add_argument("--validation", type=int, default=200, metavar="N", help=validation)
-    add_workers(parser, "searches")
+    add_workers(parser, "searches", processes=True)
     parser.add_argument("--out", required=True, metavar="DIR", help="folder; an interrupted search in it is continued")
     write = "also replace the package's parameters of this law, for a shipped device"
     parser.add_argument("--write", action="store_true", help=write)

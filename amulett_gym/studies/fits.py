@@ -7,12 +7,15 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 
+from amulett_gym.errors import AmulettError
 from amulett_gym.fleet import load_fleet
 from amulett_gym.identification.from_logs.fit import fit
 from amulett_gym.identification.from_logs.model import Model
@@ -25,7 +28,7 @@ from amulett_gym.reporting.words import number
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.trajectory import record
 from amulett_gym.tasks.scenario import Scenario, pack, pack_path
-from amulett_gym.workers.call import Call, Workers
+from amulett_gym.workers.call import Call, chosen
 from amulett_gym.workers.run import results
 
 FITTED, HELD_OUT = 60.0, 15.0
@@ -110,8 +113,8 @@ def tables(found: Mapping[str, Mapping[str, Any]]) -> list[Table]:
     ]
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run the study and print its tables."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the study and print its tables; return 2 after an error."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--devices", type=int, default=20, metavar="N", help="hidden devices (default: 20)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="most starts of a search (default: 6)")
@@ -120,19 +123,29 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", "--processes", type=int, metavar="N", help=number)
     parser.add_argument("--ray", metavar="ADDRESS", help="fit on a Ray cluster (docs/scale.md)")
     arguments = parser.parse_args(argv)
+    try:
+        _run(arguments)
+    except AmulettError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    workers = chosen(arguments.workers, arguments.ray)
     devices = load_fleet("plausible-held-out")[: arguments.devices]
     calls = {
         each.name: Call(find_device, (each.name, arguments.seed + k, arguments.starts))
         for k, each in enumerate(devices)
     }
-    workers = Workers(arguments.workers, arguments.ray)
     found = {}
-    for name, result in results(calls, workers):
-        found[name] = result
-        ratio = result["error"] / result["best_error"]
-        print(f"{name}: ratio {ratio:.3f}, inside {result['inside']}, {result['seconds']:.0f} s", flush=True)
+    with closing(results(calls, workers)) as finished:
+        for name, result in finished:
+            found[name] = result
+            ratio = result["error"] / result["best_error"]
+            print(f"{name}: ratio {ratio:.3f}, inside {result['inside']}, {result['seconds']:.0f} s", flush=True)
     print("\n\n".join(each.text() for each in tables({each.name: found[each.name] for each in devices})))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

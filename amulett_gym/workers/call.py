@@ -76,6 +76,21 @@ class Call(Generic[T]):
         return self.work(*(() if place is None else (place,)), *self.arguments)
 
 
+def chosen(number: int | None, ray: str | None) -> Workers:
+    """Return the workers that the options `--workers` and `--ray` choose.
+
+    Raises
+    ------
+    AmulettError
+        If the number is below 1, Ray is not installed, or the address is none.
+    """
+    if number is not None and number < 1:
+        raise AmulettError(f"--workers is {number}; it has to be at least 1")
+    if ray is not None:
+        check_ray(ray)
+    return Workers(number, ray)
+
+
 def check_ray(address: str) -> None:
     """Raise an AmulettError if Ray is not installed, or the address is none."""
     if find_spec("ray") is None:

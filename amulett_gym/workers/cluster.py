@@ -7,23 +7,25 @@ Ray's own retries do not know.
 
 from __future__ import annotations
 
+import os
 import pickle
 import socket
+import sys
 import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
 
 from amulett_gym.errors import AmulettError, shorten
 from amulett_gym.jit.code_cache import fingerprint
 from amulett_gym.storage.lock import locked_folder
 from amulett_gym.storage.provenance import differences, versions
+from amulett_gym.storage.temporary import call_folder
 from amulett_gym.workers.call import MOST_LOST, Call, Workers, check_ray, lost, named
 from amulett_gym.workers.files import Stamps, contents, put, stamps
 from amulett_gym.workers.report import listening
@@ -39,8 +41,17 @@ _AHEAD = 2
 _LOOK = 10.0
 """Time between two looks at the size of the cluster [s]."""
 
-_KNOCK = 20.0
+_KNOCK = 10.0
 """Longest time until a cluster answers [s]."""
+
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+"""Begin of a connection of HTTP/2 (RFC 9113, section 3.4) with empty settings. The answer begins with settings, too."""
+
+_SETTINGS = 4
+"""Type of a frame with settings."""
+
+_PATIENCE = 10.0
+"""Time without a processor for any call after which a note says so [s]."""
 
 _SHARE = 10
 """Time between two copies of a call's files, in multiples of the time that one takes."""
@@ -65,6 +76,8 @@ class _Task:
     name: str
     number: int
     lock: ExitStack
+    open: int = 0
+    """Units that are reported but not kept: they are done again if the task is lost."""
 
 
 def on_cluster(
@@ -96,20 +109,32 @@ def _connected(address: str) -> Any:
         ray.init(address, log_to_driver=False, logging_level="warning")
     except (OSError, RuntimeError, ValueError, ImportError, ray.exceptions.RayError) as error:
         ray.shutdown()  # of a client that is half connected
-        reason = shorten(" ".join(str(error).split()) or type(error).__name__, 400).rstrip(".")
         raise AmulettError(
-            f"no Ray cluster can be used at '{address}': {reason}. Start one with 'ray start --head', and see "
+            f"no Ray cluster can be used at '{address}': {_short(error)}. Start one with 'ray start --head', and see "
             "docs/scale.md"
         ) from error
     _ours = address
     return ray
 
 
+def _short(error: BaseException) -> str:
+    return shorten(" ".join(str(error).split()) or type(error).__name__, 400).rstrip(".")
+
+
 def _knock(address: str) -> None:
-    """Raise OSError if nothing listens at the address: Ray would try for minutes."""
-    if address != "auto":
-        host, _, port = address.removeprefix("ray://").rpartition(":")
-        socket.create_connection((host, int(port)), timeout=_KNOCK).close()
+    """Raise OSError if nothing listens at the address, or something else than gRPC: Ray would try for minutes."""
+    if address == "auto":
+        return
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    with socket.create_connection((host, int(port)), timeout=_KNOCK) as connection:
+        if os.environ.get("RAY_USE_TLS", "0") in ("0", ""):  # else there is a handshake first
+            connection.sendall(_PREFACE)
+            try:
+                frame = connection.recv(9)
+            except (TimeoutError, ConnectionError):
+                frame = b""
+            if len(frame) < 9 or frame[3] != _SETTINGS:
+                raise OSError("a program that is not Ray listens there")
 
 
 def _make_all(
@@ -125,6 +150,9 @@ def _make_all(
     todo, losses, submitted = list(calls)[::-1], Counter[str](), 0
     made: dict[Any, _Task] = {}
     limit, looked = 0, -float("inf")
+    waits_since: float | None = time.monotonic()  # None: a call has begun
+    failure: Exception | None = None
+    lost_cluster = (ray.exceptions.RayError, ConnectionError)
 
     def submit() -> None:
         nonlocal submitted
@@ -136,16 +164,28 @@ def _make_all(
                 call.folder.mkdir(parents=True, exist_ok=True)
                 lock.enter_context(locked_folder(call.folder))
             files = contents(call.folder, stamps(call.folder, call.files))
-        ref = task.options(name=f"amulett: {name}").remote(call, submitted, files, reports, wanted)
+        try:
+            options = task.options(name=f"amulett: {name}")
+            ref = options.remote(call, submitted, files, reports, wanted, waits_since is not None)
+        except Exception as error:  # arguments that cannot be pickled
+            lock.close()
+            raise named(error, name) from error
         made[ref] = _Task(name, submitted, lock)
 
     def read_reports() -> None:
-        names = {task.number: task.name for task in made.values()}
-        for source, units, files, removed in reports.get_nowait_batch(reports.qsize()):
+        nonlocal waits_since
+        running = {task.number: task for task in made.values()}
+        for source, units, kept in reports.get_nowait_batch(reports.qsize()):
+            waits_since = None
+            if (task := running.get(source)) is None:  # lost
+                continue
             watch(units)
-            if (name := names.get(source)) is not None and (files or removed):
-                _write(calls[name], files, removed)
-                losses[name] = 0
+            task.open += units
+            if kept is not None:
+                task.open = 0
+                if any(kept):
+                    _write(calls[task.name], *kept)
+                    losses[task.name] = 0
 
     try:
         while todo or made:
@@ -157,13 +197,16 @@ def _make_all(
             if done:
                 done, _ = ray.wait(list(made), num_returns=len(made), timeout=0)
             read_reports()
+            if waits_since is not None and time.monotonic() - waits_since > _PATIENCE:
+                _say_that_it_waits(ray)
+                waits_since = None
             finished: list[tuple[str, T]] = []
-            failure: Exception | None = None
             for ref in done:
                 ended = made.pop(ref)
                 with ended.lock:
-                    outcome = _outcome(ray, ref)
+                    outcome = _outcome(ray, ref, ended.name)
                     if isinstance(outcome, str):
+                        watch(-ended.open)
                         losses[ended.name] += 1
                         todo.append(ended.name)
                         if losses[ended.name] > MOST_LOST:
@@ -178,14 +221,33 @@ def _make_all(
             yield from finished
             if failure is not None:
                 raise failure
+    except lost_cluster as error:
+        if error is failure:  # a call's own
+            raise
+        raise AmulettError(
+            f"the Ray cluster was lost: {_short(error)}. What is finished is kept: run the same command again when the "
+            "cluster is back"
+        ) from error
     finally:
-        for ref, running in made.items():
-            ray.cancel(ref, force=True)
+        for running in made.values():
             running.lock.close()
-        reports.shutdown(force=True)
+        with suppress(*lost_cluster):
+            for ref in made:
+                ray.cancel(ref, force=True)
+            reports.shutdown(force=True)
 
 
-def _outcome(ray: Any, ref: Any) -> _Done[Any] | str:
+def _say_that_it_waits(ray: Any) -> None:
+    free, most = (int(found().get("CPU", 0)) for found in (ray.available_resources, ray.cluster_resources))
+    print(
+        f"amulett: note: no call has begun for {_PATIENCE:.0f} s. Each needs a processor of the cluster, which has "
+        f"{most}, {free} of them free. The command waits for one; 'ray status' shows more",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+def _outcome(ray: Any, ref: Any, name: str) -> _Done[Any] | str:
     """Return what a task returned, or why it is lost."""
     errors = ray.exceptions
     try:
@@ -196,10 +258,13 @@ def _outcome(ray: Any, ref: Any) -> _Done[Any] | str:
         if isinstance(cause, (KeyboardInterrupt, SystemExit)):
             return "its process was ended"
         raise AmulettError(
-            f"a worker of the cluster cannot make calls: {cause or error}. Install the same amulett-gym on every node"
+            f"{name}, on {error.ip}: the worker cannot make the call: {_short(cause or error)}. Install the same "
+            "amulett-gym and packages on every node"
         ) from error
     except errors.TaskCancelledError:
         return "it was cancelled"
+    except errors.RaySystemError as error:
+        raise AmulettError(f"{name}: its result cannot be read here: {_short(error)}") from error
     except errors.RayError as error:  # its process or its node, or the node that holds its result
         return type(error).__name__
 
@@ -216,11 +281,15 @@ def _software() -> dict[str, str]:
     return {**packages, "compiled code": fingerprint()}
 
 
-def _make(call: Call[T], number: int, files: dict[str, bytes], reports: Any, wanted: dict[str, str]) -> _Done[T]:
-    """Make a call on a worker; its files are in a temporary folder."""
+def _make(
+    call: Call[T], number: int, files: dict[str, bytes], reports: Any, wanted: dict[str, str], first: bool
+) -> _Done[T]:
+    """Make a call on a worker; its files are in a temporary folder. The first calls report that they have begun."""
     host = socket.gethostname()
-    with TemporaryDirectory(prefix="amulett-") as place:
-        folder = None if call.folder is None else Path(place)
+    if first:
+        reports.put((number, 0, None))
+    with call_folder() as place:
+        folder = None if call.folder is None else place
         messenger = _Messenger(number, folder, call.files, reports)
         result, failure = None, None
         try:
@@ -252,12 +321,12 @@ class _Messenger:
     def advance(self, units: int) -> None:
         self.units += units
         if time.monotonic() - self._sent >= _BETWEEN:
-            self._send({}, [])
+            self._send(None)
 
     def keep(self) -> None:
         begun = time.monotonic()
         if self._folder is not None and begun >= self._next_copy:
-            self._send(*self.changes())
+            self._send(self.changes())
             now = time.monotonic()
             self._next_copy = now + _SHARE * (now - begun)
 
@@ -270,8 +339,8 @@ class _Messenger:
         new = [name for name, stamp in now.items() if before.get(name) != stamp]
         return contents(self._folder, new), [name for name in before if name not in now]
 
-    def _send(self, files: dict[str, bytes], removed: list[str]) -> None:
-        self._reports.put((self._number, self.units, files, removed))
+    def _send(self, kept: tuple[dict[str, bytes], list[str]] | None) -> None:
+        self._reports.put((self._number, self.units, kept))
         self.units, self._sent = 0, time.monotonic()
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import active_children, get_context, parent_process
 from threading import Thread
 from typing import Any, TypeVar
@@ -21,7 +22,21 @@ T = TypeVar("T")
 _BETWEEN = 1.0
 """Longest time between two reports of progress [s]."""
 
-_progress: Any = None  # in a worker: its units of work until now, which the parent reads
+_DONE, _KEPT = 0, 1  # places in a worker's counters
+
+_progress: Any = None  # in a worker: its units of work until now, and how many of them are kept, for the parent
+
+
+@dataclass(frozen=True)
+class _Worker:
+    """A process and its counters.
+
+    Each is an executor of its own: one that loses its process tells which call that made, and stops no other. And each
+    has counters of its own, without a lock, which a process that is killed would keep.
+    """
+
+    executor: ProcessPoolExecutor
+    counters: Any
 
 
 def in_processes(
@@ -40,25 +55,29 @@ def in_processes(
     before = set(active_children())
     counters, seen = list[Any](), 0
     todo, losses = list(calls)[::-1], Counter[str]()
-    made: dict[Future[T], tuple[str, ProcessPoolExecutor]] = {}
+    made: dict[Future[T], tuple[str, _Worker]] = {}
 
-    def new_worker() -> ProcessPoolExecutor:
-        # Each an executor of its own: one that loses its process tells which call that made, and stops no other. And
-        # each a counter of its own, without a lock, which a process that is killed would keep.
-        counters.append(context.RawValue("q", 0))
-        return ProcessPoolExecutor(1, context, initializer=_begin, initargs=(counters[-1],))
+    def new_worker() -> _Worker:
+        counters.append(context.RawArray("q", 2))
+        return _Worker(ProcessPoolExecutor(1, context, initializer=_begin, initargs=(counters[-1],)), counters[-1])
 
-    def begin(worker: ProcessPoolExecutor) -> None:
+    def begin(worker: _Worker) -> None:
         name = todo.pop()
         with _ctrl_c_later():  # inherited by the workers, which the parent ends
-            made[worker.submit(_make, calls[name])] = name, worker
+            try:
+                future = worker.executor.submit(_make, calls[name])
+            except BrokenProcessPool:  # it was killed after its last call
+                worker.executor.shutdown()
+                worker = new_worker()
+                future = worker.executor.submit(_make, calls[name])
+            made[future] = name, worker
 
     try:
         for _ in range(min(number, len(calls))):
             begin(new_worker())
         while made:
             done, _ = wait(made, _BETWEEN, FIRST_COMPLETED)
-            now = sum(counter.value for counter in counters)
+            now = sum(each[_DONE] for each in counters)
             watch(now - seen)
             seen = now
             finished: list[tuple[str, T]] = []
@@ -73,32 +92,39 @@ def in_processes(
                     if losses[name] > MOST_LOST:
                         failure = lost(name, "on this machine")
                     todo.append(name)
-                    worker.shutdown()
+                    worker.executor.shutdown()
+                    worker.counters[_DONE] = worker.counters[_KEPT]  # what is not kept is done again
                     worker = new_worker()
                 else:
                     failure = named(error, name) if isinstance(error, Exception) else error
                 if todo and failure is None:
                     begin(worker)
                 else:
-                    worker.shutdown()
+                    worker.executor.shutdown()
             yield from finished
             if failure is not None:
                 raise failure
     except BaseException:
         for _, worker in made.values():
-            worker.shutdown(wait=False, cancel_futures=True)
+            worker.executor.shutdown(wait=False, cancel_futures=True)
         for process in set(active_children()) - before:  # otherwise they finish their calls first
             process.terminate()
         raise
 
 
 def _make(call: Call[T]) -> T:
-    with listening(_add):
-        return call.make()
+    with listening(_add, _keep):
+        result = call.make()
+    _keep()  # of a finished call nothing is done again
+    return result
 
 
 def _add(units: int) -> None:
-    _progress.value += units
+    _progress[_DONE] += units
+
+
+def _keep() -> None:
+    _progress[_KEPT] = _progress[_DONE]
 
 
 @contextmanager

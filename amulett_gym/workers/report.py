@@ -16,12 +16,18 @@ _keep: Callable[[], object] = _nothing
 
 
 def advance(units: int) -> None:
-    """Report progress, in the units of the progress bar; nothing if no one listens."""
+    """Report progress, in the units of the progress bar; nothing if no one listens.
+
+    If the worker is lost, the units since the last `keep` do not count.
+    """
     _advance(units)
 
 
 def keep() -> None:
-    """Report that the files in the call's folder are complete: on a cluster, they are copied to the driver."""
+    """Report that the files in the call's folder are complete, with all progress until now.
+
+    On a cluster, they are copied to the driver.
+    """
     _keep()
 
 

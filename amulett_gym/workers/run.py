@@ -27,7 +27,8 @@ def results(
     workers : Workers
         With one on this machine, or for one call, calls are made in this process.
     watch : callable
-        Called with the number of units by which all calls advanced since the last time.
+        Called with the number of units by which all calls advanced since the last time. It may be negative after a
+        worker is lost: its units since the call's last `report.keep` are done again.
 
     Raises
     ------

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from multiprocessing import get_context
+from threading import Thread
 
 import pytest
 from helpers import wait_until
@@ -13,7 +14,7 @@ from helpers import wait_until
 from amulett_gym.errors import AmulettError
 from amulett_gym.workers.call import MOST_LOST, Call, Workers
 from amulett_gym.workers.processes import in_processes
-from amulett_gym.workers.report import advance
+from amulett_gym.workers.report import advance, keep
 from amulett_gym.workers.run import results
 
 
@@ -105,6 +106,7 @@ def _count_on(folder, end, killed_at):
     for number in range(int(path.read_text()) if path.exists() else 0, end):
         advance(1)
         path.write_text(str(number + 1))
+        keep()
         mark = folder / f"killed-at-{number + 1}"
         if number + 1 in killed_at and not mark.exists():
             mark.touch()
@@ -119,6 +121,41 @@ def test_a_call_whose_process_is_killed_continues_and_others_go_on(tmp_path):
     calls = {name: Call(_count_on, (20, at), tmp_path / name) for name, at in (("killed", (5, 12)), ("other", ()))}
     assert dict(results(calls, Workers(2), units.append)) == {"killed": 20, "other": 20}
     assert sum(units) == 40  # nothing was done twice
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_progress_takes_back_what_a_killed_process_did_not_keep(tmp_path):
+    units = []
+    calls = {"kept": Call(_end_once, (tmp_path / "kept", True)), "lost": Call(_end_once, (tmp_path / "lost", False))}
+    assert dict(results(calls, Workers(2), units.append)) == {"kept": None, "lost": None}
+    assert sum(units) == 10 + 5  # of "kept" those before and after its end, of "lost" those after
+
+
+def _end_once(mark, keeps):
+    advance(5)
+    if keeps:
+        keep()
+    if not mark.exists():
+        mark.touch()
+        time.sleep(2.0)  # the parent reads the units
+        os.kill(os.getpid(), signal.SIGKILL)
+    if not keeps:
+        keep()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_process_that_is_killed_between_two_calls_is_replaced():
+    calls = {"first": Call(_square, (1,)), "second": Call(_end_soon)}
+    calls |= {f"of {number}": Call(_square, (number,)) for number in range(2, 5)}
+    found, finished = {}, results(calls, Workers(2))
+    for name, result in finished:
+        found[name] = result
+        time.sleep(3.0)  # "second" is finished meanwhile, and its process is killed
+    assert [*found] and set(found) == set(calls)
+
+
+def _end_soon():
+    Thread(target=lambda: (time.sleep(0.5), os.kill(os.getpid(), signal.SIGKILL)), daemon=True).start()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")

@@ -25,6 +25,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -178,8 +179,9 @@ def clairvoyant(
     if folder is not None and not workers.alone:
         missing = {each.file: each for each in blocks if read_kept(Path(folder) / each.file, each.digest()) is None}
     calls = {file: Call(_search, (each,)) for file, each in missing.items()}
-    for file, arrays in results(calls, workers, report):
-        write_kept(Path(folder or "") / file, missing[file].digest(), arrays)
+    with closing(results(calls, workers, report)) as finished:
+        for file, arrays in finished:
+            write_kept(Path(folder or "") / file, missing[file].digest(), arrays)
     found = [_kept(each, folder, _nothing if each.file in missing else report) for each in blocks]
     shares = np.array([part.costs.size for part in found]) / count
     return Reference(

@@ -71,6 +71,7 @@ class Start:
         self.result = search(self.recipe, self.seed, self.train, self.validation, tuple(self.known), keep)
         advance(self.recipe.judging // len(self.recipe.seeds))
         write_kept(self.path, self.inputs, self.result)
+        report.keep()
         return self.result
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -125,10 +126,11 @@ def finish_all(
         name: Call(_finish, (start.recipe, start.seed), Path(start.folder), (start.file,))
         for name, start in named.items()
     }
-    for name, result in results(calls, workers, advance):
-        start = named[name]
-        start.result = result
-        report(start.recipe, start.seed, result)
+    with closing(results(calls, workers, advance)) as finished:
+        for name, result in finished:
+            start = named[name]
+            start.result = result
+            report(start.recipe, start.seed, result)
 
 
 def starts_of(folder: str | Path, recipe: Recipe) -> list[Start]:

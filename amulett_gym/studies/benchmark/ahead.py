@@ -5,8 +5,8 @@ With one worker on this machine nothing is done ahead.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from amulett_gym.learning import load_learning
 from amulett_gym.profile import Profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.kept import read_kept, write_kept
+from amulett_gym.storage.temporary import call_folder
 from amulett_gym.studies.benchmark.episodes import Play, arrays_of
 from amulett_gym.studies.benchmark.runs import TrainingRun, begin_run
 from amulett_gym.workers.call import Call, Workers
@@ -50,8 +51,11 @@ def play_ahead(plays: Sequence[Play], workers: Workers, what: str, progress: boo
         policy = play.contender.policy_name
         sent = copy_policies([] if policy is None else [policy])
         calls[name] = Call(_play, (play.protocol, play.contender, sent, play.keeps_schedule))
-    with _progress(len(ours), what, "runs", workers, progress, len(ours) - len(missing)) as bar:
-        for name, arrays in results(calls, workers):
+    with (
+        _progress(len(ours), what, "runs", workers, progress, len(ours) - len(missing)) as bar,
+        closing(results(calls, workers)) as finished,
+    ):
+        for name, arrays in finished:
             write_kept(missing[name].path, missing[name].digest, arrays)
             bar.update(note=missing[name].label)
 
@@ -87,8 +91,11 @@ def solve_ahead(
         )
         for number in scenarios
     }
-    with _progress(len(calls), "optimal control", "scenarios", workers, progress) as bar:
-        for _ in results(calls, workers):
+    with (
+        _progress(len(calls), "optimal control", "scenarios", workers, progress) as bar,
+        closing(results(calls, workers)) as finished,
+    ):
+        for _ in finished:
             bar.update()
 
 
@@ -98,7 +105,7 @@ def _progress(total: int, what: str, unit: str, workers: Workers, show: bool = T
 
 def _play(protocol: Protocol, contender: Contender, sent: Copies, keep_schedule: bool) -> dict[str, NDArray[Any]]:
     """Play a contender whose policy was sent along, and return what is kept of its run."""
-    with tempfile.TemporaryDirectory(prefix="amulett-") as folder:
+    with call_folder() as folder:
         sent.write(folder)
         name, places = contender.policy_name, kept_policies(folder, sent.record)
         here = replace(contender, policy_name=None if name is None else places.get(name, name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -91,9 +92,10 @@ def run_stages(
         else:
             yield name, done
     todo = {name: Call(work or _do_stage, (calls[name], asdict(readings))) for name in missing}
-    for name, result in results(todo, workers):
-        write_kept(folder / f"{name}.json", inputs[name], result)
-        yield name, result
+    with closing(results(todo, workers)) as finished:
+        for name, result in finished:
+            write_kept(folder / f"{name}.json", inputs[name], result)
+            yield name, result
 
 
 def _do_stage(call: Mapping[str, Any], readings: Mapping[str, Any]) -> Any:
