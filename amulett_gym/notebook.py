@@ -16,10 +16,16 @@ def register() -> None:
     """
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None:
-        shell.display_formatter.formatters["image/png"].for_type(gymnasium.Wrapper, png_of)
+        formatter = shell.display_formatter.formatters["image/png"]
+        try:
+            formatter.lookup_by_type(gymnasium.Wrapper)  # a user's own way to show environments stays
+        except KeyError:
+            formatter.for_type(gymnasium.Wrapper, png_of)
 
 
 def png_of(env: gymnasium.Env[Any, Any]) -> bytes | None:
-    """Return the picture of the environment that wrappers hold; None for one that has none."""
-    draw = getattr(env.unwrapped, "_repr_png_", None)
+    """Return the picture of the outermost wrapper that has one, or else of the environment; None if none has."""
+    while not hasattr(type(env), "_repr_png_") and isinstance(env, gymnasium.Wrapper):
+        env = env.env
+    draw = getattr(env, "_repr_png_", None)
     return None if draw is None else draw()

@@ -118,7 +118,11 @@ def _environment(dataset: Any, name: str) -> tuple[TrainingEnv, Settings, tuple[
         TrainingEnv(id=spec.id, keywords=spec.kwargs, max_episode_steps=steps)
     except ValidationError as error:
         raise describe(error, TrainingEnv, f"the data set '{name}'") from error
-    with closing(gym.make(spec.id, **spec.kwargs, disable_env_checker=True)) as env:
+    try:
+        made = gym.make(spec.id, **spec.kwargs, disable_env_checker=True)
+    except AmulettError as error:  # it names the environment and the keyword
+        raise AmulettError(f"the environment of the data set '{name}' cannot be made: {error}") from error
+    with closing(made) as env:
         own: Any = env.unwrapped
         settings: Settings = own.settings
         if settings.tension_law != "agent" or settings.control == "position-only":

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -56,6 +57,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     acts_by_factor: ClassVar[bool] = False
     settings_type: ClassVar[type[VectorSettings]] = VectorSettings
     __signature__ = signature(VectorSettings)
+    _spec: EnvSpec | None = None
 
     def __init__(self, **keywords: Any) -> None:
         self.settings = settings = self.settings_type.read(keywords, self.env_id, self.acts_by_factor)
@@ -74,6 +76,17 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         self._renderers: list[Any] = []
         self._collects = settings.render_mode == "rgb_array_list"
         self._frames: list[list[NDArray[np.uint8]]] = self._no_frames()
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Return how the environment was made, as Gymnasium's `make_vec` sets it."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and "autoreset_mode" in spec.kwargs:  # as a word: an enum cannot be written as JSON
+            spec.kwargs["autoreset_mode"] = self.autoreset_mode.value
+        self._spec = spec
 
     def _make_episodes(self, settings: VectorSettings) -> Episodes:
         return Episodes(settings.num_envs, settings, settings.threads)

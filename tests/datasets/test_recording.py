@@ -229,6 +229,7 @@ def change(folder: Path, **spec) -> None:
     [
         ({"id": "CartPole-v1"}, "names the environment CartPole-v1; it has to be one of Amulett/"),
         ({"kwargs": {"profile": "/etc/passwd"}}, "unknown profile '/etc/passwd'"),
+        ({"kwargs": {"suit": "steps"}}, "data set '.*cannot be made: Amulett/Scaling-v0 got an unexpected .* 'suit'"),
         ({"kwargs": {"tension_law": "eq6"}}, "had no effect: its tension_law is 'eq6'"),
         ({"kwargs": {"privileged": True}}, r"observations and actions of the shapes .* has \(26, "),
     ],

@@ -125,3 +125,11 @@ def test_frames_are_collected_as_in_gymnasium(mode):
             assert [len(frames) for frames in native] == [len(frames) for frames in other]
             assert np.array_equal(native, other)
     assert envs[0].render() == ([],) * COUNT
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, "SameStep"])
+def test_how_an_environment_was_made_can_be_written_as_json(mode):
+    env = gym.make_vec("Amulett/Scaling-v0", 3, autoreset_mode=mode)
+    again = gym.make_vec(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.autoreset_mode is env.autoreset_mode is AutoresetMode.SAME_STEP
+    assert again.num_envs == 3

@@ -11,6 +11,7 @@ import sys
 import warnings
 from dataclasses import replace
 from io import BytesIO
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -26,6 +27,7 @@ from amulett_gym.envs.rendering.window import Renderer
 from amulett_gym.envs.transition import OBSERVATIONS
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
+from amulett_gym.notebook import png_of, register
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.batch import Simulation
 
@@ -464,3 +466,37 @@ def test_a_notebooks_picture_is_that_of_render():
     unstarted = gym.make(SCALING).unwrapped
     assert unstarted._repr_png_() == env.unwrapped._repr_png_()
     assert not unstarted.episodes.started[0]
+
+
+class Sketch(gym.Wrapper):
+    """A user's wrapper with a picture of its own."""
+
+    def _repr_png_(self):
+        return b"sketch"
+
+
+def test_a_notebook_shows_a_users_own_picture(monkeypatch):
+    env = gym.make(SCALING)
+    assert png_of(env) == env.unwrapped._repr_png_()
+    assert png_of(gym.wrappers.TimeAwareObservation(Sketch(env))) == b"sketch"
+    formatter = Formatter()
+    shell = SimpleNamespace(display_formatter=SimpleNamespace(formatters={"image/png": formatter}))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    register()
+    assert formatter.printers == {gym.Wrapper: png_of}
+    formatter.printers = {gym.Wrapper: str}
+    register()
+    assert formatter.printers == {gym.Wrapper: str}
+
+
+class Formatter:
+    """What of IPython's PNGFormatter is used: printers by type."""
+
+    def __init__(self):
+        self.printers = {}
+
+    def lookup_by_type(self, kind):
+        return self.printers[kind]
+
+    def for_type(self, kind, printer):
+        self.printers[kind] = printer
