@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 
 from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.jit.notice import announce_compilation
+from amulett_gym.reporting.figure_files import figures_as
 
 COMMANDS = (
     *("quickstart", "train", "tune", "clone", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
@@ -170,6 +171,7 @@ def _run(argv: Sequence[str] | None) -> int:
         parser.print_help()
         return 2
     announce_compilation(lambda text: print(text, file=sys.stderr, flush=True))
-    code = int(arguments.run(arguments))
+    with figures_as(getattr(arguments, "format", None), getattr(arguments, "columns", None)):
+        code = int(arguments.run(arguments))
     sys.stdout.flush()
     return code

@@ -9,7 +9,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from amulett_gym.cli.options import add_options, check_least, check_seconds, command_words
+from amulett_gym.cli.options import add_figures, add_options, check_least, check_seconds, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable, write_json
@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, "--doc", help="renew the measured sections in a document")
     parser.add_argument("--out", metavar="DIR", help="folder for bench.json and figures")
+    add_figures(parser)
     parser.add_argument(
         "--json",
         nargs="?",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from amulett_gym.cli.options import add_json, add_options, add_workers, chosen_workers, command_words
+from amulett_gym.cli.options import add_figures, add_json, add_options, add_workers, chosen_workers, command_words
 from amulett_gym.cli.output import print_json, printer
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     further = "further contenders: laws, bundles, or trusted zips"
     parser.add_argument("--policies", nargs="+", default=[], metavar="NAME", help=further)
     add_options(parser, "--trust-pickle", "--doc")
+    add_figures(parser)
     add_json(parser, "the content of benchmark.json")
     parser.set_defaults(places={})  # of kept policies, for `amulett rerun`
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from amulett_gym.cli.options import add_device, add_json, add_options, command_words
+from amulett_gym.cli.options import add_device, add_figures, add_json, add_options, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.storage.lock import locked_folder
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     env_id = "environment (default: Amulett/Scaling-v0). Policies trained in Amulett/Drives-v0 always act there"
     parser.add_argument("--env-id", default="Amulett/Scaling-v0", help=env_id)
     parser.add_argument("--out", metavar="DIR", help="folder for results.json, scenarios.csv, report.html and figures")
+    add_figures(parser)
     add_json(parser, "the content of results.json")
 
 

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from amulett_gym.cli.options import add_json, add_workers, check_least, chosen_workers
+from amulett_gym.cli.options import add_figures, add_json, add_workers, check_least, chosen_workers
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.writing import check_writable
@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of that fleet (default: 0)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="most starts of the search (default: 6)")
     add_workers(parser, "starts of the search", 1)
+    add_figures(parser, page=True)
     add_json(parser, "the content of the .json file")
 
 
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_least(arguments, devices=1, seed=0, starts=1)
     workers = chosen_workers(arguments)
     out = _files(arguments)
-    from amulett_gym.evaluation.fit_page import in_words, page
+    from amulett_gym.evaluation.fit_page import figures_of, in_words, page
     from amulett_gym.fleet import load_fleet
     from amulett_gym.identification.from_logs.experiments import outlooks
     from amulett_gym.identification.from_logs.fit import fit
@@ -85,8 +86,15 @@ def run(arguments: argparse.Namespace) -> int:
         print_json(result)
     show(in_words(result), wrap=False)
     with after_results(", ".join(written)):
-        write_text(out.with_suffix(".html"), page(found, result, name, held_out, command))
-    show(f"Written: {', '.join([*written, str(out.with_suffix('.html'))])}.")
+        figures = figures_of(found, held_out)
+        write_text(out.with_suffix(".html"), page(found, result, name, figures, command))
+        written.append(str(out.with_suffix(".html")))
+        if arguments.format is not None:
+            from amulett_gym.reporting.style import save_figures
+
+            named = {f"{name}-{key.removeprefix('fit-')}": figure for key, (_, figure) in figures.items()}
+            written += map(str, save_figures(named, out.parent))
+    show(f"Written: {', '.join(written)}.")
     return 0
 
 

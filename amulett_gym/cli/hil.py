@@ -7,7 +7,15 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, check_file, check_least, check_seconds, command_words
+from amulett_gym.cli.options import (
+    add_figures,
+    add_json,
+    add_options,
+    check_file,
+    check_least,
+    check_seconds,
+    command_words,
+)
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.storage.lock import locked_folder
@@ -49,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", metavar="FILE", help=log)
     readme = "write memory and cycles, which the transport chip measures, into the firmware's README.md"
     parser.add_argument("--readme", action="store_true", help=readme)
+    add_figures(parser, page=True)
     add_json(parser, "the content of hil.json")
 
 

@@ -8,7 +8,15 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_json, add_options, add_workers, check_least, chosen_workers, command_words
+from amulett_gym.cli.options import (
+    add_figures,
+    add_json,
+    add_options,
+    add_workers,
+    check_least,
+    chosen_workers,
+    command_words,
+)
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.progress import Progress
@@ -84,6 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--doc", help="of a fleet: renew the generated part of a document, and its figure")
     add_workers(parser, "searches", processes=True)
     parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
+    add_figures(parser)
     add_json(parser, "the content of identification.json, or of fleet.json")
 
 

@@ -6,7 +6,7 @@ import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
-from amulett_gym.cli.options import add_json, add_options, check_least, command_words
+from amulett_gym.cli.options import add_figures, add_json, add_options, check_least, command_words
 from amulett_gym.cli.output import print_json, printer
 
 HELP = "compare the control loops on the paper's step"
@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first repetition (default: 0)")
     parser.add_argument("--out", metavar="DIR", help="folder for loops.json and figures")
     add_options(parser, "--doc")
+    add_figures(parser)
     add_json(parser, "the content of loops.json")
     parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amulett_gym.errors import AmulettError
+from amulett_gym.reporting.figure_files import COLUMN_WIDTHS, KINDS
 from amulett_gym.storage.writing import check_writable
 
 if TYPE_CHECKING:
@@ -100,6 +101,16 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers:
         arguments.workers, arguments.processes = arguments.processes, None
     number = arguments.default_workers if (arguments.workers, arguments.ray) == (None, None) else arguments.workers
     return chosen(number, arguments.ray)
+
+
+def add_figures(parser: argparse.ArgumentParser, kind: bool = True, page: bool = False) -> None:
+    """Add `--format` (if `kind`) and `--columns`, with which `main` runs the command; `page`: figures are on a page."""
+    if kind:
+        what = "also write the page's figures as files of this format" if page else "format of figures (default: png)"
+        parser.add_argument("--format", choices=KINDS, help=what)
+    widths = ", ".join(f"{columns}: {width:g} in" for columns, width in COLUMN_WIDTHS.items())
+    wide = f"draw figures for print, this number of columns of a page wide ({widths}), with text of 8 pt"
+    parser.add_argument("--columns", type=int, choices=list(COLUMN_WIDTHS), help=wide)
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:

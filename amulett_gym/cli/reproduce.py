@@ -6,7 +6,7 @@ import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
-from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.options import add_figures, add_json, add_options, command_words
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.storage.writing import output_folder
@@ -27,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
     add_options(parser, "--doc")
     parser.add_argument("--study", metavar="DIR", help="folder of `amulett identify`, instead of the shipped devices")
+    add_figures(parser)
     add_json(parser, "the content of reproduction.json")
 
 

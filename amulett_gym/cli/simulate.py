@@ -7,10 +7,19 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from amulett_gym.cli.options import add_device, add_json, add_options, check_file, check_seconds, chosen_device
+from amulett_gym.cli.options import (
+    add_device,
+    add_figures,
+    add_json,
+    add_options,
+    check_file,
+    check_seconds,
+    chosen_device,
+)
 from amulett_gym.cli.output import print_json, printer
 from amulett_gym.cli.own_policies import POLICIES, digests, own_contenders
 from amulett_gym.errors import AmulettError
+from amulett_gym.reporting.figure_files import KINDS
 
 if TYPE_CHECKING:
     from amulett_gym.evaluation.episode import Episode
@@ -36,14 +45,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE.csv", help=rows)
     log = "what the device would log: setpoints, sensor readings, commands (see docs/logs.md); of one law"
     parser.add_argument("--log", metavar="FILE", help=f"{log}; .csv or .npz")
-    parser.add_argument("--plot", metavar="FILE.png", help="figure (.png or .svg); several laws share its panels")
+    parser.add_argument("--plot", metavar="FILE.png", help="figure (.png, .svg or .pdf); several laws share its panels")
+    add_figures(parser, kind=False)
     add_json(parser, "metrics, units and scenario")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, print the metrics, and write the files."""
     check_seconds(arguments, "duration")
-    files = (("out", (".csv",)), ("log", (".csv", ".npz")), ("plot", (".png", ".svg")))
+    files = (("out", (".csv",)), ("log", (".csv", ".npz")), ("plot", tuple(f".{kind}" for kind in KINDS)))
     if arguments.log is not None and len(set(arguments.law)) > 1:
         raise AmulettError(f"--log is for one law; --law names {len(set(arguments.law))}")
     for option, suffixes in files:

@@ -6,7 +6,7 @@ import argparse
 from contextlib import nullcontext
 from pathlib import Path
 
-from amulett_gym.cli.options import add_json, add_options, command_words
+from amulett_gym.cli.options import add_figures, add_json, add_options, command_words
 from amulett_gym.cli.output import print_json, printer
 
 HELP = "measure when stiffness matters to a wearer: headroom, tuned baselines, policies; resumes by itself"
@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", metavar="FOLDER", action="append", default=[], help=policy)
     parser.add_argument("--out", metavar="DIR", help="folder; finished stages in it are not repeated")
     add_options(parser, "--doc")
+    add_figures(parser)
     add_json(parser, "the content of results.json")
     parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 

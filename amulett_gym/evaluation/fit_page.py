@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from amulett_gym.reporting.style import Figure
 
 Values = NDArray[np.float64]
+Titled = tuple[str, "Figure"]
 
 _MOST_POINTS, _MOST_DOTS = 1500, 400  # of a line in a figure, and of the readings beside it
 _MOST_LOGS = 4  # drawn
@@ -135,7 +136,7 @@ def in_words(found: Mapping[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
-def page(fit: Fit, found: Mapping[str, Any], name: str, held_out: Sequence[Recording], command: str) -> str:
+def page(fit: Fit, found: Mapping[str, Any], name: str, figures: Mapping[str, Titled], command: str) -> str:
     """Return the result as one HTML page with inline figures.
 
     Parameters
@@ -145,11 +146,11 @@ def page(fit: Fit, found: Mapping[str, Any], name: str, held_out: Sequence[Recor
         Its content (`result.content`).
     name, command : str
         Name of the profile, and the command's words.
-    held_out : sequence of Recording
+    figures : mapping
+        Of `figures_of`.
     """
     from amulett_gym.reporting.style import figure_svg
 
-    figures = [(f"fit-{k}", title, figure) for k, (title, figure) in enumerate(_figures(fit, held_out))]
     tables = [parameter_table(found), sensor_table(found), residual_table(found)]
     return fill_page(
         "evaluation/fit_page.html.j2",
@@ -160,7 +161,7 @@ def page(fit: Fit, found: Mapping[str, Any], name: str, held_out: Sequence[Recor
         undetermined=undetermined_lines(found),
         prediction=prediction_table(found).html() if found["held_out"] else None,
         experiments=experiment_table(found).html() if found["experiments"] else None,
-        figures=[(title, figure_svg(figure, prefix)) for prefix, title, figure in figures],
+        figures=[(title, figure_svg(figure, prefix)) for prefix, (title, figure) in figures.items()],
         command=command,
     )
 
@@ -189,7 +190,8 @@ def _of_recording(found: Mapping[str, Any], name: str) -> bool:
     return any(each["name"] == name and each["of_recording"] for each in found["parameters"])
 
 
-def _figures(fit: Fit, held_out: Sequence[Recording]) -> list[tuple[str, Figure]]:
+def figures_of(fit: Fit, held_out: Sequence[Recording]) -> dict[str, Titled]:
+    """Return titles and figures of the logs, predicted and fitted, by a short name."""
     drawn = []
     for recording in held_out[:_MOST_LOGS]:
         model = Model(fit.model.template, [recording], whole=True)
@@ -197,7 +199,7 @@ def _figures(fit: Fit, held_out: Sequence[Recording]) -> list[tuple[str, Figure]
         drawn.append((f"Held out: {recording.name}", _figure(model, predicted)))
     names = list(dict.fromkeys(piece.recording.name for piece in fit.model.pieces))[:_MOST_LOGS]
     drawn += [(f"Fitted: {name}", _figure(fit.model, fit.predicted, name)) for name in names]
-    return drawn
+    return {f"fit-{k}": each for k, each in enumerate(drawn)}
 
 
 def _figure(model: Model, predicted: Values, name: str | None = None) -> Figure:

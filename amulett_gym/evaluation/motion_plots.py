@@ -97,7 +97,7 @@ def step_response_figure(
     """
     names = list(trajectories)
     label, colour = labels(names), colours(names) if colour is None else colour
-    columns = min(len(names), 3)
+    columns = style.panels_across(min(len(names), 3))
     rows = math.ceil(len(names) / columns)
     figure = style.new_figure(0.8 + 3.8 * rows)
     grid = figure.subplots(3 * rows, columns, sharex=True, squeeze=False, height_ratios=[3, 2, 1.6] * rows)

@@ -23,6 +23,7 @@ from amulett_gym.evaluation.comparison import COMPARISON_MARKS, Summary, risen, 
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import COST_OF, EFFORT_OF, METRICS, Metric
 from amulett_gym.evaluation.runner import YARDSTICK, Results, is_bundle, labels
+from amulett_gym.reporting.figure_files import KINDS
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table
 from amulett_gym.reporting.words import interval, pretty, span
@@ -42,7 +43,11 @@ RESPONSES = 12
 
 FLEET_FIGURE = "devices"
 
-_NAMES = (*COMPARISON_MARKS, "report.html", *(f"{figure}.png" for figure in (*FIGURES, FLEET_FIGURE)))
+_NAMES = (
+    *COMPARISON_MARKS,
+    "report.html",
+    *(f"{figure}.{kind}" for figure in (*FIGURES, FLEET_FIGURE) for kind in KINDS),
+)
 
 _DETAILS = (
     *("rise_time", "settling_time", "overshoot", "resting_stiffness", "push_deflection", "agonist_switches"),

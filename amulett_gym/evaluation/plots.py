@@ -34,7 +34,8 @@ _PHASES = {
 _POINTS = 3000
 """Points drawn of a schedule; its medians use all points."""
 _NAMED_DEVICES = 64
-_COLUMNS, _BESIDE = (1.02, 1.10), ("axes fraction", "data")
+_COLUMNS, _BESIDE = (10.0, 48.0), ("axes fraction", "data")  # [pt] to the right of the panel
+_BESIDE_TEXT: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8.0}
 _ARROW = {"arrowstyle": "->", "color": style.GREY}
 
 
@@ -113,13 +114,14 @@ def cost_figure(summary: Mapping[str, Any]) -> Figure:
             panel.errorbar(cost["mean"], row, xerr=style.reach(cost), color=style.BLACK, capsize=3, linewidth=1.1)
         texts = (pretty(number(cost["mean"])) + ("" if inside else " ▶"), span(cost["ratio_to_eq6"]))
         for text, column in zip(texts, _COLUMNS, strict=True):
-            panel.annotate(text, (column, row), xycoords=_BESIDE, va="center", fontsize=8.5)
+            panel.annotate(text, (1.0, row), (column, 0.0), xycoords=_BESIDE, **_BESIDE_TEXT)
     for text, column in zip(("mean", f"ratio to {YARDSTICK}"), _COLUMNS, strict=True):
-        panel.annotate(text, (column, len(names) - 0.45), xycoords=_BESIDE, va="center", fontsize=8.5, color=style.GREY)
+        place = (1.0, len(names) - 0.45), (column, 0.0)
+        panel.annotate(text, *place, xycoords=_BESIDE, color=style.GREY, **_BESIDE_TEXT)
     panel.axvline(policies[YARDSTICK][key]["mean"], color=style.BLACK, linestyle=":", linewidth=1.0)
     panel.set(xlim=(0.0, end), xlabel=f"mean {METRICS[key].name} of an episode [1]; dotted: eq. 6")
     style.name_rows(panel, [label[name] for name in names])
-    figure.legend(loc="outside upper center", ncols=len(COSTS))
+    style.legend_below(figure, panel.get_legend_handles_labels()[0], len(COSTS), "outside upper center")
     return figure
 
 

@@ -15,6 +15,7 @@ from amulett_gym.firmware.hil import Comparison
 from amulett_gym.firmware.readme import MEASURED, README, needs
 from amulett_gym.firmware.toolchain import FLASH, FREQUENCY, RAM
 from amulett_gym.reporting.document import update_document
+from amulett_gym.reporting.figure_files import figure_files
 from amulett_gym.reporting.page import fill_page
 from amulett_gym.reporting.table import Table
 from amulett_gym.simulation.layout import FAMILIES
@@ -82,12 +83,20 @@ def remarks(found: Comparison) -> str:
 
 
 def write_comparison(found: Comparison, out: Path, words: Sequence[str] = ()) -> None:
-    """Write ``hil.json`` and the page ``index.html``; `words` are those of the command."""
+    """Write ``hil.json`` and the page ``index.html``; `words` are those of the command.
+
+    If a kind of files is chosen (`figures_as`), the page's figure is also written as ``hil`` of that kind.
+    """
+    from amulett_gym.reporting.style import figure_svg, save_figures
+
     content, page = FILES
     write_json(out / content, found.content())
     tables = {"costs": table(found), "chip": chip_table(found), "families": family_table(found)}
-    values = {"found": found, **tables, "figure": _figure_svg(found), "command": shlex.join(words)}
+    figure = _figure(found)
+    values = {"found": found, **tables, "figure": figure_svg(figure, "hil-"), "command": shlex.join(words)}
     write_text(out / page, fill_page("firmware/hil.html.j2", **values))
+    if figure_files().kind is not None:
+        save_figures({"hil": figure}, out)
 
 
 def write_needs(found: Comparison) -> None:
@@ -117,12 +126,6 @@ def _costs(found: Comparison, chosen: NDArray[np.bool_]) -> list[str]:
         mean = float(each.costs[chosen].mean())
         text += [f"{mean:.5g}", _percent((mean - own) / (own or 1.0))]
     return text
-
-
-def _figure_svg(found: Comparison) -> str:
-    from amulett_gym.reporting.style import figure_svg
-
-    return figure_svg(_figure(found), "hil-")
 
 
 def _figure(found: Comparison) -> Figure:

@@ -62,7 +62,7 @@ def update_document(path: str | Path, texts: Mapping[Marks, str], figures: Mappi
     if figures:
         from amulett_gym.reporting.style import save_figures
 
-        save_figures(figures, Path(path).parent / IMAGES)
+        save_figures(figures, Path(path).parent / IMAGES, "png")
 
 
 def _renewed(path: str | Path, texts: Mapping[Marks, str]) -> str:

@@ -38,9 +38,9 @@ def arguments(folder, *more):
 
 def test_a_log_becomes_profile_fleet_numbers_and_page(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    assert main(arguments(folder, "--fleet", "fleet.yaml", "--devices", "3")) == 0
+    assert main(arguments(folder, "--fleet", "fleet.yaml", "--devices", "3", "--format", "svg")) == 0
     shown = capsys.readouterr().out
-    assert "Written: mine.yaml, mine.json, fleet.yaml, mine.html." in " ".join(shown.split())
+    assert "Written: mine.yaml, mine.json, fleet.yaml, mine.html, mine-0.svg, mine-1.svg." in " ".join(shown.split())
     assert "radius_ratio" in shown
     assert max(map(len, shown.splitlines())) <= 80
     profile = load_profile(folder / "mine.yaml")

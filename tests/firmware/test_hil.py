@@ -19,6 +19,7 @@ from amulett_gym.firmware.hil import compare
 from amulett_gym.laws.copies import FOLDER
 from amulett_gym.logs import read_log
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting.figure_files import figures_as
 from amulett_gym.simulation.layout import FAMILIES
 from amulett_gym.storage.provenance import read_provenance
 
@@ -164,6 +165,10 @@ def test_the_page_has_all_loops_side_by_side(firmware, tmp_path: Path):
     page = (tmp_path / "index.html").read_text()
     for text in ("11,000", "By family", "Cycles and memory", "<svg", "amulett hil &#39;my folder&#39;"):
         assert text in page
+    assert {path.name for path in tmp_path.iterdir()} == {*hil_page.FILES}
+    with figures_as("pdf", 1):
+        hil_page.write_comparison(found, tmp_path)
+    assert (tmp_path / "hil.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_the_figure_has_each_scenario_in_the_row_of_its_family():

@@ -207,7 +207,7 @@ def pareto_figure(found: Content) -> Figure:
             one = pretty(f"{metric.text(found['results'][place][YARDSTICK]['metrics'][key]['mean'])} {metric.unit}")
             put(f"{metric.name}{suite},\nin units of eq. 6's {one}")
     handles, names = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4 if max(map(len, names)) > 24 else 5)
+    style.legend_below(figure, handles, ncols=4 if max(map(len, names)) > 24 else 5)
     return figure
 
 

@@ -56,5 +56,5 @@ def learning_figure(
     grid[0].set_xlabel("agent steps [million]")
     grid[1].set_xlabel("wall clock [s]")
     grid[0].set_ylabel("capped cost on the validation\nscenarios (minus the return)")
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside upper center", ncols=6)
+    style.legend_below(figure, grid[0].get_legend_handles_labels()[0], 6, "outside upper center")
     return figure

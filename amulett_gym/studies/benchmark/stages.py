@@ -22,6 +22,7 @@ from amulett_gym.evaluation.search.transcription import load_casadi
 from amulett_gym.laws.contenders import Contender, in_loop, parse_contender, split_loop
 from amulett_gym.laws.copies import NO_COPIES, Copies
 from amulett_gym.profile import Profile, load_profile, profile_names
+from amulett_gym.reporting.figure_files import KINDS
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.settings import find_config
 from amulett_gym.simulation.layout import LOOPS
@@ -496,7 +497,7 @@ def _on_validation(evidence: Evidence, folder: Path) -> dict[str, float]:
 def remove_leftovers(out: Path) -> None:
     """Remove half-written files of a process that was killed; the folder has to be locked."""
     for path in out.rglob(".*-????????.*"):
-        if path.suffix in (".npz", ".json", ".csv", ".png", ".html") and RUNS not in path.relative_to(out).parts:
+        if path.suffix[1:] in ("npz", "json", "csv", "html", *KINDS) and RUNS not in path.relative_to(out).parts:
             path.unlink(missing_ok=True)
 
 

@@ -13,6 +13,7 @@ from amulett_gym.reporting.style import (
     PRINT_WIDTH,
     RED,
     Figure,
+    legend_below,
     new_figure,
     one_panel,
     save_figures,
@@ -83,5 +84,5 @@ def time_to_beat_figure(found: Data) -> Figure:
     panel.set_xlim(left=0)
     panel.set_xlabel("training time [s]")
     panel.set_ylabel("cost of an episode")
-    figure.legend(loc="outside lower center", ncols=3)
+    legend_below(figure, panel.get_legend_handles_labels()[0], ncols=3)
     return figure
