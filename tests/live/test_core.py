@@ -24,7 +24,7 @@ from amulett_gym.laws.bundle import PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES, features
 from amulett_gym.laws.memory import MEMORY, SPANS, Memory
 from amulett_gym.live.core import script
-from amulett_gym.live.core.build import NO_COMPILER, WASM, build, read_wasm, with_section
+from amulett_gym.live.core.build import NO_COMPILER, WASM, build, description, read_wasm, with_section
 from amulett_gym.live.core.data import device_data, policy_data, scenario_data
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
@@ -497,6 +497,12 @@ def test_features_and_averaged_quantities_are_in_the_order_of_their_names(node):
 @pytest.mark.skipif(util.find_spec("ziglang") is None, reason=NO_COMPILER)
 def test_the_file_in_the_package_is_that_of_its_texts():
     assert build() == read_wasm(), "the C texts or the layout have changed: python -m amulett_gym.live.core.build"
+
+
+def test_the_files_layout_is_that_of_the_records():
+    """Also without the compiler."""
+    content = json.dumps(description()).encode()
+    assert read_wasm().endswith(content), "a layout, name or key has changed: python -m amulett_gym.live.core.build"
 
 
 def test_a_section_follows_the_format_of_webassembly():
