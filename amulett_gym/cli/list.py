@@ -29,11 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Print the names."""
     from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
-    from amulett_gym.gains import Loops, group_name
-    from amulett_gym.laws.contenders import contender_names
+    from amulett_gym.laws.contenders import contender_names, loop_names
     from amulett_gym.profile import load_profile, profile_names
     from amulett_gym.reporting.table import Table
-    from amulett_gym.simulation.layout import LOOPS
     from amulett_gym.tasks.suites import SPLITS, SUITES
     from amulett_gym.tasks.worn_suites import WORN_SUITES
 
@@ -44,11 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
             DRIVES_ID: "command both drives: their mean angle and the co-contraction",
             WORN_ID: "worn by a person: choose the co-contraction and how much the device follows the wearer",
         },
-        "control loops": {
-            "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",
-            "position-only": "the paper's without tension controller: a fixed co-contraction",
-            **{loop: str(Loops.model_fields[group_name(loop)].description) for loop in LOOPS},
-        },
+        "control loops": loop_names(),
         "suites": dict(SUITES),
         f"suites of {WORN_ID}": dict(WORN_SUITES),
         "splits": dict(zip(SPLITS, _USES, strict=True)),

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, WORN_ID
 from amulett_gym.errors import AmulettError, nearest, unknown
+from amulett_gym.gains import Loops, group_name
 from amulett_gym.laws.bundle import MANIFEST, read_bundle
 from amulett_gym.laws.parametric import is_tuned_file, read_tuned, tuned_loop, tuned_names
 from amulett_gym.simulation.layout import CONTROLS, DRIVES, LOOPS, Control
@@ -104,6 +105,15 @@ def contender_names() -> dict[str, str]:
     """Return the contenders' names (five of them patterns), each with a one-line description."""
     entries = list(_DESCRIPTIONS.items())
     return dict([*entries[:-5], *tuned_names().items(), *entries[-5:]])
+
+
+def loop_names() -> dict[str, str]:
+    """Return the names of the control loops in which a law chooses the co-contraction, each with one line."""
+    return {
+        "decentralized": "the paper's: PIDs of the joint position and of the antagonist's tension",
+        "position-only": "the paper's without tension controller: a fixed co-contraction",
+        **{loop: str(Loops.model_fields[group_name(loop)].description) for loop in LOOPS},
+    }
 
 
 def split_loop(name: str) -> tuple[str, str]:

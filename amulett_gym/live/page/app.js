@@ -1,0 +1,429 @@
+"use strict";
+// The page: it holds the choices and the run, and calls the other parts once a frame.
+
+Live.app = (() => {
+  const { byId, element, fixed, DEGREES, clamp, UserError } = Live.base;
+
+  const SPEEDS = [[1, "real time"], [0.5, "1/2"], [0.25, "1/4"], [0.1, "1/10"]];
+  const MOST_PASSED = 0.1; // [s] of real time that a frame makes up for
+  const WRITE_EVERY = 100; // [ms] between two updates of numbers
+  const KEPT = 600; // durations of frames
+
+  const TERMS = [
+    ["Two motors, two strings", "One pulls like a biceps, one like a triceps, each over a spring that gets stiffer as it is stretched. Pulling both at once does not move the joint; it makes it stiff."],
+    ["The fan", "By how much 1 N m would turn the joint, either way. Wide is soft. The law can only change it by the tension that it asks for."],
+    ["Agonist", "The motor that moves the joint at this moment. The other one, the antagonist, keeps the tension that the law asks for."],
+    ["Law", "What chooses that tension: a constant, the paper's equation 6, a formula with tuned parameters, or a trained network. It decides every 20 ms; eq. 6 inside the loop at every tick."],
+    ["Cost", "What the environment's reward counts: the position error, the motors' effort, the tension error, and a collision. Lower is better. The arm beside yours always has eq. 6 in the paper's loop, with the same setpoint, pushes and sensor noise."],
+    ["Link", "It holds your choices and all your inputs. The simulation is deterministic: whoever opens it sees the same numbers."],
+  ];
+
+  /** @param {any} data the page's data @param {any} core what `Amulett.load` returned */
+  function make(data, core) {
+    const settings = { ...data.start };
+    const memory = {}; // parameters of laws that were chosen before
+    let run = begin([]), playing = false, carry = 0, last = 0, written = 0, untouched = true, dirty = true;
+    const durations = [];
+
+    const app = {
+      data, settings,
+      law: () => data.laws.find((each) => each.id === settings.law.name),
+      state: () => run.state.mine,
+      strength: () => 0.5 * data.limits.push,
+      input, choose, chooseLaw, setParameter, whyNot, load, moment, link, restart, replay,
+      get run() { return run; },
+      get playing() { return playing; },
+      durations,
+    };
+
+    // ----- the run -----
+
+    /** A run of the present choices, with inputs that come by themselves. */
+    function begin(script) {
+      const device = data.devices.find((each) => each.id === settings.device), task = data.tasks.find((each) => each.id === settings.task);
+      const spec = { device: device.content, loop: settings.loop, law: settings.law, scenario: task.scenario, seed: settings.seed, lawOf };
+      return Live.run.make(core, spec, script);
+    }
+
+    /** A law of the page's list, as the simulation takes it. */
+    function lawOf({ name, parameters }) {
+      const { content } = data.laws.find((each) => each.id === name);
+      return content.name === "policy" ? content : { ...content, parameters };
+    }
+
+    /** The inputs that come by themselves in the present task. */
+    function scripted() {
+      const period = data.devices.find((each) => each.id === settings.device).content.parameters.control_period;
+      const task = data.tasks.find((each) => each.id === settings.task);
+      return (task.script || []).map(([time, kind, value]) => ({ tick: Math.round(time / period), kind, value }));
+    }
+
+    /** Begin anew, with the inputs of the task alone. */
+    function restart(play = playing) {
+      run = begin(scripted());
+      carry = 0;
+      setPlaying(play);
+      refresh();
+    }
+
+    /** Begin anew with the same inputs: the recorded ones, without changes of the law. */
+    function replay(play = true) {
+      const { period, end, events } = run, before = events.filter((each) => each.kind !== "law");
+      run = begin([]);
+      run.script(before.map((each) => ({ ...each, tick: Math.round((each.tick * period) / run.period) })), Math.round((end * period) / run.period));
+      carry = 0;
+      setPlaying(play);
+      refresh();
+    }
+
+    /** An input of the person in front of the page. */
+    function input(kind, value) {
+      guarded(() => {
+        touched();
+        run.input(kind, value);
+        dirty = true;
+      });
+    }
+
+    function touched() {
+      untouched = false;
+      byId("hint").classList.add("gone");
+    }
+
+    /** Change choices. A loop or a device begins anew, with the inputs so far; a task without them. */
+    function choose(changes) {
+      const before = { ...settings };
+      guarded(() => {
+        touched();
+        Object.assign(settings, changes);
+        const device = data.devices.find((each) => each.id === settings.device);
+        if (device.unfit[settings.loop]) {
+          if (changes.loop) throw new UserError(device.unfit[settings.loop]);
+          settings.loop = "decentralized";
+          Live.messages.show(`${device.title} cannot have that loop; it now has the paper's.`);
+        }
+        const why = whyNot(app.law());
+        if (why) {
+          settings.law = fresh("constant");
+          Live.messages.show(`${why} The law is now a constant tension.`);
+        }
+        if (changes.task || !run.events.some((each) => each.kind !== "law")) restart();
+        else {
+          replay(playing);
+          Live.messages.show("From the beginning, with your inputs so far. Drag or push to take over.");
+        }
+      }, () => Object.assign(settings, before));
+      panel.showChoices();
+    }
+
+    /** The law of that name, with the parameters that it had last. */
+    function fresh(id, shipped = false) {
+      const law = data.laws.find((each) => each.id === id);
+      if (shipped) delete memory[id];
+      memory[id] ||= Object.fromEntries(law.parameters.map((each) => [each.name, each.value]));
+      return { name: id, parameters: { ...memory[id] } };
+    }
+
+    function chooseLaw(id, shipped = false) {
+      const before = settings.law;
+      guarded(() => {
+        touched();
+        settings.law = fresh(id, shipped);
+        run.input("law", settings.law);
+      }, () => { settings.law = before; });
+      refresh();
+    }
+
+    function setParameter(name, value) {
+      guarded(() => {
+        touched();
+        const law = { name: settings.law.name, parameters: { ...settings.law.parameters, [name]: value } };
+        run.input("law", law);
+        settings.law = law;
+        memory[law.name] = { ...law.parameters };
+        dirty = true;
+      });
+    }
+
+    /** Why a law cannot act in the present loop; empty if it can. */
+    function whyNot(law) {
+      return law.loops && !law.loops.includes(settings.loop) ? `${law.title} acts in ${law.loops.join(", ")} only.` : "";
+    }
+
+    /** Do something that may be refused: then say why, and undo. */
+    function guarded(act, undo = () => {}) {
+      try {
+        act();
+      } catch (error) {
+        undo();
+        Live.messages.fail(error);
+      }
+    }
+
+    // ----- links -----
+
+    /** The whole state as data. */
+    function moment() {
+      const { device, loop, task, seed } = settings;
+      return { device, loop, law: run.spec.law, task, seed, speed: Number(byId("speed").value), tick: run.tick, end: run.end, events: run.events };
+    }
+
+    /** Show a moment; raises what is wrong with it. @param {any} content of a link */
+    function load(content) {
+      const checked = Live.link.check(content, data), before = { ...settings };
+      const { device, loop, law, task, seed } = checked;
+      Object.assign(settings, { device, loop, law, task, seed });
+      try {
+        const made = begin([]);
+        if (checked.end > made.room()) throw new UserError(`the link's run is longer than ${Live.run.MOST_SECONDS} s, which is the most`);
+        made.script(checked.events, checked.end);
+        made.advance(checked.tick);
+        run = made;
+      } catch (error) {
+        Object.assign(settings, before);
+        throw error;
+      }
+      const laws = run.events.filter((each) => each.kind === "law" && each.tick <= run.tick);
+      if (laws.length) settings.law = laws[laws.length - 1].value;
+      memory[settings.law.name] = { ...settings.law.parameters };
+      byId("speed").value = String(SPEEDS.map(([speed]) => speed).reduce((a, b) => (Math.abs(b - checked.speed) < Math.abs(a - checked.speed) ? b : a)));
+      touched();
+      setPlaying(false);
+      refresh();
+    }
+
+    /** Put the state into the address, and copy it. */
+    async function link() {
+      const text = await Live.link.encode(moment());
+      history.replaceState(null, "", `#${text}`);
+      let copied = true;
+      try { await navigator.clipboard.writeText(location.href); } catch { copied = false; }
+      Live.messages.show(copied ? "A link to this moment is copied; it is also in the address." : "The link is in the address: copy it from there.");
+      return text;
+    }
+
+    function saveCsv() {
+      const file = new Blob([Live.csv.table(run, core)], { type: "text/csv" }), url = URL.createObjectURL(file);
+      const anchor = element("a", { href: url, download: `amulett-${settings.device.replace(/[^\w-]+/g, "-")}-${settings.law.name.replace(/[^\w-]+/g, "-")}.csv` });
+      document.body.append(anchor);
+      anchor.click();
+      anchor.remove();
+      setTimeout(() => URL.revokeObjectURL(url), 10000);
+      Live.messages.show(`Saved ${run.tick + 1} rows, one for each control tick.`);
+    }
+
+    // ----- time -----
+
+    function setPlaying(now) {
+      playing = now;
+      byId("play").setAttribute("aria-pressed", String(now));
+      byId("play-word").textContent = now ? "Pause" : "Run";
+      byId("play-sign").textContent = now ? "\u275A\u275A" : "\u25B6";
+      dirty = true;
+    }
+
+    function stepOnce(ticks) {
+      setPlaying(false);
+      guarded(() => run.advance(run.tick + Math.min(ticks, run.room())));
+      dirty = true;
+    }
+
+    function frame(now) {
+      const began = performance.now(), passed = Math.min((now - last) / 1000, MOST_PASSED);
+      last = now;
+      guarded(() => {
+        pointer.follow();
+        if (playing && passed > 0) play(passed);
+        if (dirty || playing) draw(now);
+      }, () => setPlaying(false));
+      durations.push(performance.now() - began);
+      if (durations.length > KEPT) durations.shift();
+      requestAnimationFrame(frame);
+    }
+
+    function play(passed) {
+      carry += (passed * Number(byId("speed").value)) / run.period;
+      const ticks = Math.min(Math.floor(carry), run.room());
+      carry -= Math.floor(carry);
+      run.advance(run.tick + ticks);
+      const task = data.tasks.find((each) => each.id === settings.task);
+      if (untouched && task.repeat && run.time > task.repeat) restart();
+      if (run.room() === 0) {
+        setPlaying(false);
+        Live.messages.show(`A run has ${Live.run.MOST_SECONDS} s at most. Restart to go on.`);
+      }
+    }
+
+    // ----- pictures and numbers -----
+
+    const geometry = () => data.devices.find((each) => each.id === settings.device).geometry;
+
+    function draw(now) {
+      dirty = false;
+      const { mine, twin } = run.state;
+      Live.arm.draw(byId("mine-canvas"), mine, geometry(), { ghost: twin.angle, pull: pointer.pull, handle: true, active: pointer.part });
+      Live.arm.draw(byId("twin-canvas"), twin, geometry());
+      Live.strips.draw(run.samples, run.time);
+      if (now - written >= WRITE_EVERY || !playing) {
+        written = now;
+        write(mine, twin);
+      }
+    }
+
+    function write(mine, twin) {
+      panel.showInputs(mine);
+      Live.strips.write(run.samples);
+      byId("clock").textContent = `${run.time.toFixed(2)} s`;
+      const bar = byId("time");
+      bar.max = String(Math.max(run.end, 1));
+      bar.value = String(run.tick);
+      bar.setAttribute("aria-valuetext", `${run.time.toFixed(2)} seconds`);
+      for (const [name, state] of [["mine", mine], ["twin", twin]]) {
+        byId(`${name}-cost`).textContent = state.cost.toFixed(3);
+        readings[name].forEach((reading, k) => { reading.textContent = READINGS[k][1](state); });
+        const failure = byId(`${name}-failure`);
+        failure.hidden = !state.failed;
+        if (state.failed) failure.textContent = `Left its limits (${state.failed}). Restart, or go back in time.`;
+        byId(`${name}-canvas`).setAttribute("aria-label", described(name, state));
+      }
+      byId("verdict").textContent = verdict(mine, twin);
+    }
+
+    const READINGS = /** @type {[string, (state: any) => string][]} */ ([
+      ["stiffness", (state) => `${fixed(state.stiffness, 1)} N m/rad`],
+      ["1 N m turns it by", (state) => (state.stiffness > 0 ? `${fixed(DEGREES / state.stiffness, 1)}°` : "freely")],
+      ["error", (state) => `${fixed((state.setpoint - state.angle) * DEGREES, 1)}°`],
+      ["tension asked for", (state) => (state.tensionSetpoint === null ? "–" : `${fixed(state.tensionSetpoint, 1)} N`)],
+    ]);
+    const readings = Object.fromEntries(["mine", "twin"].map((name) => [name, READINGS.map(([title]) => {
+      const value = element("dd", { text: "–" });
+      byId(`${name}-readings`).append(element("div", {}, element("dt", { text: title, title }), value));
+      return value;
+    })]));
+
+    function described(name, state) {
+      return `${name === "mine" ? "Your arm" : "The arm under eq. 6"}: ${fixed(state.angle * DEGREES, 0)} degrees, setpoint ${fixed(state.setpoint * DEGREES, 0)}, tensions ${fixed(state.tension[0], 1)} and ${fixed(state.tension[1], 1)} newtons, stiffness ${fixed(state.stiffness, 1)} newton metres per radian`;
+    }
+
+    /** @returns {string} your cost beside eq. 6's, once there is something to compare */
+    function verdict(mine, twin) {
+      if (twin.cost < 1e-3) return "your cost / eq. 6's: –";
+      const share = mine.cost / twin.cost;
+      if (Math.abs(share - 1) < 0.005) return "costs as much as eq. 6";
+      return share < 1 ? `costs ${Math.round(100 * (1 - share))} % less than eq. 6` : share < 2 ? `costs ${Math.round(100 * (share - 1))} % more than eq. 6` : `costs ${share < 100 ? share.toPrecision(2) : Math.round(share)} times eq. 6's`;
+    }
+
+    /** Show the choices anew, and draw. */
+    function refresh() {
+      const law = app.law(), loop = data.loops.find((each) => each.id === settings.loop), device = data.devices.find((each) => each.id === settings.device);
+      byId("mine-law").textContent = law.title;
+      byId("mine-loop").textContent = `${loop.title} \u00B7 ${device.title}`;
+      panel.showChoices();
+      dirty = true;
+    }
+
+    // ----- wiring -----
+
+    const nudge = (degrees) => {
+      const most = data.limits.setpoint, angle = run.state.mine.setpoint + degrees / DEGREES;
+      input("setpoint", clamp(Math.round(angle * DEGREES) / DEGREES, -most, most));
+    };
+    const another = (way) => {
+      const allowed = data.laws.filter((each) => !whyNot(each)), at = allowed.findIndex((each) => each.id === settings.law.name);
+      chooseLaw(allowed[(at + way + allowed.length) % allowed.length].id);
+    };
+    const letGo = () => input("push", 0);
+    Live.keys.make([
+      { keys: [" "], shown: "Space", does: "run or pause", down: () => setPlaying(!playing) },
+      { keys: ["."], shown: ".", does: "one step of the law, 20 ms", down: () => stepOnce(run.agentTicks) },
+      { keys: [","], shown: ",", does: "one control tick", down: () => stepOnce(1) },
+      { keys: ["arrowright", "arrowup"], shown: "→ ↑", does: "setpoint up by 5° (Shift: 1°)", down: (event) => nudge(event.shiftKey ? 1 : 5) },
+      { keys: ["arrowleft", "arrowdown"], shown: "← ↓", does: "setpoint down by 5° (Shift: 1°)", down: (event) => nudge(event.shiftKey ? -1 : -5) },
+      { keys: [..."0123456789"], shown: "0 … 9", does: "setpoint to 0° … 90°", down: (event) => input("setpoint", (Number(event.key) * 10) / DEGREES) },
+      { keys: ["f"], shown: "F", does: "push in flexion, while held", down: () => input("push", app.strength()), up: letGo },
+      { keys: ["e"], shown: "E", does: "push in extension, while held", down: () => input("push", -app.strength()), up: letGo },
+      { keys: ["escape"], shown: "Esc", does: "let go of the push", down: letGo },
+      { keys: ["o"], shown: "O", does: "obstacle in or out", down: () => panel.toggleObstacle() },
+      { keys: ["p"], shown: "P", does: "payload of 0.5 kg in or out", down: () => input("payload", run.state.mine.payload > 0 ? 0 : Math.min(0.5, data.limits.payload)) },
+      { keys: ["]"], shown: "]", does: "next law", down: () => another(1) },
+      { keys: ["["], shown: "[", does: "law before", down: () => another(-1) },
+      { keys: ["s"], shown: "S", does: "slow motion: 1/2, 1/4, 1/10, real time", down: () => slower() },
+      { keys: ["r"], shown: "R", does: "restart without your inputs", down: () => guarded(() => restart()) },
+      { keys: ["y"], shown: "Y", does: "replay with your inputs", down: () => guarded(() => replay()) },
+      { keys: ["l"], shown: "L", does: "link to this moment", down: () => { link().catch(Live.messages.fail); } },
+      { keys: ["c"], shown: "C", does: "save the run as CSV", down: () => guarded(saveCsv) },
+      { keys: ["?"], shown: "?", does: "this help", down: () => byId("help").showModal() },
+    ]);
+    byId("help-terms").append(...TERMS.flatMap(([term, meaning]) => [element("dt", { text: term }), element("dd", { text: meaning })]));
+
+    function slower() {
+      const speed = byId("speed"), k = SPEEDS.findIndex(([value]) => String(value) === speed.value);
+      speed.value = String(SPEEDS[(k + 1) % SPEEDS.length][0]);
+      Live.messages.show(`Speed: ${SPEEDS[(k + 1) % SPEEDS.length][1]}`);
+    }
+
+    byId("speed").append(...SPEEDS.map(([value, text]) => element("option", { value, text: String(text) })));
+    byId("speed").value = String(settings.speed);
+    const panel = Live.panel.make(app);
+    const pointer = Live.pointer.make(byId("mine-canvas"), {
+      frame: () => run.state.mine, limits: data.limits, touched,
+      setpoint: (angle) => { if (angle !== run.state.mine.setpoint) input("setpoint", angle); },
+      push: (torque) => { if (torque !== run.state.mine.push) input("push", torque); },
+    });
+    Live.strips.make(byId("strips"));
+    Live.drop.make(app);
+    byId("play").addEventListener("click", () => setPlaying(!playing));
+    byId("step").addEventListener("click", () => stepOnce(run.agentTicks));
+    byId("restart").addEventListener("click", () => guarded(() => restart()));
+    byId("replay").addEventListener("click", () => guarded(() => replay()));
+    byId("copy-link").addEventListener("click", () => link().catch(Live.messages.fail));
+    byId("save-csv").addEventListener("click", () => guarded(saveCsv));
+    byId("open-help").addEventListener("click", () => byId("help").showModal());
+    byId("time").addEventListener("input", () => guarded(() => {
+      setPlaying(false);
+      run.seek(Number(byId("time").value));
+      dirty = true;
+    }));
+    document.addEventListener("submit", (event) => { if (!(event.target instanceof HTMLElement && event.target.closest("dialog"))) event.preventDefault(); });
+    new ResizeObserver(() => { dirty = true; }).observe(byId("stage"));
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Live.palette.read(); dirty = true; });
+    window.addEventListener("hashchange", () => open(location.hash));
+    requestAnimationFrame((now) => { last = now; frame(now); });
+
+    /** Open a link's text. */
+    async function open(hash) {
+      if (hash.length < 2) return;
+      try { load(await Live.link.decode(hash.slice(1))); } catch (error) { Live.messages.fail(error); }
+    }
+    app.open = open;
+
+    refresh();
+    restart(!window.matchMedia("(prefers-reduced-motion: reduce)").matches);
+    return app;
+  }
+
+  /** Begin: read the page's data, load the simulation, and open the link in the address. */
+  async function start() {
+    const data = JSON.parse(byId("data").textContent);
+    const bytes = Amulett.base.fromBase64(data.wasm, "the simulation");
+    delete data.wasm;
+    Live.palette.read();
+    const core = await Amulett.load(bytes), policies = {};
+    for (const [name, files] of Object.entries(data.policies)) {
+      policies[name] = core.readPolicy(Object.fromEntries(Object.entries(files).map(([file, text]) => [file, Amulett.base.fromBase64(text, file)]))).id;
+    }
+    for (const { content } of data.laws) if (content.name === "policy") content.policy = policies[content.policy];
+    delete data.policies;
+    const app = make(data, core);
+    globalThis.amulettLive = app; // for the console, and for tests
+    if (location.hash.length > 1) await app.open(location.hash);
+    document.documentElement.dataset.ready = "true";
+  }
+
+  return { start };
+})();
+
+Live.app.start().catch((error) => {
+  Live.messages.show(`This page cannot run here: ${error.message}. It needs a browser with WebAssembly of 2023 or later.`, true);
+  console.error(error);
+});

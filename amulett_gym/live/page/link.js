@@ -1,0 +1,153 @@
+"use strict";
+// The whole state as text for the address: choices and every input since the run's begin, checked when it is read.
+
+Live.link = (() => {
+  const { UserError } = Live.base;
+  const { number, oneOf, shown, nearest } = Amulett.base;
+
+  const VERSION = 1;
+  const MOST_TEXT = 400000; // characters of a link
+  const MOST_BYTES = 4000000; // of its unpacked content
+
+  /**
+   * @typedef {Object} Moment
+   * @property {string} device @property {string} loop @property {{name: string, parameters: Object<string, number>}} law
+   * @property {string} task @property {number} seed @property {number} speed
+   * @property {number} tick @property {number} end @property {import("./run").Event[]} events
+   */
+
+  /**
+   * Events as numbers and names: ticks since the one before, and values to the digits that they are entered with.
+   * @param {Moment} moment
+   */
+  async function encode(moment) {
+    let before = 0;
+    const events = moment.events.map(({ tick, kind, value }) => {
+      const row = [tick - before, kind, value];
+      before = tick;
+      return row;
+    });
+    const text = JSON.stringify({ version: VERSION, ...moment, events });
+    return `z${toBase64(await packed(new TextEncoder().encode(text), new CompressionStream("deflate-raw"), Infinity))}`;
+  }
+
+  /**
+   * @param {string} text of `encode`
+   * @returns {Promise<any>} its content, which `check` has to check
+   */
+  async function decode(text) {
+    if (text.length > MOST_TEXT) throw new UserError(`the link has ${text.length} characters; at most ${MOST_TEXT} are read`);
+    let content;
+    try {
+      if (text[0] !== "z") throw new Error("its first letter is not z");
+      const bytes = await packed(fromBase64(text.slice(1)), new DecompressionStream("deflate-raw"), MOST_BYTES);
+      content = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes));
+    } catch (error) {
+      if (error instanceof UserError) throw error;
+      throw new UserError("the link is damaged: it cannot be unpacked. Copy it again, whole");
+    }
+    return content;
+  }
+
+  /** Bytes through a stream, at most so many. */
+  async function packed(bytes, stream, most) {
+    const reader = new Blob([bytes]).stream().pipeThrough(stream).getReader();
+    const parts = [];
+    let size = 0;
+    for (;;) {
+      const { done, value } = await reader.read();
+      if (done) break;
+      size += value.length;
+      if (size > most) {
+        reader.cancel().catch(() => {});
+        throw new UserError(`the link unpacks to more than ${most} bytes, which is the most`);
+      }
+      parts.push(value);
+    }
+    return new Uint8Array(await new Blob(parts).arrayBuffer());
+  }
+
+  function toBase64(bytes) {
+    let text = "";
+    for (let k = 0; k < bytes.length; k += 8192) text += String.fromCharCode(...bytes.subarray(k, k + 8192));
+    return btoa(text).replaceAll("+", "-").replaceAll("/", "_").replace(/=+$/, "");
+  }
+
+  const fromBase64 = (text) => Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (letter) => letter.charCodeAt(0));
+
+  // What follows checks data: of links, and of scripts.
+
+  /** As `number`, without a fraction. */
+  function whole(what, value, low, high) {
+    if (!Number.isInteger(number(what, value, low, high))) throw new UserError(`${what} is ${shown(value)}; it has to be a whole number`);
+    return value;
+  }
+
+  /** An object with exactly these keys. */
+  function keys(what, value, names) {
+    if (typeof value !== "object" || value === null || Array.isArray(value)) throw new UserError(`${what} is ${shown(value)}; it has to be an object`);
+    for (const name of Object.keys(value)) {
+      if (!names.includes(name)) throw new UserError(`${what} has the unknown key ${shown(name)}${nearest(name.slice(0, 100), names)} (allowed: ${names.join(", ")})`);
+    }
+    for (const name of names) if (!Object.hasOwn(value, name)) throw new UserError(`${what}: '${name}' is missing`);
+    return value;
+  }
+
+  /**
+   * Return a moment whose every key and value is allowed.
+   * @param {any} content @param {any} data the page's data
+   * @returns {Moment}
+   */
+  function check(content, data) {
+    const names = ["version", "device", "loop", "law", "task", "seed", "speed", "tick", "end", "events"];
+    keys("the link", content, names);
+    if (content.version !== VERSION) throw new UserError(`the link is of version ${shown(content.version)}; this page reads version ${VERSION}`);
+    const most = Math.ceil(Live.run.MOST_SECONDS / 1e-6);
+    oneOf("device of the link", content.device, data.devices.map((each) => each.id));
+    oneOf("loop of the link", content.loop, data.loops.map((each) => each.id));
+    oneOf("task of the link", content.task, data.tasks.map((each) => each.id));
+    whole("'seed'", content.seed, 0, 2 ** 32 - 1);
+    number("'speed'", content.speed, 0.01, 1);
+    whole("'end'", content.end, 0, most);
+    whole("'tick'", content.tick, 0, content.end);
+    if (!Array.isArray(content.events) || content.events.length > Live.run.MOST_EVENTS) throw new UserError(`'events' has to be a list of at most ${Live.run.MOST_EVENTS} inputs`);
+    let tick = 0;
+    const events = content.events.map((row, k) => {
+      if (!Array.isArray(row) || row.length !== 3) throw new UserError(`'events.${k}' is ${shown(row)}; it has to be [ticks, kind, value]`);
+      tick += whole(`'events.${k}.0'`, row[0], 0, most);
+      oneOf(`input 'events.${k}.1' of the link`, row[1], [...Live.run.SHARED, "law"]);
+      return { tick, kind: row[1], value: checkInput(`'events.${k}.2'`, row[1], row[2], data) };
+    });
+    return { ...content, law: checkLaw("'law'", content.law, data), events };
+  }
+
+  /** The value of one input. */
+  function checkInput(what, kind, value, data) {
+    const { limits } = data;
+    if (kind === "setpoint") return number(what, value, -limits.setpoint, limits.setpoint);
+    if (kind === "push") return number(what, value, -limits.push, limits.push);
+    if (kind === "payload") return number(what, value, 0, limits.payload);
+    if (kind === "law") return checkLaw(what, value, data);
+    if (value === null) return null;
+    keys(what, value, ["angle", "side", "stiffness"]);
+    number(`${what} angle`, value.angle, -limits.setpoint, limits.setpoint);
+    number(`${what} stiffness`, value.stiffness, 0.1, limits.obstacle);
+    if (value.side !== 1 && value.side !== -1) throw new UserError(`${what} side is ${shown(value.side)}; it has to be 1 or -1`);
+    return value;
+  }
+
+  /** A law by its name, with all of its parameters within their ranges. */
+  function checkLaw(what, value, data) {
+    keys(what, value, ["name", "parameters"]);
+    if (typeof value.name === "string" && value.name.startsWith("own:") && !data.laws.some((each) => each.id === value.name)) {
+      throw new UserError(`the link uses a law of somebody's own, ${shown(value.name.slice(4, 60))}; drop its files on this page, then open the link again`);
+    }
+    oneOf(`law of the link (${what})`, value.name, data.laws.map((each) => each.id));
+    const law = data.laws.find((each) => each.id === value.name);
+    keys(`${what} parameters`, value.parameters, law.parameters.map((each) => each.name));
+    for (const each of law.parameters) number(`${what} ${each.name} [${each.unit}]`, value.parameters[each.name], each.low, each.high);
+    return value;
+  }
+
+  return { encode, decode, check, checkLaw };
+})();

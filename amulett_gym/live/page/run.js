@@ -1,0 +1,129 @@
+"use strict";
+// A run: two arms with the same inputs, and the record of these inputs. The simulation is deterministic, so that the
+// record is the whole state: replaying it gives the same numbers to the last bit, here and on another computer.
+
+Live.run = (() => {
+  const { UserError } = Live.base;
+
+  const SAMPLE = 0.01; // [s] between two samples of the strips
+  const SNAPSHOT = 2; // [s] between two snapshots, from which an earlier moment is found again
+  const SHARED = ["setpoint", "push", "obstacle", "payload"]; // inputs of both arms; "law" is of yours alone
+  const MOST_EVENTS = 20000;
+  const MOST_SECONDS = 600;
+
+  /** @typedef {{tick: number, kind: string, value: any}} Event an input, before the tick that it acts in */
+  /**
+   * @typedef {Object} Spec what a run begins with
+   * @property {any} device @property {string} loop @property {Law} law @property {any} scenario @property {number} seed
+   * @property {(law: Law) => any} lawOf returns a law as the simulation takes it
+   */
+  /** @typedef {{name: string, parameters: Object<string, number>}} Law of the page's list */
+
+  /**
+   * @param {any} core what `Amulett.load` returned
+   * @param {Spec} spec
+   * @param {Event[]} events inputs that come by themselves, in the order of their ticks
+   */
+  function make(core, spec, events = []) {
+    const { device, scenario, seed, lawOf } = spec;
+    const mine = core.arm({ device, loop: spec.loop, law: lawOf(spec.law), scenario, seed });
+    const twin = core.arm({ device, loop: "decentralized", law: { name: "eq6" }, scenario, seed });
+    const period = mine.controlPeriod, agentTicks = Math.max(Math.round(0.02 / period), 1);
+    const sampleTicks = Math.max(Math.round(SAMPLE / period), 1), snapshotTicks = Math.round(SNAPSHOT / period);
+    const capacity = Math.ceil((Live.strips.SECONDS + 1) / (sampleTicks * period));
+    const samples = { mine: Live.samples.make(capacity), twin: Live.samples.make(capacity) };
+    events = [...events];
+    let tick = 0, next = 0, end = 0; // next: index of the first event that has not acted yet
+    /** @type {{tick: number, next: number, mine: Uint8Array, twin: Uint8Array}[]} */
+    let snapshots = [{ tick: 0, next: 0, mine: mine.snapshot(), twin: twin.snapshot() }];
+    let state = { mine: mine.read(), twin: twin.read() };
+    sample();
+
+    function sample() {
+      samples.mine.add(state.mine);
+      samples.twin.add(state.twin);
+    }
+
+    function apply({ kind, value }) {
+      if (kind === "law") return mine.setLaw(lawOf(value));
+      for (const arm of [mine, twin]) {
+        if (kind === "setpoint") arm.setSetpoint(value);
+        else if (kind === "push") arm.setPush(value);
+        else if (kind === "obstacle") arm.setObstacle(value);
+        else arm.setPayload(value);
+      }
+    }
+
+    /** Simulate up to a tick, with the recorded inputs. @param {number} target */
+    function advance(target) {
+      while (tick < target) {
+        if (tick % snapshotTicks === 0 && tick > snapshots[snapshots.length - 1].tick) {
+          snapshots.push({ tick, next, mine: mine.snapshot(), twin: twin.snapshot() });
+        }
+        while (next < events.length && events[next].tick <= tick) apply(events[next++]);
+        let stop = Math.min(target, (Math.floor(tick / sampleTicks) + 1) * sampleTicks, (Math.floor(tick / snapshotTicks) + 1) * snapshotTicks);
+        if (next < events.length) stop = Math.min(stop, events[next].tick);
+        mine.step(stop - tick);
+        twin.step(stop - tick);
+        tick = stop;
+        if (tick % sampleTicks === 0) {
+          state = { mine: mine.read(), twin: twin.read() };
+          sample();
+        }
+      }
+      end = Math.max(end, tick);
+      state = { mine: mine.read(), twin: twin.read() };
+    }
+
+    /** Go to a tick of the record, earlier or later. @param {number} target */
+    function seek(target) {
+      const from = Math.max(target - Math.round(Live.strips.SECONDS / period), 0); // the strips need what was before
+      if (target >= tick && target - tick < from) return advance(target);
+      const place = [...snapshots].reverse().find((each) => each.tick <= from) || snapshots[0];
+      mine.restore(place.mine);
+      twin.restore(place.twin);
+      [tick, next] = [place.tick, place.next];
+      for (const each of Object.values(samples)) each.clear();
+      state = { mine: mine.read(), twin: twin.read() };
+      sample();
+      return advance(target);
+    }
+
+    /**
+     * Record an input, which acts from the next tick on. What was recorded for later is dropped: all of it, or if only
+     * the law changes, the later laws, so that another law can meet the same pushes.
+     * @param {string} kind @param {any} value
+     */
+    function input(kind, value) {
+      if (events.length >= MOST_EVENTS) throw new UserError(`the run holds ${MOST_EVENTS} inputs, which is the most; restart it`);
+      const later = kind === "law" ? events.slice(next).filter((each) => each.kind !== "law") : [];
+      const before = events.slice(0, next);
+      const same = before.length ? before[before.length - 1] : null;
+      if (same && same.tick === tick && same.kind === kind) before.pop(); // the newest of several within a tick
+      const event = { tick, kind, value };
+      apply(event); // which checks it, before anything is changed
+      events = [...before, event, ...later];
+      next = before.length + 1;
+      if (kind !== "law") end = tick;
+      snapshots = snapshots.filter((each) => each.tick < tick || each.tick === 0);
+      state = { mine: mine.read(), twin: twin.read() };
+    }
+
+    return {
+      spec, period, agentTicks, samples, advance, seek, input,
+      /** Before the first tick: let inputs come by themselves, and a replay last until a tick. */
+      script: (inputs, until) => { [events, end] = [[...inputs], until]; },
+      /** Ticks that can still be simulated. */
+      room: () => Math.max(Math.floor(MOST_SECONDS / period) - tick, 0),
+      get tick() { return tick; },
+      get time() { return tick * period; },
+      get end() { return Math.max(end, events.length ? events[events.length - 1].tick : 0); },
+      get replaying() { return next < events.length || tick < end; },
+      get events() { return events; },
+      get state() { return state; },
+      arms: { mine, twin },
+    };
+  }
+
+  return { make, SHARED, MOST_EVENTS, MOST_SECONDS };
+})();

@@ -1,0 +1,52 @@
+"use strict";
+// What the strips show: the newest samples of one arm, in a ring of numbers.
+
+Live.samples = (() => {
+  const CHANNELS = ["time", "setpoint", "angle", "biceps", "triceps", "tensionSetpoint", "stiffness", "bicepsSpeed",
+    "tricepsSpeed", "push", "contact", "cost"];
+
+  /**
+   * @param {number} capacity number of samples that are kept
+   */
+  function make(capacity) {
+    const rings = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(capacity)]));
+    let count = 0, next = 0;
+
+    /** Add what `arm.read()` returned. @param {any} state */
+    function add(state) {
+      const row = {
+        time: state.time, setpoint: state.setpoint, angle: state.angle, biceps: state.tension[0], triceps: state.tension[1],
+        tensionSetpoint: state.tensionSetpoint === null ? NaN : state.tensionSetpoint, stiffness: state.stiffness,
+        bicepsSpeed: state.driveSpeeds[0], tricepsSpeed: state.driveSpeeds[1], push: state.push, contact: state.contact, cost: state.cost,
+      };
+      for (const name of CHANNELS) rings[name][next] = row[name];
+      next = (next + 1) % capacity;
+      count = Math.min(count + 1, capacity);
+    }
+
+    /** Call `visit(time, value)` for the samples from just before `begin` [s] on. */
+    function each(channel, begin, visit) {
+      const times = rings.time, values = rings[channel];
+      let k = count;
+      while (k > 0 && times[at(count - k)] < begin) k--;
+      for (k = Math.min(k + 1, count); k > 0; k--) visit(times[at(count - k)], values[at(count - k)]);
+    }
+
+    /** @returns {number[]} the least and the largest value from `begin` [s] on */
+    function range(channel, begin) {
+      let least = Infinity, most = -Infinity;
+      each(channel, begin, (_, value) => {
+        if (value < least) least = value;
+        if (value > most) most = value;
+      });
+      return [least, most];
+    }
+
+    const at = (k) => (next - count + k + capacity) % capacity;
+    const last = (channel) => (count ? rings[channel][at(count - 1)] : NaN);
+    const clear = () => { count = next = 0; };
+    return { add, each, range, last, clear };
+  }
+
+  return { make };
+})();
