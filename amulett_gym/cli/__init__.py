@@ -21,6 +21,7 @@ COMMANDS = (
     *("quickstart", "train", "tune", "clone", "tune-law", "evaluate", "benchmark", "rerun", "simulate"),
     *(
         "play",
+        "live",
         "record",
         "loops",
         "wearer",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,8 +54,8 @@ TOUR = [
     [5.5, "push", -0.25],
     [5.8, "push", 0.0],
     [7.0, "obstacle", {"angle": math.radians(55.0), "side": 1, "stiffness": 8.0}],
-    [7.3, "setpoint", math.radians(70.0)],
-    [9.5, "setpoint", math.radians(30.0)],
+    [7.3, "setpoint", math.radians(62.0)],
+    [8.8, "setpoint", math.radians(30.0)],
     [10.5, "obstacle", None],
     [11.5, "payload", 0.3],
     [12.0, "setpoint", math.radians(80.0)],
@@ -88,31 +88,30 @@ class Choices:
         return {**vars(self), "limits": LIMITS, "ranges": ranges}
 
 
-def choices(profile: Any, policies: Sequence[str], scenario: Any, loop: str) -> Choices:
+def choices(profile: Any, policies: Sequence[str], scenario: Any, loop: str | None) -> Choices:
     """Return what the page offers. Parameters and errors as of `page.build_page`."""
     own, task = _named(load_profile(profile)), None if scenario is None else load_scenario(scenario)
-    if loop not in CONTROLS:
+    if loop is not None and loop not in CONTROLS:
         raise unknown("control loop", loop, CONTROLS)
     contenders = [(name, parse_contender(name)) for name in dict.fromkeys(policies)]
     devices = [_device(each, group) for each, group in _devices(own)]
-    shown = next(each for each in devices if each["id"] == own.name)
-    if reason := shown["unfit"].get(loop):
-        raise AmulettError(f"--loop '{loop}' does not fit '{own.name}': {reason}")
-    listed = [*_laws(own), *(_own_law(name, contender, own) for name, contender in contenders)]
-    laws = list({law["id"]: law for law in listed}.values())
-    named = {law["content"]["policy"] for law in laws if law["content"]["name"] == "policy"}
-    first = listed[-len(contenders)] if contenders else next(law for law in laws if law["id"] == "pretrained")
-    parameters = {each["name"]: each["value"] for each in first["parameters"]}
-    tasks = _tasks(own, task, "own" if isinstance(scenario, dict) else str(scenario))
+    added = [_own_law(name, contender, own) for name, contender in contenders]
+    laws = list({law["id"]: law for law in [*_laws(own), *added]}.values())
+    first = added[0] if added else next(law for law in laws if law["id"] == "pretrained")
+    loop = loop or first.get("loop", CONTROLS[0])
+    if reason := next(each for each in devices if each["id"] == own.name)["unfit"].get(loop):
+        raise AmulettError(f"the control loop '{loop}' does not fit the device '{own.name}': {reason}")
+    tasks = _tasks(own, task, "own" if isinstance(scenario, Mapping | Scenario) else str(scenario))
     start = {
         "device": own.name,
-        "loop": first.get("loop", loop),
-        "law": {"name": first["id"], "parameters": parameters},
+        "loop": loop,
+        "law": {"name": first["id"], "parameters": {each["name"]: each["value"] for each in first["parameters"]}},
         "task": tasks[0]["id"],
         "seed": 0,
         "speed": 1,
     }
-    return Choices(start, devices, _loops(), laws, {name: policy_data(name) for name in sorted(named)}, tasks)
+    policies_of = {law["content"]["policy"] for law in laws if law["content"]["name"] == "policy"}
+    return Choices(start, devices, _loops(), laws, {name: policy_data(name) for name in sorted(policies_of)}, tasks)
 
 
 def _devices(own: Profile) -> Iterable[tuple[Profile, str]]:
@@ -175,7 +174,7 @@ def _laws(own: Profile) -> list[dict[str, Any]]:
         _law("eq6-held", "eq. 6, every 20 ms", "By hand", names["eq6-held"], eq6),
     ]
     laws += [_tuned(name, own) for name in SHOWN_TUNED]
-    return [*laws, *(_learned(name, names[name]) for name in SHOWN_LEARNED)]
+    return [*laws, *(_learned(name, names[name].partition(";")[0]) for name in SHOWN_LEARNED)]
 
 
 def _own_law(name: str, contender: Contender, own: Profile) -> dict[str, Any]:
@@ -242,7 +241,7 @@ def _tasks(own: Profile, task: Scenario | None, name: str) -> list[dict[str, Any
         {**_task("tour", "a tour", "", tour, Scenario()), "script": TOUR, "repeat": TOUR_SECONDS},
         _task("free", "free", "", "nothing happens but what you do", Scenario()),
     ]
-    if task is not None:
+    if task is not None:  # the first one is shown first
         tasks.insert(0, _task("own", Path(name).stem[:40], "Your own", "a scenario of your own", task))
     keys = episode_keys(keys_from_seeds(np.array([SEED], dtype=object)), np.zeros(1, dtype=np.uint64), SPLIT)
     for suite, description in SUITES.items():

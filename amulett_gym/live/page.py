@@ -17,20 +17,20 @@ from markupsafe import Markup
 
 from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
-from amulett_gym.live.core import script as core_script
 from amulett_gym.live.choices import Choices, choices
+from amulett_gym.live.core import script as core_script
 
 STYLE, TEMPLATE = "style.css", "page.html.j2"
 
 SCRIPTS = (
     *("base", "palette", "canvas", "arm", "samples", "strips", "run", "messages", "link", "csv"),
-    *("fields", "pointer", "keys", "drop", "panel", "app"),
+    *("fields", "pointer", "keys", "profile", "drop", "panel", "app"),
 )
 """The page's scripts, in the order in which they need each other."""
 
 
 def build_page(
-    profile: Any = "testbed", policies: Sequence[str] = (), scenario: Any = None, loop: str = "decentralized"
+    profile: Any = "testbed", policies: Sequence[str] = (), scenario: Any = None, loop: str | None = None
 ) -> str:
     """Return the page as one HTML text.
 
@@ -43,8 +43,8 @@ def build_page(
         functions; the first one acts first.
     scenario : str, Path, Mapping or Scenario, optional
         A task of your own, which is shown first.
-    loop : str
-        The control loop that is shown first.
+    loop : str, optional
+        The control loop that is shown first; None: that of the first policy, or the paper's.
 
     Raises
     ------

@@ -30,7 +30,7 @@ Live.app = (() => {
       law: () => data.laws.find((each) => each.id === settings.law.name),
       state: () => run.state.mine,
       strength: () => 0.5 * data.limits.push,
-      input, choose, chooseLaw, setParameter, whyNot, load, moment, link, restart, replay,
+      input, choose, chooseLaw, setParameter, load, addBundle, addLaw, addScenario, addDevice, moment, link, restart, replay,
       get run() { return run; },
       get playing() { return playing; },
       durations,
@@ -90,30 +90,34 @@ Live.app = (() => {
       byId("hint").classList.add("gone");
     }
 
-    /** Change choices. A loop or a device begins anew, with the inputs so far; a task without them. */
+    /** Change choices; what is wrong with them is shown. */
     function choose(changes) {
+      guarded(() => change(changes));
+      refresh();
+    }
+
+    /** Change choices, or raise. A loop or a device begins anew, with the inputs so far; a task without them. */
+    function change(changes) {
       const before = { ...settings };
-      guarded(() => {
-        touched();
-        Object.assign(settings, changes);
-        const device = data.devices.find((each) => each.id === settings.device);
+      touched();
+      Object.assign(settings, changes);
+      const device = data.devices.find((each) => each.id === settings.device);
+      try {
         if (device.unfit[settings.loop]) {
-          if (changes.loop) throw new UserError(device.unfit[settings.loop]);
+          if (changes.loop) throw new UserError(`the loop '${settings.loop}' does not fit this device: ${device.unfit[settings.loop]}`);
           settings.loop = "decentralized";
           Live.messages.show(`${device.title} cannot have that loop; it now has the paper's.`);
-        }
-        const why = whyNot(app.law());
-        if (why) {
-          settings.law = fresh("constant");
-          Live.messages.show(`${why} The law is now a constant tension.`);
         }
         if (changes.task || !run.events.some((each) => each.kind !== "law")) restart();
         else {
           replay(playing);
           Live.messages.show("From the beginning, with your inputs so far. Drag or push to take over.");
         }
-      }, () => Object.assign(settings, before));
-      panel.showChoices();
+      } catch (error) {
+        Object.assign(settings, before);
+        throw error;
+      }
+      refresh();
     }
 
     /** The law of that name, with the parameters that it had last. */
@@ -145,11 +149,6 @@ Live.app = (() => {
       });
     }
 
-    /** Why a law cannot act in the present loop; empty if it can. */
-    function whyNot(law) {
-      return law.loops && !law.loops.includes(settings.loop) ? `${law.title} acts in ${law.loops.join(", ")} only.` : "";
-    }
-
     /** Do something that may be refused: then say why, and undo. */
     function guarded(act, undo = () => {}) {
       try {
@@ -158,6 +157,53 @@ Live.app = (() => {
         undo();
         Live.messages.fail(error);
       }
+    }
+
+    // ----- what is one's own -----
+
+    /** Offer something new, and use it; take it back if that is refused. */
+    function offer(list, entry, use) {
+      const before = list.findIndex((each) => each.id === entry.id), kept = [...list];
+      if (before >= 0) list[before] = entry;
+      else list.push(entry);
+      try {
+        use();
+      } catch (error) {
+        list.splice(0, list.length, ...kept);
+        throw error;
+      }
+      Live.messages.show(`Now with ${entry.title}.`);
+    }
+
+    /** A policy bundle. @param {Object<string, Uint8Array>} files */
+    function addBundle(files) {
+      const policy = core.readPolicy(files), id = `own:policy ${policy.id.slice(0, 8)}`;
+      const entry = { id, title: id.slice(4), group: "Your own", description: "a policy of your own", parameters: [], content: { name: "policy", policy: policy.id } };
+      offer(data.laws, entry, () => change({ loop: policy.control, law: { name: id, parameters: {} } }));
+    }
+
+    /** A tuned law, as `amulett tune-law` writes it. */
+    function addLaw(file, content) {
+      const recipe = content.recipe || {}, loop = recipe.control || "decentralized", known = core.layout.laws;
+      Amulett.base.oneOf(`law of '${file}'`, recipe.law, Object.keys(known));
+      Amulett.base.oneOf(`control loop of '${file}'`, loop, data.loops.map((each) => each.id));
+      const parameters = known[recipe.law].map((each) => {
+        const value = ((content.parameters || {})[each.name] || {}).value;
+        Amulett.base.number(`'${each.name}' of '${file}' [${each.unit}]`, value, each.low, each.high);
+        return { ...each, title: each.name.replaceAll("_", " "), value };
+      });
+      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: `${recipe.law}, tuned by you`, parameters, content: { name: recipe.law } };
+      offer(data.laws, entry, () => change({ loop, law: fresh(id, true) }));
+    }
+
+    function addScenario(file, content) {
+      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: "a scenario of your own", scenario: content, script: [] };
+      offer(data.tasks, entry, () => change({ task: id }));
+    }
+
+    function addDevice(file, content) {
+      const device = Live.profile.read(content, file, core.layout, data), id = `own:${device.title}`;
+      offer(data.devices, { ...device, id, group: "Your own" }, () => change({ device: id }));
     }
 
     // ----- links -----
@@ -262,7 +308,7 @@ Live.app = (() => {
       dirty = false;
       const { mine, twin } = run.state;
       Live.arm.draw(byId("mine-canvas"), mine, geometry(), { ghost: twin.angle, pull: pointer.pull, handle: true, active: pointer.part });
-      Live.arm.draw(byId("twin-canvas"), twin, geometry());
+      Live.arm.draw(byId("twin-canvas"), twin, geometry(), { colour: Live.palette.colours.twin });
       Live.strips.draw(run.samples, run.time);
       if (now - written >= WRITE_EVERY || !playing) {
         written = now;
@@ -329,8 +375,8 @@ Live.app = (() => {
       input("setpoint", clamp(Math.round(angle * DEGREES) / DEGREES, -most, most));
     };
     const another = (way) => {
-      const allowed = data.laws.filter((each) => !whyNot(each)), at = allowed.findIndex((each) => each.id === settings.law.name);
-      chooseLaw(allowed[(at + way + allowed.length) % allowed.length].id);
+      const { laws } = data, at = laws.findIndex((each) => each.id === settings.law.name);
+      chooseLaw(laws[(at + way + laws.length) % laws.length].id);
     };
     const letGo = () => input("push", 0);
     Live.keys.make([

@@ -8,12 +8,11 @@ Live.arm = (() => {
 
   const BOX = { left: 34, top: 6, width: 548, height: 330 }; // of the drawing
   const JOINT = [352, 236];
-  const PULLEY = 44, FOREARM = 172, WIDTH = 24, SCALE = 190;
+  const PULLEY = 44, FOREARM = 168, WIDTH = 20, SCALE = 190;
   const DRIVE_X = 100, BEAM_LEFT = 58;
   const SPRING_LENGTH = 44, STRETCH = 2; // a spring's stretch is magnified, relative to the pulleys' scale
   const ABOVE = -1, BELOW = 1; // sides of the upper arm: biceps, triceps
   const SPRING_AT = { [ABOVE]: 306, [BELOW]: 250 }; // where the springs end when the arm is straight
-  const FAN = 150; // radius of the stiffness fan
   const MOST_FAN = 75 / DEGREES;
   const PUSH_AT = 0.8; // where a push acts, as a share of the forearm
 
@@ -77,14 +76,14 @@ Live.arm = (() => {
    * Draw an arm.
    * @param {HTMLCanvasElement} element
    * @param {Frame} frame @param {Geometry} device
-   * @param {{ghost?: number, pull?: number[] | null, handle?: boolean, active?: string}} options
+   * @param {{ghost?: number, pull?: number[] | null, handle?: boolean, active?: string, colour?: string}} options
    *   `ghost`: angle of the other arm [rad]; `pull`: the pointer that pulls, in the drawing's units; `handle`: the
-   *   setpoint can be dragged; `active`: what is dragged
+   *   setpoint can be dragged; `active`: what is dragged; `colour`: of the stiffness
    */
   function draw(element, frame, device, options = {}) {
     const { context, width, height } = Live.canvas.begin(element);
     if (!width) return;
-    const place = placement(width, height);
+    const { colours } = Live.palette, place = placement(width, height);
     context.translate(place.x, place.y);
     context.scale(place.scale, place.scale);
     context.lineCap = context.lineJoin = "round";
@@ -92,7 +91,7 @@ Live.arm = (() => {
     const text = clamp(1 / place.scale, 0.9, 1.45); // text keeps its size where the drawing is small
     drawScale(context, text);
     drawUpperArm(context);
-    drawFan(context, frame, text);
+    drawFan(context, frame, options.colour || colours.accent, text);
     if (options.ghost !== undefined) drawGhost(context, options.ghost);
     drawStrings(context, frame, device, text);
     drawDrives(context, frame, device, text);
@@ -165,22 +164,29 @@ Live.arm = (() => {
   }
 
   /** Draw by how much 1 N m turns the joint, either way: the softer, the wider. */
-  function drawFan(context, frame, text) {
+  function drawFan(context, frame, colour, text) {
     if (!(frame.stiffness > 0)) return;
-    const { colours, translucent } = Live.palette;
+    const { translucent } = Live.palette;
     const half = Math.min(1 / frame.stiffness, MOST_FAN), [x, y] = JOINT;
-    const paint = context.createRadialGradient(x, y, PULLEY, x, y, FAN + 22);
-    paint.addColorStop(0, translucent(colours.accent, 0.08));
-    paint.addColorStop(1, translucent(colours.accent, 0.32));
+    const paint = context.createRadialGradient(x, y, PULLEY, x, y, SCALE);
+    paint.addColorStop(0, translucent(colour, 0.1));
+    paint.addColorStop(1, translucent(colour, 0.4));
     context.fillStyle = paint;
     context.beginPath();
     context.moveTo(x, y);
-    context.arc(x, y, FAN + 22, -frame.angle - half, -frame.angle + half);
+    context.arc(x, y, SCALE, -frame.angle - half, -frame.angle + half);
     context.closePath();
     context.fill();
-    for (const side of [-half, half]) line(context, [polar(PULLEY, frame.angle + side), polar(FAN + 22, frame.angle + side)], translucent(colours.accent, 0.65), 1.2);
-    const at = polar(FAN - 18, frame.angle + half + 0.17);
-    write(context, `±${fixed(DEGREES / frame.stiffness, 1)}°`, at, 12 * text, colours.accent, "center", "600");
+    context.strokeStyle = colour;
+    context.lineWidth = 3.4;
+    context.lineCap = "butt";
+    context.beginPath();
+    context.arc(x, y, SCALE, -frame.angle - half, -frame.angle + half);
+    context.stroke();
+    context.lineCap = "round";
+    for (const side of [-half, half]) line(context, [polar(SCALE - 7, frame.angle + side), polar(SCALE + 7, frame.angle + side)], colour, 2.2);
+    const at = polar(SCALE - 34, frame.angle + half + 0.16);
+    write(context, `±${fixed(DEGREES / frame.stiffness, 1)}°`, at, 12.5 * text, colour, "center", "600");
   }
 
   function drawGhost(context, angle) {
@@ -213,7 +219,7 @@ Live.arm = (() => {
       context.arc(...JOINT, PULLEY, -leavesAt, -frame.angle, side * (frame.angle - leavesAt) < 0 === (side === ABOVE));
       context.stroke();
       const label = taut ? `${fixed(force, 1)} N` : "slack";
-      write(context, label, [DRIVE_X + 34, y + side * 17], 13 * text, taut ? colours.ink : colours.external, "left", "600");
+      write(context, label, [DRIVE_X + 34, y - side * (10 + 6 * text)], 13 * text, taut ? colours.ink : colours.external, "left", "600");
     });
   }
 

@@ -83,6 +83,15 @@ Live.link = (() => {
     return value;
   }
 
+  /** The id of something that the page offers; what is somebody's own has to be given to the page first. */
+  function listed(what, id, choices) {
+    const ids = choices.map((each) => each.id);
+    if (typeof id === "string" && id.startsWith("own:") && !ids.includes(id)) {
+      throw new UserError(`the link uses a ${what} of somebody's own, ${shown(id.slice(4, 60))}; drop its files on this page, then open the link again`);
+    }
+    return oneOf(`${what} of the link`, id, ids);
+  }
+
   /** An object with exactly these keys. */
   function keys(what, value, names) {
     if (typeof value !== "object" || value === null || Array.isArray(value)) throw new UserError(`${what} is ${shown(value)}; it has to be an object`);
@@ -103,9 +112,9 @@ Live.link = (() => {
     keys("the link", content, names);
     if (content.version !== VERSION) throw new UserError(`the link is of version ${shown(content.version)}; this page reads version ${VERSION}`);
     const most = Math.ceil(Live.run.MOST_SECONDS / 1e-6);
-    oneOf("device of the link", content.device, data.devices.map((each) => each.id));
-    oneOf("loop of the link", content.loop, data.loops.map((each) => each.id));
-    oneOf("task of the link", content.task, data.tasks.map((each) => each.id));
+    listed("device", content.device, data.devices);
+    listed("control loop", content.loop, data.loops);
+    listed("task", content.task, data.tasks);
     whole("'seed'", content.seed, 0, 2 ** 32 - 1);
     number("'speed'", content.speed, 0.01, 1);
     whole("'end'", content.end, 0, most);
@@ -139,10 +148,7 @@ Live.link = (() => {
   /** A law by its name, with all of its parameters within their ranges. */
   function checkLaw(what, value, data) {
     keys(what, value, ["name", "parameters"]);
-    if (typeof value.name === "string" && value.name.startsWith("own:") && !data.laws.some((each) => each.id === value.name)) {
-      throw new UserError(`the link uses a law of somebody's own, ${shown(value.name.slice(4, 60))}; drop its files on this page, then open the link again`);
-    }
-    oneOf(`law of the link (${what})`, value.name, data.laws.map((each) => each.id));
+    listed("law", value.name, data.laws);
     const law = data.laws.find((each) => each.id === value.name);
     keys(`${what} parameters`, value.parameters, law.parameters.map((each) => each.name));
     for (const each of law.parameters) number(`${what} ${each.name} [${each.unit}]`, value.parameters[each.name], each.low, each.high);
