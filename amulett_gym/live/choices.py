@@ -85,7 +85,7 @@ class Choices:
     def content(self) -> dict[str, Any]:
         """Return the choices as JSON types."""
         ranges = {loop: list(FEED_FORWARD_RANGE if loop in LOOPS else TENSION_RANGE) for loop in CONTROLS}
-        return {**vars(self), "limits": LIMITS, "ranges": ranges}
+        return {**vars(self), "limits": LIMITS, "ranges": ranges, "profile": _profiles()}
 
 
 def choices(profile: Any, policies: Sequence[str], scenario: Any, loop: str | None) -> Choices:
@@ -122,6 +122,25 @@ def _devices(own: Profile) -> Iterable[tuple[Profile, str]]:
     if own not in [each for each, _ in found]:
         yield own, "Your own"
     yield from found
+
+
+def _profiles() -> dict[str, Any]:
+    """Return what a profile that is dropped on the page is checked with: its schema, and the shipped ones as bases."""
+    bases = {name: load_profile(name).model_dump(mode="json") for name in reversed(device_names())}
+    return {"schema": _plain_schema(Profile.model_json_schema()), "bases": bases}
+
+
+def _plain_schema(schema: Any) -> Any:
+    """Return a JSON schema without descriptions, and with references as the present pydantic writes them."""
+    if isinstance(schema, list):
+        return [_plain_schema(each) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    (inner,) = schema.get("allOf", [{}])  # of pydantic before 2.9
+    kept = {key: value for key, value in {**schema, **inner}.items() if key not in ("allOf", "title")}
+    if isinstance(kept.get("description"), str):
+        del kept["description"]
+    return {key: _plain_schema(value) for key, value in kept.items()}
 
 
 def _named(own: Profile) -> Profile:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Sequence
 from importlib import resources
 from typing import Any
@@ -21,6 +22,8 @@ from amulett_gym.live.choices import Choices, choices
 from amulett_gym.live.core import script as core_script
 
 STYLE, TEMPLATE = "style.css", "page.html.j2"
+YAML, YAML_LICENCE = "vendor/js-yaml.min.js", "vendor/js-yaml.LICENSE"
+"""js-yaml 5.5.0, `dist/browser/js-yaml.umd.min.js` of the package of that name on npm, unchanged."""
 
 SCRIPTS = (
     *("base", "palette", "canvas", "arm", "samples", "strips", "run", "messages", "link", "csv"),
@@ -57,7 +60,7 @@ def build_page(
 def render(found: Choices) -> str:
     """Return the page that offers these choices."""
     data = {**found.content(), "version": __version__, "wasm": base64.b64encode(_wasm()).decode()}
-    style, script = _read(STYLE), "\n".join([core_script(), *(_read(f"{name}.js") for name in SCRIPTS)])
+    style, script = _read(STYLE), "\n".join([_yaml(), core_script(), *(_read(f"{name}.js") for name in SCRIPTS)])
     if "</script" in script or "</style" in style:
         raise AmulettError("a script of the page holds '</script'; an HTML page would end it there")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
@@ -95,6 +98,11 @@ def _hash(text: str) -> str:
 
 def _read(name: str) -> str:
     return resources.files("amulett_gym.live").joinpath("page", name).read_text(encoding="utf-8")
+
+
+def _yaml() -> str:
+    """Return js-yaml under its licence, without the address of its source map, which nobody has here."""
+    return f"/*! js-yaml\n{_read(YAML_LICENCE)}*/\n" + re.sub(r"//# sourceMappingURL=\S+", "", _read(YAML))
 
 
 def _wasm() -> bytes:

@@ -41,14 +41,17 @@ Live.app = (() => {
     /** A run of the present choices, with inputs that come by themselves. */
     function begin(script) {
       const device = data.devices.find((each) => each.id === settings.device), task = data.tasks.find((each) => each.id === settings.task);
-      const spec = { device: device.content, loop: settings.loop, law: settings.law, scenario: task.scenario, seed: settings.seed, lawOf };
+      const spec = { device: device.content, loop: settings.loop, law: settings.law, scenario: task.scenario, seed: settings.seed, lawOf: (law) => lawOf(law, device.content) };
       return Live.run.make(core, spec, script);
     }
 
     /** A law of the page's list, as the simulation takes it. */
-    function lawOf({ name, parameters }) {
-      const { content } = data.laws.find((each) => each.id === name);
-      return content.name === "policy" ? content : { ...content, parameters };
+    function lawOf({ name, parameters }, device) {
+      const { content } = data.laws.find((each) => each.id === name), { error_offset_deg: offset, ...others } = parameters;
+      if (content.name === "policy") return content;
+      // Degrees that are those of the device are left out, so that their radians are the device's to the last bit.
+      const own = offset === undefined || Math.abs(offset - device.parameters.error_offset * DEGREES) < 1e-9;
+      return { ...content, parameters: own ? others : parameters };
     }
 
     /** The inputs that come by themselves in the present task. */

@@ -370,5 +370,5 @@ Live.arm = (() => {
     });
   }
 
-  return { draw, toDrawing, angleAt, onForearm, partAt, FOREARM };
+  return { draw, toDrawing, angleAt, onForearm, partAt, FOREARM, JOINT };
 })();

@@ -4,25 +4,29 @@
 Live.csv = (() => {
   const { DEGREES } = Live.base;
 
-  /** @type {[string, (mine: any, twin: any) => number | null][]} column and its value */
+  /** @type {[string, (state: any) => number | null][]} columns of each arm, named as those of `amulett simulate` */
+  const OWN = [
+    ["joint_angle_deg", (state) => state.angle * DEGREES],
+    ["joint_velocity_deg_per_s", (state) => state.velocity * DEGREES],
+    ["tension_setpoint_N", (state) => state.tensionSetpoint],
+    ["force_biceps_N", (state) => state.tension[0]],
+    ["force_triceps_N", (state) => state.tension[1]],
+    ["command_biceps_deg", (state) => state.commands[0] * DEGREES],
+    ["command_triceps_deg", (state) => state.commands[1] * DEGREES],
+    ["drive_biceps_deg", (state) => state.driveAngles[0] * DEGREES],
+    ["drive_triceps_deg", (state) => state.driveAngles[1] * DEGREES],
+    ["contact_torque_Nm", (state) => state.contact],
+    ["joint_stiffness_Nm_per_rad", (state) => state.stiffness],
+    ["cost", (state) => state.cost],
+  ];
+
+  /** @type {[string, (mine: any, twin: any) => number | null][]} */
   const COLUMNS = [
-    ["time [s]", (mine) => mine.time],
-    ["setpoint [deg]", (mine) => mine.setpoint * DEGREES],
-    ["push [N m]", (mine) => mine.push],
-    ...["", "eq. 6: "].flatMap((of, k) => /** @type {[string, any][]} */ ([
-      ["angle [deg]", (each) => each.angle * DEGREES],
-      ["velocity [deg/s]", (each) => each.velocity * DEGREES],
-      ["tension biceps [N]", (each) => each.tension[0]],
-      ["tension triceps [N]", (each) => each.tension[1]],
-      ["tension setpoint [N]", (each) => each.tensionSetpoint],
-      ["joint stiffness [N m/rad]", (each) => each.stiffness],
-      ["drive biceps [deg]", (each) => each.driveAngles[0] * DEGREES],
-      ["drive triceps [deg]", (each) => each.driveAngles[1] * DEGREES],
-      ["command biceps [deg]", (each) => each.commands[0] * DEGREES],
-      ["command triceps [deg]", (each) => each.commands[1] * DEGREES],
-      ["contact [N m]", (each) => each.contact],
-      ["cost [1]", (each) => each.cost],
-    ]).map(([name, value]) => /** @type {[string, any]} */ ([of + name, (mine, twin) => value(k ? twin : mine)]))),
+    ["time_s", (mine) => mine.time],
+    ["setpoint_deg", (mine) => mine.setpoint * DEGREES],
+    ["push_torque_Nm", (mine) => mine.push],
+    ...OWN.map(([name, value]) => /** @type {[string, any]} */ ([name, (mine) => value(mine)])),
+    ...OWN.map(([name, value]) => /** @type {[string, any]} */ ([`eq6_${name}`, (mine, twin) => value(twin)])),
   ];
 
   /** @param {any} run @param {any} core @returns {string} the table of the run up to its present tick */

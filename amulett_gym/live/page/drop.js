@@ -7,6 +7,7 @@ Live.drop = (() => {
 
   const MOST_FILES = 20;
   const MOST_BYTES = 16000000; // of a file, as `laws/bundle.py` allows
+  const MOST_VALUES = 100000; // keys and values in a file, aliases of YAML counted at each use
   const BUNDLE = ["weights.safetensors", "policy.json"];
 
   /** @param {any} app the page's functions, see app.js */
@@ -94,10 +95,23 @@ Live.drop = (() => {
   }
 
   function parse(content, suffix, name) {
+    let found;
     try {
-      return suffix === "json" ? JSON.parse(content) : globalThis.jsyaml.load(content, { schema: globalThis.jsyaml.CORE_SCHEMA });
+      found = suffix === "json" ? JSON.parse(content) : globalThis.jsyaml.load(content, { schema: globalThis.jsyaml.CORE_SCHEMA });
     } catch (error) {
       throw new UserError(`'${name}' is no valid ${suffix === "json" ? "JSON" : "YAML"}: ${String(error.message).split("\n")[0].slice(0, 200)}`);
+    }
+    count(found, name);
+    return found;
+  }
+
+  /** Refuse what is too large to be looked at. */
+  function count(content, name) {
+    const left = [content];
+    for (let seen = 0; left.length; seen++) {
+      if (seen > MOST_VALUES) throw new UserError(`'${name}' holds more than ${MOST_VALUES} values, which is the most`);
+      const each = left.pop();
+      if (typeof each === "object" && each !== null) left.push(...Object.values(each).slice(0, MOST_VALUES));
     }
   }
 

@@ -17,7 +17,7 @@ Live.link = (() => {
    */
 
   /**
-   * Events as numbers and names: ticks since the one before, and values to the digits that they are entered with.
+   * The text of a moment; an event is [ticks since the one before, kind, value].
    * @param {Moment} moment
    */
   async function encode(moment) {
@@ -27,7 +27,12 @@ Live.link = (() => {
       before = tick;
       return row;
     });
-    const text = JSON.stringify({ version: VERSION, ...moment, events });
+    return pack({ version: VERSION, ...moment, events });
+  }
+
+  /** A link's content as text. @param {any} content */
+  async function pack(content) {
+    const text = JSON.stringify(content);
     return `z${toBase64(await packed(new TextEncoder().encode(text), new CompressionStream("deflate-raw"), Infinity))}`;
   }
 
@@ -155,5 +160,5 @@ Live.link = (() => {
     return value;
   }
 
-  return { encode, decode, check, checkLaw };
+  return { encode, decode, check, pack };
 })();
