@@ -20,6 +20,7 @@ from amulett_gym import __version__
 from amulett_gym.errors import AmulettError
 from amulett_gym.live.choices import Choices, choices
 from amulett_gym.live.core import script as core_script
+from amulett_gym.live.core.build import read_wasm
 
 STYLE, TEMPLATE = "style.css", "page.html.j2"
 YAML, YAML_LICENCE = "vendor/js-yaml.min.js", "vendor/js-yaml.LICENSE"
@@ -59,7 +60,7 @@ def build_page(
 
 def render(found: Choices) -> str:
     """Return the page that offers these choices."""
-    data = {**found.content(), "version": __version__, "wasm": base64.b64encode(_wasm()).decode()}
+    data = {**found.content(), "version": __version__, "wasm": base64.b64encode(read_wasm()).decode()}
     style, script = _read(STYLE), "\n".join([_yaml(), core_script(), *(_read(f"{name}.js") for name in SCRIPTS)])
     if "</script" in script or "</style" in style:
         raise AmulettError("a script of the page holds '</script'; an HTML page would end it there")
@@ -103,7 +104,3 @@ def _read(name: str) -> str:
 def _yaml() -> str:
     """Return js-yaml under its licence, without the address of its source map, which nobody has here."""
     return f"/*! js-yaml\n{_read(YAML_LICENCE)}*/\n" + re.sub(r"//# sourceMappingURL=\S+", "", _read(YAML))
-
-
-def _wasm() -> bytes:
-    return resources.files("amulett_gym.live.core").joinpath("amulett.wasm").read_bytes()

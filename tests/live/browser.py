@@ -63,7 +63,8 @@ class Page:
         """Return what an expression's promise gives, or ``{"error": text}``."""
         call = f"""
             const app = globalThis.amulettLive, done = arguments[arguments.length - 1];
-            Promise.resolve().then(() => {script}).then((value) => done({{ value }}), (error) => done({{ error: error.message }}));
+            const fail = (error) => done({{ error: error.message }});
+            Promise.resolve().then(() => {script}).then((value) => done({{ value }}), fail);
         """
         return self.driver.execute_async_script(call, *arguments)
 
@@ -90,12 +91,13 @@ class Page:
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
     def place(self, angle: float, radius: float) -> tuple[int, int]:
-        """Return a point beside the joint in your arm's picture, from its middle [px], at an angle [rad] and a radius."""
+        """Return a point of your arm's picture, from its middle [px], at an angle [rad] and a radius about the joint."""
         script = """
-            const canvas = document.getElementById("mine-canvas"), box = canvas.getBoundingClientRect();
+            const [angle, radius] = arguments, box = document.getElementById("mine-canvas").getBoundingClientRect();
             const at = (x, y) => Live.arm.toDrawing(x, y, box.width, box.height), zero = at(0, 0), one = at(1, 1);
-            const [x, y] = [Live.arm.JOINT[0] + arguments[1] * Math.cos(arguments[0]), Live.arm.JOINT[1] - arguments[1] * Math.sin(arguments[0])];
-            return [(x - zero[0]) / (one[0] - zero[0]) - box.width / 2, (y - zero[1]) / (one[1] - zero[1]) - box.height / 2];
+            const x = Live.arm.JOINT[0] + radius * Math.cos(angle), y = Live.arm.JOINT[1] - radius * Math.sin(angle);
+            const toPixels = (place, k) => (place - zero[k]) / (one[k] - zero[k]);
+            return [toPixels(x, 0) - box.width / 2, toPixels(y, 1) - box.height / 2];
         """
         x, y = self.run(script, angle, radius)
         return round(x), round(y)

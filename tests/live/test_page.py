@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import io
 import json
@@ -13,10 +14,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from live.browser import MISSING, Page, chromium, has_browser
 
 from amulett_gym.cli import main
+from amulett_gym.fleet import load_fleet
+from amulett_gym.live.core.data import device_data
 from amulett_gym.live.page import build_page
+from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import CONTROLS
 
 needs_browser = pytest.mark.skipif(not has_browser(), reason=MISSING)
@@ -37,7 +42,7 @@ def driver():
 
 @pytest.fixture
 def page(driver, file) -> Page:
-    """The page, opened anew, paused, with no task."""
+    """Open the page anew, paused, with no task."""
     page = Page(driver, file)
     page.resize(1440, 900)
     page.open()
@@ -76,9 +81,11 @@ def test_it_asks_for_nothing_from_elsewhere_and_reports_no_error(driver, file):
 
 @needs_browser
 def test_its_policy_forbids_scripts_and_requests_that_are_not_its_own(page):
-    page.run(
-        "const script = document.createElement('script'); script.textContent = 'globalThis.pwned = 1'; document.body.append(script)"
-    )
+    page.run("""
+        const script = document.createElement("script");
+        script.textContent = "globalThis.pwned = 1";
+        document.body.append(script);
+    """)
     assert page.run("return globalThis.pwned") is None
     assert "error" in page.promise("fetch('https://example.org/')")
     assert all("Content Security Policy" in error for error in page.errors())
@@ -122,9 +129,11 @@ def test_the_forearm_is_pushed_with_mouse_and_finger(page, kind):
     pushes = page.run("return run.events.filter((each) => each.kind === 'push').map((each) => each.value)")
     assert max(pushes) > 0.2 and pushes[-1] == 0.0
     assert page.run("return [...run.events].every((each) => each.kind === 'push')"), "the setpoint stays"
-    moved = page.run(
-        "let most = 0; run.samples.mine.each('angle', 0, (time, angle) => { most = Math.max(most, angle); }); return most"
-    )
+    moved = page.run("""
+        let most = 0;
+        run.samples.mine.each("angle", 0, (time, angle) => { most = Math.max(most, angle); });
+        return most;
+    """)
     assert moved > 0.01
 
 
@@ -184,18 +193,17 @@ def test_a_refused_parameter_leaves_the_last_one(page):
 
 
 @needs_browser
-def test_an_obstacle_stops_the_arm_and_a_payload_slows_it(page):
-    page.run("app.chooseLaw('constant'); app.input('setpoint', 1.0); run.advance(400)")
-    free = state(page)["mine"]["angle"]
-    page.run(
-        "app.restart(); app.chooseLaw('constant'); app.input('obstacle', { angle: 0.5, side: 1, stiffness: 30 }); app.input('setpoint', 1.0); run.advance(400)"
-    )
-    blocked = state(page)["mine"]
-    assert blocked["angle"] < 0.6 < free and blocked["contact"] < 0
-    page.run("app.restart(); app.input('payload', 1.5); app.input('setpoint', 1.0); run.advance(100)")
-    slow = state(page)["mine"]
-    page.run("app.restart(); app.input('setpoint', 1.0); run.advance(100)")
-    assert slow["payload"] == 1.5 and slow["velocity"] < 0.8 * state(page)["mine"]["velocity"]
+def test_an_obstacle_stops_the_arm_and_a_payload_changes_its_motion(page):
+    def move(before: str, ticks: int) -> dict[str, Any]:
+        page.run(
+            f"app.restart(); app.chooseLaw('constant'); {before}; app.input('setpoint', 1.0); run.advance({ticks})"
+        )
+        return state(page)["mine"]
+
+    blocked = move("app.input('obstacle', { angle: 0.5, side: 1, stiffness: 30 })", 400)
+    assert blocked["angle"] < 0.6 < move("", 400)["angle"] and blocked["contact"] < 0
+    loaded = move("app.input('payload', 1.5)", 100)
+    assert loaded["payload"] == 1.5 and abs(loaded["angle"] - move("", 100)["angle"]) > 1e-3
 
 
 @needs_browser
@@ -227,7 +235,7 @@ def test_keys_alone_do_everything(page):
     assert page.run("return app.settings.law.name") == law
     press("s")
     assert page.find("#speed").get_attribute("value") == "0.5"
-    inputs = page.run("return run.events.length")
+    inputs = page.run("return run.events.filter((each) => each.kind !== 'law').length")
     press("y")
     assert page.run("return app.playing && run.events.length") == inputs > 5
     press(" ")
@@ -249,7 +257,8 @@ def test_tab_reaches_every_control_and_each_has_a_name(page):
 
     controls = """
         return [...document.querySelectorAll("button, select, input, summary, a[href]")].filter((each) =>
-            each.checkVisibility() && !each.disabled && !each.closest("dialog")).map((each, k) => { each.dataset.k = k; return k; })
+            each.checkVisibility() && !each.disabled && !each.closest("dialog"))
+            .map((each, k) => { each.dataset.k = k; return k; })
     """
     wanted = set(page.run(controls))
     reached = set()
@@ -259,7 +268,8 @@ def test_tab_reaches_every_control_and_each_has_a_name(page):
     assert wanted - reached == set()
     nameless = page.run("""
         return [...document.querySelectorAll("button, select, input, canvas")].filter((each) =>
-            !(each.textContent.trim() || each.getAttribute("aria-label") || (each.labels && each.labels.length))).map((each) => each.outerHTML)
+            !(each.textContent.trim() || each.getAttribute("aria-label") || (each.labels && each.labels.length)))
+            .map((each) => each.outerHTML)
     """)
     assert nameless == []
 
@@ -390,13 +400,15 @@ GARBAGE = {
     "moves__json": '{"moves": "<img src=x onerror=globalThis.pwned=1>"}',
     "unknown__json": '{"moves": [], "obstacel": null}',
     "proto__json": '{"moves": [], "__proto__": {"polluted": 1}, "constructor": 2}',
-    "law__json": '{"format": "amulett-tuned-law", "recipe": {"law": "parametric"}, "parameters": {"base": {"value": "x"}}}',
+    "law__json": '{"format": "amulett-tuned-law", "recipe": {"law": "constant"}, "parameters": {"tension": {"value": "x"}}}',
     "law2__json": '{"format": "amulett-tuned-law", "recipe": {"law": "__proto__"}}',
     "page__html": "<script>globalThis.pwned = 1</script>",
     "binary__bin": bytes(range(256)) * 50,
     "binary__yaml": bytes(range(128, 256)) * 50,
     "tag__yaml": "a: !!js/function 'function () { globalThis.pwned = 1 }'",
-    "laughs__yaml": "a: &a [x, x]\nb: &b [*a, *a]\nname: [*b, *b]\n",
+    "laughs__yaml": "x0: &x0 [x, x]\n"
+    + "".join(f"x{k + 1}: &x{k + 1} [{', '.join([f'*x{k}'] * 10)}]\n" for k in range(12))
+    + "name: *x12\n",
     "device__yaml": "name: mine\nbase: testbed\nplant: {drive_pulley_radius: -1}\n",
     "device2__yaml": "name: mine\nbase: testbed\nsprings: {}\n",
     "device3__yaml": "name: mine\nbase: nobody\n",
@@ -413,7 +425,8 @@ def test_garbage_is_refused_with_words_and_changes_nothing(page, tmp_path):
     page.run("app.input('setpoint', 0.5); run.advance(100)")
     count = """
         const { settings, data } = app, elements = document.querySelectorAll("img, script, iframe").length;
-        return [settings, data.devices.length, data.laws.length, data.tasks.length, elements, globalThis.pwned, ({}).polluted];
+        const counts = [data.devices.length, data.laws.length, data.tasks.length, elements];
+        return [settings, counts, globalThis.pwned, ({}).polluted];
     """
     before, choices = state(page), page.run(count)
     for name, content in GARBAGE.items():
@@ -600,3 +613,91 @@ def test_curves_of_one_strip_differ_by_more_than_their_colour():
     for strip in strips:
         shapes = re.findall(r'shape: "(\w+)"', strip)
         assert len(shapes) == len(set(shapes)) >= 2
+
+
+PROFILES = (
+    {"name": "a", "base": "testbed", "spring": {"beyond": "continued"}, "plant": {"orientation": "vertical"}},
+    {"name": "b", "base": "simulation", "spring": {"beyond": "hard-stop", "stop_stiffness": 4e4}},
+    {
+        "name": "c",
+        "base": "testbed",
+        "loops": {"torque_stiffness": {"angle_weight": 30.0}},
+        "sensors": {"encoder_bits": 12},
+    },
+    {"name": "d", "base": "testbed", "spring": {"free_length": 0.0}, "drives": {"stall_torque": 0.3}},
+    {**load_fleet("plausible-held-out")[0].model_dump(mode="json"), "name": "e"},
+)
+
+
+@needs_browser
+@pytest.mark.parametrize("content", PROFILES, ids=lambda content: content["name"])
+def test_a_dropped_device_is_packed_as_python_packs_it(page, tmp_path, content):
+    give(page, tmp_path, mine__yaml=yaml.safe_dump(content))
+    assert page.run("return app.settings.device") == f"own:{content['name']}", page.messages()
+    found = page.run("return app.data.devices.find((each) => each.id === app.settings.device).content")
+    wanted = device_data(load_profile(content))
+    assert set(wanted["unfit"]) == set(found["unfit"])
+    for key in ("laws", "prices", "unfit"):  # its costs are in the base's units
+        del wanted[key], found[key]
+    tables, packed = wanted.pop("tables"), found.pop("tables")
+    for name, table in tables.items():
+        mine, theirs = (np.frombuffer(base64.b64decode(text)) for text in (packed[name], table))
+        np.testing.assert_allclose(mine, theirs, rtol=1e-11, atol=1e-11 * abs(theirs).max(), err_msg=name)
+    assert_same(found, wanted, "")
+    page.run("app.input('setpoint', 0.5); run.advance(run.tick + 200)")
+    assert np.isfinite(state(page)["mine"]["angle"]) and page.errors() == []
+
+
+def assert_same(found: Any, wanted: Any, path: str) -> None:
+    if isinstance(wanted, dict):
+        assert set(found) == set(wanted), path
+        for key in wanted:
+            assert_same(found[key], wanted[key], f"{path}.{key}")
+    elif isinstance(wanted, list):
+        assert len(found) == len(wanted), path
+        for k, (mine, theirs) in enumerate(zip(found, wanted, strict=True)):
+            assert_same(mine, theirs, f"{path}.{k}")
+    else:
+        assert found == (wanted if isinstance(wanted, str) else pytest.approx(wanted, rel=1e-11)), path
+
+
+def test_the_command_puts_what_is_ones_own_first(tmp_path, capsys):
+    profile, scenario, out = tmp_path / "mine.yaml", tmp_path / "task.json", tmp_path / "live.html"
+    profile.write_text("name: </script><script>alert(1)</script>\nbase: testbed\nsensors: {encoder_bits: 12}\n")
+    scenario.write_text('{"moves": [{"time": 0.1, "angle_deg": 40}]}')
+    words = ["--profile", str(profile), "--scenario", str(scenario), "--policy", "computed-torque/constant:3"]
+    assert main(["live", *words, "--out", str(out), "--no-open", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["loop"] == "computed-torque" and shown["law"] == "constant:3" and not shown["opened"]
+    text = out.read_text()
+    assert shown["bytes"] == out.stat().st_size and text.count("<script") == 2 and text.count("</script") == 2
+    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text).group(1))
+    assert data["start"]["device"] == data["devices"][0]["id"] == "</script><script>alert(1)</script>"
+    assert data["tasks"][0]["title"] == "task" and data["start"]["law"]["parameters"] == {"tension": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--no-open"], "give --out FILE.html"),
+        (["--no-open", "--out", "x.txt"], "has to end in .html or .htm"),
+        (["--no-open", "--out", "x.html", "--loop", "torqe"], "did you mean 'torque'"),
+        (["--no-open", "--out", "x.html", "--policy", "constnt:8"], "did you mean 'constant:<N>'"),
+        (["--no-open", "--out", "x.html", "--policy", "eq6-held-printed"], "the page does not show 'eq6-held-printed'"),
+        (["--no-open", "--out", "x.html", "--scenario", "nothing.json"], "nothing.json"),
+    ],
+)
+def test_the_command_refuses_wrong_words(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["live", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_opens_the_page_and_says_where_it_is_if_it_cannot(tmp_path, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("webbrowser.open", lambda address: asked.append(address) or len(asked) == 1)
+    for opened in (True, False):
+        assert main(["live", "--out", str(tmp_path / "live.html")]) == 0
+        assert asked[-1] == (tmp_path / "live.html").as_uri()
+        assert ("Open this address" in capsys.readouterr().out) is not opened
