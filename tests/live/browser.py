@@ -91,7 +91,7 @@ class Page:
         self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
     def place(self, angle: float, radius: float) -> tuple[int, int]:
-        """Return a point of your arm's picture, from its middle [px], at an angle [rad] and a radius about the joint."""
+        """Return a point of your arm's picture, from its middle [px], at an angle [rad] and a radius of the joint."""
         script = """
             const [angle, radius] = arguments, box = document.getElementById("mine-canvas").getBoundingClientRect();
             const at = (x, y) => Live.arm.toDrawing(x, y, box.width, box.height), zero = at(0, 0), one = at(1, 1);

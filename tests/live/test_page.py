@@ -400,7 +400,7 @@ GARBAGE = {
     "moves__json": '{"moves": "<img src=x onerror=globalThis.pwned=1>"}',
     "unknown__json": '{"moves": [], "obstacel": null}',
     "proto__json": '{"moves": [], "__proto__": {"polluted": 1}, "constructor": 2}',
-    "law__json": '{"format": "amulett-tuned-law", "recipe": {"law": "constant"}, "parameters": {"tension": {"value": "x"}}}',
+    "law__json": '{"format": "amulett-tuned-law", "recipe": {"law": "constant"}, "parameters": {"tension": 1}}',
     "law2__json": '{"format": "amulett-tuned-law", "recipe": {"law": "__proto__"}}',
     "page__html": "<script>globalThis.pwned = 1</script>",
     "binary__bin": bytes(range(256)) * 50,
