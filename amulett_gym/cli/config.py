@@ -138,7 +138,8 @@ def validate(path: str | Path) -> Found:
         )
     if is_zoo_file(content):
         entries = parse_zoo_file(content, path)
-        return Found(f"hyper-parameters of rl_zoo3 for {len(entries)} environments", path.stem, entries)
+        count = f"{len(entries)} environment{'s' * (len(entries) > 1)}"
+        return Found(f"hyper-parameters of rl_zoo3 for {count}", path.stem, entries)
     keys = set(content)
     if keys and all("." in str(key) for key in keys):
         space = load_learning("tuning").parse_space(content, recipes.TrainConfig(), path)

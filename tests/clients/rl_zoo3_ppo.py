@@ -37,4 +37,4 @@ def judged(model: PPO, folder: Path) -> float:
 
 
 if __name__ == "__main__":
-    run(train, 500_000)
+    run(train, 250_000)
