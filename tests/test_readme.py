@@ -74,6 +74,12 @@ def test_links_lead_somewhere(page: str):
             assert ((ROOT / page).parent / target).exists(), target
 
 
+def test_the_site_contains_each_page_of_docs():
+    contents = PAGES["docs/index.md"].splitlines()
+    pages = [page.removeprefix("docs/").removesuffix(".md") for page in PAGES if page.startswith("docs/")]
+    assert [page for page in pages if page not in ("index", *contents)] == []
+
+
 def test_the_readme_is_short():
     assert len(README.splitlines()) <= 120
 

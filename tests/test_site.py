@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -171,9 +172,11 @@ def test_a_docstring_becomes_markdown():
         ("tutorials/first-law", "[a](../../README.md)", "[a](../index.md)"),
         ("tutorials/first-law", "[a](../README.md)", "[a](../README.md)"),
         ("training", "[a](../configs/ppo.yaml)", "[a](../configs/ppo.yaml)"),
+        ("training", "[a](../configs/logs)", "a"),
+        ("tutorials/first-law", "[a](../../configs/logs)", "a"),
     ],
 )
 def test_links_to_files_at_the_root_lead_to_their_pages(docname: str, link: str, expected: str):
     source = [link]
-    lead_to_pages(None, docname, source)
+    lead_to_pages(SimpleNamespace(srcdir=ROOT / "docs"), docname, source)
     assert source == [expected]

@@ -1,7 +1,8 @@
 """Links of the pages to files of the repository that are no pages.
 
 The pages are read on GitHub, too, so that they link as `../configs/ppo.yaml`. On the site, such a link leads to a copy
-of the file, and one to README.md, CONTRIBUTING.md or CHANGELOG.md to the page that holds it.
+of the file, and one to README.md, CONTRIBUTING.md or CHANGELOG.md to the page that holds it. Of a link to a folder, its
+text stays.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from sphinx.application import Sphinx
 
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 LINK = re.compile(r"\]\((?P<up>(?:\.\./)+)(?P<file>[A-Z]+\.md)(?=[)#])")
+FOLDER = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<folder>(?:\.\./)+[\w./-]+)\)")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -22,7 +24,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def lead_to_pages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Let links to the files at the repository's root lead to their pages."""
+    """Let links to files at the repository's root lead to their pages, and take those to folders away."""
 
     def page(match: re.Match[str]) -> str:
         beyond = len(Path(docname).parents)  # levels up from the page to the repository
@@ -30,4 +32,7 @@ def lead_to_pages(app: Sphinx, docname: str, source: list[str]) -> None:
             return match[0]
         return f"]({'../' * (beyond - 1)}{PAGES[match['file']]}"
 
-    source[0] = LINK.sub(page, source[0])
+    def text(match: re.Match[str]) -> str:
+        return match["text"] if (Path(app.srcdir) / docname).parent.joinpath(match["folder"]).is_dir() else match[0]
+
+    source[0] = FOLDER.sub(text, LINK.sub(page, source[0]))
