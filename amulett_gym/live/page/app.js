@@ -7,7 +7,7 @@ Live.app = (() => {
   const SPEEDS = [[1, "real time"], [0.5, "1/2"], [0.25, "1/4"], [0.1, "1/10"]];
   const MOST_PASSED = 0.1; // [s] of real time that a frame makes up for
   const WRITE_EVERY = 100; // [ms] between two updates of numbers
-  const KEPT = 600; // durations of frames
+  const KEPT = 3600; // durations of frames
 
   const TERMS = [
     ["Two motors, two strings", "One pulls like a biceps, one like a triceps, each over a spring that gets stiffer as it is stretched. Pulling both at once does not move the joint; it makes it stiff."],

@@ -13,7 +13,7 @@ Live.link = (() => {
    * @typedef {Object} Moment
    * @property {string} device @property {string} loop @property {{name: string, parameters: Object<string, number>}} law
    * @property {string} task @property {number} seed @property {number} speed
-   * @property {number} tick @property {number} end @property {import("./run").Event[]} events
+   * @property {number} tick @property {number} end @property {Input[]} events
    */
 
   /**

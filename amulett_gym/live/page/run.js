@@ -11,7 +11,7 @@ Live.run = (() => {
   const MOST_EVENTS = 20000;
   const MOST_SECONDS = 600;
 
-  /** @typedef {{tick: number, kind: string, value: any}} Event an input, before the tick that it acts in */
+  /** @typedef {{tick: number, kind: string, value: any}} Input what comes before the tick that it acts in */
   /**
    * @typedef {Object} Spec what a run begins with
    * @property {any} device @property {string} loop @property {Law} law @property {any} scenario @property {number} seed
@@ -22,7 +22,7 @@ Live.run = (() => {
   /**
    * @param {any} core what `Amulett.load` returned
    * @param {Spec} spec
-   * @param {Event[]} events inputs that come by themselves, in the order of their ticks
+   * @param {Input[]} events inputs that come by themselves, in the order of their ticks
    */
   function make(core, spec, events = []) {
     const { device, scenario, seed, lawOf } = spec;
