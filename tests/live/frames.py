@@ -1,8 +1,8 @@
 """Measure the page's frames: ``python tests/live/frames.py [SECONDS]``, on Linux.
 
-Chromium runs on one core, without a graphics card. Printed are the frames in a second; the time on a core that all of the
-browser take for one (simulation of both arms, drawing, painting), which other programs hardly change; and
-how much of it is the page's own script. With 16.7 ms or less there can be 60 frames in a second.
+Chromium runs on one core, without a graphics card. Printed are the frames in a second; the time on a core that the
+browser takes for one (simulation of both arms, drawing, painting), which other programs hardly change; and how much of
+it is the page's own script. With 16.7 ms or less there can be 60 frames in a second.
 """
 
 from __future__ import annotations

@@ -312,7 +312,7 @@ Live.app = (() => {
       const { mine, twin } = run.state;
       Live.arm.draw(byId("mine-canvas"), mine, geometry(), { ghost: twin.angle, pull: pointer.pull, handle: true, active: pointer.part });
       Live.arm.draw(byId("twin-canvas"), twin, geometry(), { colour: Live.palette.colours.twin });
-      Live.strips.draw(run.samples, run.time);
+      Live.strips.draw(run.samples, run.time, playing);
       if (now - written >= WRITE_EVERY || !playing) {
         written = now;
         write(mine, twin);

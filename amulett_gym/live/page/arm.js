@@ -84,13 +84,9 @@ Live.arm = (() => {
     const { context, width, height } = Live.canvas.begin(element);
     if (!width) return;
     const { colours } = Live.palette, place = placement(width, height);
-    context.translate(place.x, place.y);
-    context.scale(place.scale, place.scale);
-    context.lineCap = context.lineJoin = "round";
-    context.textBaseline = "middle";
     const text = clamp(1 / place.scale, 0.9, 1.45); // text keeps its size where the drawing is small
-    drawScale(context, text);
-    drawUpperArm(context);
+    context.drawImage(still(element, place, text, device), 0, 0, width, height);
+    begin(context, place);
     drawFan(context, frame, options.colour || colours.accent, text);
     if (options.ghost !== undefined) drawGhost(context, options.ghost);
     drawStrings(context, frame, device, text);
@@ -100,7 +96,34 @@ Live.arm = (() => {
     if (frame.payload > 0) drawPayload(context, frame, text);
     drawSetpoint(context, frame.setpoint, Boolean(options.handle), options.active === "setpoint", text);
     if (frame.push) drawPush(context, frame, device, options.pull || null, text);
-    drawTensionScale(context, frame, device, text);
+    drawTensionMarks(context, frame, device);
+  }
+
+  function begin(context, place) {
+    context.translate(place.x, place.y);
+    context.scale(place.scale, place.scale);
+    context.lineCap = context.lineJoin = "round";
+    context.textBaseline = "middle";
+  }
+
+  /** What does not move, drawn once for each size and theme. @type {Map<string, HTMLCanvasElement>} */
+  const drawn = new Map();
+
+  function still(element, place, text, device) {
+    const { width, height } = element, key = [width, height, place.scale, device.maxForce, Live.palette.colours.card].join();
+    const found = drawn.get(key);
+    if (found) return found;
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = [width, height];
+    const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d")), ratio = width / element.clientWidth;
+    context.scale(ratio, ratio);
+    begin(context, place);
+    drawScale(context, text);
+    drawUpperArm(context);
+    drawTensionScale(context, device, text);
+    if (drawn.size > 4) drawn.clear();
+    drawn.set(key, canvas);
+    return canvas;
   }
 
   function line(context, points, colour, width, dash = []) {
@@ -350,9 +373,10 @@ Live.arm = (() => {
     write(context, label, [tail[0] + 26 * Math.sign(tail[0] - point(0)[0]), tail[1]], 13 * text, colours.external, "center", "700");
   }
 
-  /** The colours of the tensions, with a mark for each string. */
-  function drawTensionScale(context, frame, device, text) {
-    const { colours } = Live.palette, left = 40, top = 30, wide = 132, high = 8;
+  const BAR = { left: 40, top: 30, wide: 132, high: 8 }; // of the colours of the tensions
+
+  function drawTensionScale(context, device, text) {
+    const { colours } = Live.palette, { left, top, wide, high } = BAR;
     const paint = context.createLinearGradient(left, 0, left + wide, 0);
     for (let k = 0; k <= 10; k++) paint.addColorStop(k / 10, Live.palette.tension(k / 10));
     write(context, "string tension [N]", [left, top - 14], 11 * text, colours.muted);
@@ -363,6 +387,11 @@ Live.arm = (() => {
     [0, 0.5, 1].forEach((share) => {
       write(context, (share * device.maxForce).toFixed(0), [left + share * wide, top + high + 15], 11 * text, colours.muted, share === 0 ? "left" : share === 1 ? "right" : "center");
     });
+  }
+
+  /** A mark for each string on the colours of the tensions. */
+  function drawTensionMarks(context, frame, device) {
+    const { colours } = Live.palette, { left, top, wide, high } = BAR;
     [["circle", colours.biceps], ["triangle", colours.triceps]].forEach(([shape, colour], k) => {
       const x = left + wide * clamp(frame.tension[k] / device.maxForce, 0, 1);
       mark(context, /** @type {any} */ (shape), x, top + 0.5 * high, 5.4, colours.card);

@@ -5,7 +5,7 @@
 Live.run = (() => {
   const { UserError } = Live.base;
 
-  const SAMPLE = 0.01; // [s] between two samples of the strips
+  const SAMPLE = 0.02; // [s] between two samples of the strips: some pixels hold one
   const SNAPSHOT = 2; // [s] between two snapshots, from which an earlier moment is found again
   const SHARED = ["setpoint", "push", "obstacle", "payload"]; // inputs of both arms; "law" is of yours alone
   const MOST_EVENTS = 20000;
