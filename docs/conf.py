@@ -24,6 +24,7 @@ extensions = [
     "myst_nb",
     "environment_pages",
     "repository_links",
+    "live_twin",
     "closed_site",
 ]
 exclude_patterns = ["_ext"]
