@@ -211,6 +211,8 @@ def _own_law(name: str, contender: Contender, own: Profile) -> dict[str, Any]:
         return {**law, **shown, "id": law_name, "title": law_name, "parameters": parameters}
     if is_tuned(law_name):
         return {**_tuned(law_name, own), **shown}
+    if law_name == "position-only":
+        raise AmulettError("'position-only' is a control loop in which no law acts; give --loop position-only")
     if contender.policy_name is None or law_name in EQ6_HELD:
         raise AmulettError(f"the page does not show '{law_name}'; it shows {', '.join(shipped)} and your own")
     return {**_learned(law_name, "a policy of your own"), **shown}

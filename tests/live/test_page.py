@@ -22,7 +22,7 @@ from amulett_gym.fleet import load_fleet
 from amulett_gym.live.core.data import device_data
 from amulett_gym.live.page import build_page
 from amulett_gym.profile import load_profile
-from amulett_gym.simulation.layout import CONTROLS
+from amulett_gym.simulation.layout import CONTROLS, LOOPS
 
 needs_browser = pytest.mark.skipif(not has_browser(), reason=MISSING)
 
@@ -145,6 +145,10 @@ def test_every_loop_can_be_played(page, loop):
     page.run("app.input('setpoint', 0.7); run.advance(run.tick + 400)")
     mine = state(page)["mine"]
     assert mine["failed"] is None and mine["angle"] == pytest.approx(0.7, abs=0.2)
+    assert page.run("return [run.state.mine.cost, run.state.twin.cost]") == page.run(
+        "return [run.arms.mine, run.arms.twin].map((arm) => arm.read()[arguments[0]])",
+        "controlCost" if loop in LOOPS else "cost",
+    )
     assert page.errors() == []
 
 

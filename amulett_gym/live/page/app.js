@@ -367,6 +367,7 @@ Live.app = (() => {
       const law = app.law(), loop = data.loops.find((each) => each.id === settings.loop), device = data.devices.find((each) => each.id === settings.device);
       byId("mine-law").textContent = law.title;
       byId("mine-loop").textContent = `${loop.title} \u00B7 ${device.title}`;
+      for (const label of document.querySelectorAll(".cost small")) label.textContent = run.control ? "cost, full control" : "cost so far";
       panel.showChoices();
       dirty = true;
     }

@@ -36,7 +36,13 @@ Live.run = (() => {
     let tick = 0, next = 0, end = 0; // next: index of the first event that has not acted yet
     /** @type {{tick: number, next: number, mine: Uint8Array, twin: Uint8Array}[]} */
     let snapshots = [{ tick: 0, next: 0, mine: mine.snapshot(), twin: twin.snapshot() }];
-    let state = { mine: mine.read(), twin: twin.read() };
+    // Loops are compared by the cost of the track "full control", laws in the paper's by that of "schedule".
+    const control = core.layout.loops.indexOf(spec.loop) >= 2;
+    const look = (arm) => {
+      const found = arm.read();
+      return control ? { ...found, cost: found.controlCost } : found;
+    };
+    let state = { mine: look(mine), twin: look(twin) };
     sample();
 
     function sample() {
@@ -67,12 +73,12 @@ Live.run = (() => {
         twin.step(stop - tick);
         tick = stop;
         if (tick % sampleTicks === 0) {
-          state = { mine: mine.read(), twin: twin.read() };
+          state = { mine: look(mine), twin: look(twin) };
           sample();
         }
       }
       end = Math.max(end, tick);
-      state = { mine: mine.read(), twin: twin.read() };
+      state = { mine: look(mine), twin: look(twin) };
     }
 
     /** Go to a tick of the record, earlier or later. @param {number} target */
@@ -84,7 +90,7 @@ Live.run = (() => {
       twin.restore(place.twin);
       [tick, next] = [place.tick, place.next];
       for (const each of Object.values(samples)) each.clear();
-      state = { mine: mine.read(), twin: twin.read() };
+      state = { mine: look(mine), twin: look(twin) };
       sample();
       return advance(target);
     }
@@ -106,11 +112,11 @@ Live.run = (() => {
       next = before.length + 1;
       if (kind !== "law") end = tick;
       snapshots = snapshots.filter((each) => each.tick < tick || each.tick === 0);
-      state = { mine: mine.read(), twin: twin.read() };
+      state = { mine: look(mine), twin: look(twin) };
     }
 
     return {
-      spec, period, agentTicks, samples, advance, seek, input,
+      spec, period, agentTicks, control, samples, advance, seek, input,
       /** Before the first tick: let inputs come by themselves, and a replay last until a tick. */
       script: (inputs, until) => { [events, end] = [[...inputs], until]; },
       /** Ticks that can still be simulated. */
