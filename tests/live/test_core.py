@@ -18,12 +18,15 @@ import numpy as np
 import pytest
 
 from amulett_gym import FAILURES, load_policy
+from amulett_gym.c.build import NO_COMPILER as C_COMPILER
+from amulett_gym.c.build import find_compiler
 from amulett_gym.envs.transition import OBSERVATION_SCALES, OBSERVATIONS
 from amulett_gym.evaluation.runner import evaluate
 from amulett_gym.laws.bundle import PolicyDescription, TrainingEnv, write_bundle
 from amulett_gym.laws.features import FEATURES, features
 from amulett_gym.laws.memory import MEMORY, SPANS, Memory
 from amulett_gym.live.core import script
+from amulett_gym.live.core.bench import measure
 from amulett_gym.live.core.build import NO_COMPILER, WASM, build, description, read_wasm, with_section
 from amulett_gym.live.core.data import device_data, policy_data, scenario_data
 from amulett_gym.profile import Profile, load_profile
@@ -497,6 +500,15 @@ def test_features_and_averaged_quantities_are_in_the_order_of_their_names(node):
 @pytest.mark.skipif(util.find_spec("ziglang") is None, reason=NO_COMPILER)
 def test_the_file_in_the_package_is_that_of_its_texts():
     assert build() == read_wasm(), "the C texts or the layout have changed: python -m amulett_gym.live.core.build"
+
+
+@needs_node
+@pytest.mark.slow
+@pytest.mark.skipif(find_compiler() is None, reason=C_COMPILER)
+def test_speeds_are_measured_of_all_loops():
+    found = measure(load_profile("testbed"), ticks=2000, rounds=1)
+    assert list(found) == list(CONTROLS)
+    assert min(min(rates) for rates in found.values()) > 0.0
 
 
 def test_the_files_layout_is_that_of_the_records():
