@@ -163,7 +163,8 @@ def drawn(profile: Profile, suite: str, split: str, seed: int) -> Scenario:
 @needs_node
 @pytest.mark.parametrize("name", PROFILES)
 def test_all_loops_equal_the_kernels_in_all_scenarios(node, devices, name):
-    profile, ticks = load_profile(name), 1200
+    profile = load_profile(name)
+    ticks = round(3.0 / profile.loop.control_period)
     suites = [drawn(profile, suite, "shifted", 3) for suite in SUITES]
     scenarios = [ALL_AT_ONCE, SAMPLED, HELD, MANY_MOVES, *suites]
     played = [(loop, scenario) for loop in CONTROLS for scenario in scenarios]
@@ -171,7 +172,7 @@ def test_all_loops_equal_the_kernels_in_all_scenarios(node, devices, name):
         {
             "options": {"device": devices[name], "loop": loop, "scenario": scenario_data(scenario)},
             "ticks": ticks,
-            "every": 40,
+            "every": ticks // 30,
         }
         for loop, scenario in played
     ]
@@ -180,7 +181,7 @@ def test_all_loops_equal_the_kernels_in_all_scenarios(node, devices, name):
     for (loop, scenario), rows in zip(played, results, strict=True):
         simulation = Simulation(profile, control=loop, tension_law="eq6")
         simulation.reset(pack(scenario, profile), paths=[pack_path(scenario)])
-        wanted = kernel_rows(simulation, ticks, 40)
+        wanted = kernel_rows(simulation, ticks, ticks // 30)
         assert apart(rows, wanted) < 1e-9, (loop, scenario)
         assert (rows[-1]["failed"] or "") == FAILURES[int(simulation.read("failure")[0])]
         stiffness = float(simulation.read("stiffness_setpoint")[0])
