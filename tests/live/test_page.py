@@ -549,7 +549,7 @@ def read_table(text: str) -> dict[str, list[float]]:
     return {name: [float(row[k] or "nan") for row in rows] for k, name in enumerate(header)}
 
 
-SIZES = ((1440, 900), (1280, 720), (1024, 768), (390, 844), (320, 568), (3000, 1600))
+SIZES = ((1440, 900), (1280, 720), (1024, 768), (960, 700), (760, 1000), (390, 844), (320, 568), (3000, 1600))
 
 
 @needs_browser
