@@ -167,9 +167,9 @@ def test_a_docstring_becomes_markdown():
 @pytest.mark.parametrize(
     ("docname", "link", "expected"),
     [
-        ("training", "[a](../README.md)", "[a](index.md)"),
+        ("training", "[a](../README.md)", "[a](readme.md)"),
         ("training", "[a](../CONTRIBUTING.md#rules)", "[a](contributing.md#rules)"),
-        ("tutorials/first-law", "[a](../../README.md)", "[a](../index.md)"),
+        ("tutorials/first-law", "[a](../../README.md)", "[a](../readme.md)"),
         ("tutorials/first-law", "[a](../README.md)", "[a](../README.md)"),
         ("training", "[a](../configs/ppo.yaml)", "[a](../configs/ppo.yaml)"),
         ("training", "[a](../configs/logs)", "a"),
@@ -180,3 +180,13 @@ def test_links_to_files_at_the_root_lead_to_their_pages(docname: str, link: str,
     source = [link]
     lead_to_pages(SimpleNamespace(srcdir=ROOT / "docs"), docname, source)
     assert source == [expected]
+
+
+def test_a_file_of_the_root_is_included_with_its_links(tmp_path: Path):
+    (tmp_path / "README.md").write_text(
+        "[a](docs/a.md#b), [b](CHANGELOG.md), ![c](docs/c.png), [d](https://d.example), [e](#e)"
+    )
+    app = SimpleNamespace(srcdir=tmp_path / "docs", env=SimpleNamespace(note_dependency=lambda path: None))
+    source = ["```{include} ../README.md\n```"]
+    lead_to_pages(app, "readme", source)
+    assert source == ["[a](a.md#b), [b](changelog.md), ![c](c.png), [d](https://d.example), [e](#e)"]

@@ -12,8 +12,10 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+PAGES = {"README.md": "readme.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 LINK = re.compile(r"\]\((?P<up>(?:\.\./)+)(?P<file>[A-Z]+\.md)(?=[)#])")
+INCLUDED = re.compile(r"^```\{include\} \.\./(?P<file>[A-Z]+\.md)\n```$", flags=re.MULTILINE)
+AT_THE_ROOT = re.compile(r"\]\((?!https?:|#)(?P<docs>docs/)?")
 FOLDER = re.compile(r"\[(?P<text>[^\]]+)\]\((?P<folder>(?:\.\./)+[\w./-]+)\)")
 
 
@@ -24,7 +26,12 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def lead_to_pages(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Let links to files at the repository's root lead to their pages, and take those to folders away."""
+    """Let links to files at the root lead to their pages, drop those to folders, and include files of the root."""
+
+    def content(match: re.Match[str]) -> str:
+        path = Path(app.srcdir).parent / match["file"]
+        app.env.note_dependency(path)
+        return AT_THE_ROOT.sub(lambda link: "](" if link["docs"] else "](../", path.read_text(encoding="utf-8"))
 
     def page(match: re.Match[str]) -> str:
         beyond = len(Path(docname).parents)  # levels up from the page to the repository
@@ -35,4 +42,4 @@ def lead_to_pages(app: Sphinx, docname: str, source: list[str]) -> None:
     def text(match: re.Match[str]) -> str:
         return match["text"] if (Path(app.srcdir) / docname).parent.joinpath(match["folder"]).is_dir() else match[0]
 
-    source[0] = FOLDER.sub(text, LINK.sub(page, source[0]))
+    source[0] = FOLDER.sub(text, LINK.sub(page, INCLUDED.sub(content, source[0])))
