@@ -243,6 +243,84 @@ def test_a_cluster_that_is_not_there_is_an_error_that_says_what_to_do(address):
         dict(results({"one": Call(_refuse)}, Workers(ray=address)))
 
 
+@pytest.mark.parametrize("answer", [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
+@pytest.mark.parametrize("address", ["127.0.0.1:{}", "ray://127.0.0.1:{}"])
+def test_another_program_at_the_address_is_an_error_at_once(monkeypatch, answer, address):
+    monkeypatch.setattr("amulett_gym.workers.cluster._KNOCK", 0.5)
+    connections = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def listen():
+            connection, _ = server.accept()
+            connection.sendall(answer)
+            connections.append(connection)  # stays open
+
+        listening = threading.Thread(target=listen)
+        listening.start()
+        begun = time.monotonic()
+        with pytest.raises(AmulettError, match="a program that is not Ray listens there"):
+            dict(results({"one": Call(_refuse)}, Workers(ray=address.format(server.getsockname()[1]))))
+        assert time.monotonic() - begun < 30.0
+        listening.join()
+    for connection in connections:
+        connection.close()
+
+
+def test_a_cluster_without_a_free_processor_is_reported(workers, monkeypatch, capsys):
+    monkeypatch.setattr("amulett_gym.workers.cluster._PATIENCE", 1.0)
+    results({}, workers)
+    dict(results({"one": Call(bytes, (1,))}, workers))  # connects
+    assert "no call has begun" not in capsys.readouterr().err
+    release = ray.remote(num_cpus=1)(time.sleep)
+    taken = [release.remote(12.0) for _ in range(2)]
+    time.sleep(3.0)  # both have begun
+    assert dict(results({"one": Call(bytes, (1,))}, workers)) == {"one": b"\0"}
+    said = capsys.readouterr().err
+    assert said.count("no call has begun for 1 s") == 1 and "which has 2, 0 of them free" in said
+    ray.get(taken)
+
+
+class _Unreadable:
+    """Cannot be unpickled."""
+
+    def __reduce__(self):
+        return _fail, ()
+
+
+def _fail():
+    raise ValueError("cannot be unpickled")
+
+
+def _make_unreadable():
+    return _Unreadable()
+
+
+def test_what_cannot_be_sent_names_its_call(workers):
+    with pytest.raises(AmulettError, match=r"^sent, on [\d.]+: the worker cannot make the call: .*cannot be unpickled"):
+        dict(results({"sent": Call(len, (_Unreadable(),))}, workers))
+    with pytest.raises(AmulettError, match="^returned: its result cannot be read here: .*cannot be unpickled"):
+        dict(results({"returned": Call(_make_unreadable)}, workers))
+    with pytest.raises(TypeError) as caught:
+        dict(results({"locked": Call(len, (threading.Lock(),))}, workers))
+    assert "amulett: in locked" in caught.value.__notes__
+
+
+def test_progress_takes_back_what_a_lost_worker_did_not_keep(workers, tmp_path):
+    units = []
+    assert dict(results({"lost": Call(_end_once, (tmp_path / "mark",))}, workers, units.append)) == {"lost": None}
+    assert sum(units) == 10 and min(units) == -10
+
+
+def _end_once(mark):
+    report.advance(5)
+    time.sleep(1.5)
+    report.advance(5)  # reports both
+    if not mark.exists():
+        mark.touch()
+        time.sleep(3.0)  # the driver reads them
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
 def test_from_outside_the_cluster_it_is_the_same(cluster, tmp_path):
     pytest.importorskip("grpc")
     port = cluster.head_node._ray_params.ray_client_server_port
