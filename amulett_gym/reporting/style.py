@@ -101,7 +101,7 @@ _IN_PRINT = dict.fromkeys(
 ) | {"lines.linewidth": 1.0, "lines.markersize": 4.0, "savefig.dpi": 600, "figure.constrained_layout.w_pad": 0.09}
 """Other settings in print: text of 8 pt at the printed size, and pixels for a printer."""
 
-_CHARACTER = 0.065
+_CHARACTER = 0.06
 """Mean width of a character of 8 pt [in]."""
 
 _LINE = 0.14
@@ -316,7 +316,7 @@ def legend_below(figure: Figure, handles: Sequence[Any], ncols: int, place: str 
 def _fitting(labels: Iterable[str], columns: int) -> int:
     """Return how many columns of a legend fit the width in print, at most `columns`."""
     printed, longest = figure_files().width, max(map(len, labels), default=0)
-    return columns if printed is None else max(1, min(columns, int(printed / (longest * _CHARACTER + 0.5))))
+    return columns if printed is None else max(1, min(columns, int(printed / (longest * _CHARACTER + 0.45))))
 
 
 def label_outer(panels: Sequence[Any], x_label: str, y_label: str) -> None:

@@ -198,8 +198,7 @@ def _make_all(
                 done, _ = ray.wait(list(made), num_returns=len(made), timeout=0)
             read_reports()
             if waits_since is not None and time.monotonic() - waits_since > _PATIENCE:
-                _say_that_it_waits(ray)
-                waits_since = None
+                waits_since = None if _says_that_it_waits(ray) else time.monotonic()
             finished: list[tuple[str, T]] = []
             for ref in done:
                 ended = made.pop(ref)
@@ -237,14 +236,18 @@ def _make_all(
             reports.shutdown(force=True)
 
 
-def _say_that_it_waits(ray: Any) -> None:
+def _says_that_it_waits(ray: Any) -> bool:
+    """Say that no call has begun if no processor is free, and return whether; else a worker is starting."""
     free, most = (int(found().get("CPU", 0)) for found in (ray.available_resources, ray.cluster_resources))
+    if free:
+        return False
     print(
         f"amulett: note: no call has begun for {_PATIENCE:.0f} s. Each needs a processor of the cluster, which has "
-        f"{most}, {free} of them free. The command waits for one; 'ray status' shows more",
+        f"{most}, none of them free. The command waits for one; 'ray status' shows more",
         file=sys.stderr,
         flush=True,
     )
+    return True
 
 
 def _outcome(ray: Any, ref: Any, name: str) -> _Done[Any] | str:

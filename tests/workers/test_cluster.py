@@ -267,16 +267,15 @@ def test_another_program_at_the_address_is_an_error_at_once(monkeypatch, answer,
 
 
 def test_a_cluster_without_a_free_processor_is_reported(workers, monkeypatch, capsys):
-    monkeypatch.setattr("amulett_gym.workers.cluster._PATIENCE", 1.0)
-    results({}, workers)
     dict(results({"one": Call(bytes, (1,))}, workers))  # connects
     assert "no call has begun" not in capsys.readouterr().err
+    monkeypatch.setattr("amulett_gym.workers.cluster._PATIENCE", 1.0)
     release = ray.remote(num_cpus=1)(time.sleep)
     taken = [release.remote(12.0) for _ in range(2)]
     time.sleep(3.0)  # both have begun
     assert dict(results({"one": Call(bytes, (1,))}, workers)) == {"one": b"\0"}
     said = capsys.readouterr().err
-    assert said.count("no call has begun for 1 s") == 1 and "which has 2, 0 of them free" in said
+    assert said.count("no call has begun for 1 s") == 1 and "which has 2, none of them free" in said
     ray.get(taken)
 
 
