@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import socket
 import sys
 import time
@@ -260,9 +261,11 @@ def _outcome(ray: Any, ref: Any, name: str) -> _Done[Any] | str:
         cause = error.cause
         if isinstance(cause, (KeyboardInterrupt, SystemExit)):
             return "its process was ended"
+        host = re.search(r"\bip=([^,)\s]+)", str(error))
+        place = f"{name}, on {host.group(1)}" if host else name
         raise AmulettError(
-            f"{name}, on {error.ip}: the worker cannot make the call: {_short(cause or error)}. Install the same "
-            "amulett-gym and packages on every node"
+            f"{place}: the worker cannot make the call: {_short(cause or error)}. Install the same amulett-gym and "
+            "packages on every node"
         ) from error
     except errors.TaskCancelledError:
         return "it was cancelled"

@@ -270,13 +270,16 @@ def test_a_cluster_without_a_free_processor_is_reported(workers, monkeypatch, ca
     dict(results({"one": Call(bytes, (1,))}, workers))  # connects
     assert "no call has begun" not in capsys.readouterr().err
     monkeypatch.setattr("amulett_gym.workers.cluster._PATIENCE", 1.0)
-    release = ray.remote(num_cpus=1)(time.sleep)
-    taken = [release.remote(12.0) for _ in range(2)]
+    taken = [ray.remote(num_cpus=1)(_wait).remote(12.0) for _ in range(2)]
     time.sleep(3.0)  # both have begun
     assert dict(results({"one": Call(bytes, (1,))}, workers)) == {"one": b"\0"}
     said = capsys.readouterr().err
     assert said.count("no call has begun for 1 s") == 1 and "which has 2, none of them free" in said
     ray.get(taken)
+
+
+def _wait(seconds):
+    time.sleep(seconds)
 
 
 class _Unreadable:
