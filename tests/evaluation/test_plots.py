@@ -128,7 +128,7 @@ def test_a_figure_is_written_whole_and_twice_the_same(figures, tmp_path, suffix)
 
 
 def test_another_suffix_is_refused(figures, tmp_path):
-    with pytest.raises(AmulettError, match=r"\.png or \.svg"):
+    with pytest.raises(AmulettError, match=r"\.png, \.svg, \.pdf"):
         style.save_figure(figures["cost"], tmp_path / "figure.jpg")
     assert not list(tmp_path.iterdir())
 

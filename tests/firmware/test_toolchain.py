@@ -20,7 +20,7 @@ def test_the_makefile_compiles_with_the_same_flags():
 
 def test_ci_installs_the_packages_that_the_message_names():
     script = (Path(__file__).parents[2] / ".ci" / "run").read_text()
-    assert f'simulator="{INSTALL.removeprefix("apt-get install -y ")}"' in script
+    assert f'packages="{INSTALL.removeprefix("apt-get install -y ")} ' in script
 
 
 def test_without_the_compiler_the_message_names_the_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
