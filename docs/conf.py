@@ -29,13 +29,13 @@ extensions = [
 ]
 exclude_patterns = ["_ext"]
 default_role = "code"  # a name in single backticks
-nitpicky = False
 
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4  # with the names that GitHub gives them
 suppress_warnings = ["misc.highlighting_failure"]
 
-# Tutorials are executed once, and again when their code changes; an error in one ends the build.
+# Tutorials are executed once, and again when their own code changes (not the package's: CONTRIBUTING.md); an error in
+# one ends the build.
 nb_execution_mode = "cache"
 nb_execution_timeout = 300  # [s] for a cell, on a busy machine
 nb_execution_raise_on_error = True
