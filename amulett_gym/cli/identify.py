@@ -40,7 +40,7 @@ _COUNTS = {
     "steps": "moves of each walker of the ensemble",
 }
 FLOORS = ("clamp", "hold", "ignore")  # of `studies.paper.reproduction.Readings.floor`
-_OF_FLEET = ("below_floor", "spring_laws", "bound", "devices", "write", "doc")
+_OF_FLEET = ("below_floor", "spring_laws", "bound", "devices", "write", "doc", "format", "columns")
 """Options for `--fleet` alone."""
 
 
