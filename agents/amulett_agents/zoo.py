@@ -32,11 +32,8 @@ class MeasuredInputs(BaseCallback):
         env = self.model.get_env()
         assert env is not None
         assert env.action_space.shape is not None
-        made, view, stack = (
-            describe_env(env),
-            unwrap_vec_wrapper(env, ActorView),
-            unwrap_vec_wrapper(env, VecFrameStack),
-        )
+        made = describe_env(env)
+        view, stack = unwrap_vec_wrapper(env, ActorView), unwrap_vec_wrapper(env, VecFrameStack)
         if made.id == DRIVES_ID:
             raise AmulettError(f"MeasuredInputs is not for {DRIVES_ID}: train with configs/drives.yaml")
         size = env.action_space.shape[0]

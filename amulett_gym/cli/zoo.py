@@ -44,11 +44,11 @@ def parse_zoo_file(content: Mapping[str, Any], path: Path) -> dict[str, Hyperpar
     """
     found = {}
     for name, entry in content.items():
+        where = f"'{name}' in '{path}'"
         if str(name).startswith(_NAMESPACE) and name not in ENV_IDS:
             raise unknown("environment", str(name), ENV_IDS)
         if not isinstance(entry, Mapping):
-            raise AmulettError(f"'{name}' in '{path}' has to be a mapping of hyper-parameters, not {entry!r}")
-        where = f"'{name}' in '{path}'"
+            raise AmulettError(f"{where} has to be a mapping of hyper-parameters, not {entry!r}")
         try:
             found[str(name)] = Hyperparameters.model_validate(dict(entry))
         except ValidationError as error:

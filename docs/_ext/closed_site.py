@@ -1,8 +1,9 @@
-"""Checks the finished site: every link within it leads somewhere, and no page loads anything from elsewhere."""
+"""Checks the finished site: every link within it leads somewhere; HTML and CSS load nothing from elsewhere."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -76,7 +77,7 @@ def is_elsewhere(address: str) -> bool:
     return bool(parts.netloc) or parts.scheme not in ("", "data", "javascript", "mailto")
 
 
-def missing(address: str, path: Path, site: Path, read: object) -> str:
+def missing(address: str, path: Path, site: Path, read: Callable[[Path], Page]) -> str:
     """Return why an address within the site leads nowhere; an empty string if it leads somewhere."""
     parts = urlsplit(address)
     if parts.scheme:
@@ -85,7 +86,7 @@ def missing(address: str, path: Path, site: Path, read: object) -> str:
     target = target / "index.html" if target.is_dir() else target
     if not target.is_file() or not target.is_relative_to(site.resolve()):
         return "no such file"
-    if parts.fragment and target.suffix == ".html" and unquote(parts.fragment) not in read(target).ids:  # type: ignore[operator]
+    if parts.fragment and target.suffix == ".html" and unquote(parts.fragment) not in read(target).ids:
         return "no such anchor"
     return ""
 
