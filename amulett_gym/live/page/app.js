@@ -152,6 +152,12 @@ Live.app = (() => {
       });
     }
 
+    /** Show the law that acts: anywhere else in the record it may be another one. */
+    function followLaw() {
+      settings.law = run.law;
+      memory[settings.law.name] = { ...settings.law.parameters };
+    }
+
     /** Do something that may be refused: then say why, and undo. */
     function guarded(act, undo = () => {}) {
       try {
@@ -232,9 +238,7 @@ Live.app = (() => {
         Object.assign(settings, before);
         throw error;
       }
-      const laws = run.events.filter((each) => each.kind === "law" && each.tick <= run.tick);
-      if (laws.length) settings.law = laws[laws.length - 1].value;
-      memory[settings.law.name] = { ...settings.law.parameters };
+      followLaw();
       byId("speed").value = String(SPEEDS.map(([speed]) => speed).reduce((a, b) => (Math.abs(b - checked.speed) < Math.abs(a - checked.speed) ? b : a)));
       touched();
       setPlaying(false);
@@ -309,6 +313,10 @@ Live.app = (() => {
 
     function draw(now) {
       dirty = false;
+      if (run.law !== settings.law) {
+        followLaw();
+        refresh();
+      }
       const { mine, twin } = run.state;
       Live.arm.draw(byId("mine-canvas"), mine, geometry(), { ghost: twin.angle, pull: pointer.pull, handle: true, active: pointer.part });
       Live.arm.draw(byId("twin-canvas"), twin, geometry(), { colour: Live.palette.colours.twin });

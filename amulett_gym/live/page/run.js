@@ -126,6 +126,11 @@ Live.run = (() => {
       get end() { return Math.max(end, events.length ? events[events.length - 1].tick : 0); },
       get replaying() { return next < events.length || tick < end; },
       get events() { return events; },
+      /** The law that acts: the run's first, or the one that was chosen last. @returns {Law} */
+      get law() {
+        for (let k = next - 1; k >= 0; k--) if (events[k].kind === "law") return events[k].value;
+        return spec.law;
+      },
       get state() { return state; },
       arms: { mine, twin },
     };
