@@ -133,7 +133,8 @@ Amulett.arm = (() => {
         commands: pair("command"), driveAngles: pair("drive"), driveSpeeds: springs.slice(4, 6),
         strings: springs.slice(0, 2), springs: springs.slice(2, 4), // deflections of strings, and of their linear springs [m]
         agonist: state.get("agonist"), // +1: biceps, -1: triceps
-        push: state.get("push_torque"), contact: state.get("contact_torque"),
+        push: state.get("push_torque"), hand: wasm.pushed(), // from outside in the last tick; of it by hand, from now on
+        contact: state.get("contact_torque"),
         payload: scene.get("payload_mass"),
         obstacle: side ? { angle: scene.get("obstacle_angle"), side, stiffness: scene.get("obstacle_stiffness"), damping: scene.get("obstacle_damping") } : null,
         measured: { angle: state.get("measured_angle"), velocity: state.get("measured_velocity"), tension: pair("estimate"), springs: pair("measured") },

@@ -383,7 +383,7 @@ Live.app = (() => {
     // ----- wiring -----
 
     const nudge = (degrees) => {
-      const most = data.limits.setpoint, angle = run.state.mine.setpoint + degrees / DEGREES;
+      const most = data.limits.setpoint, angle = run.asked.setpoint + degrees / DEGREES;
       input("setpoint", clamp(Math.round(angle * DEGREES) / DEGREES, -most, most));
     };
     const another = (way) => {
@@ -425,8 +425,8 @@ Live.app = (() => {
     const panel = Live.panel.make(app);
     const pointer = Live.pointer.make(byId("mine-canvas"), {
       frame: () => run.state.mine, limits: data.limits, touched,
-      setpoint: (angle) => { if (angle !== run.state.mine.setpoint) input("setpoint", angle); },
-      push: (torque) => { if (torque !== run.state.mine.push) input("push", torque); },
+      setpoint: (angle) => { if (angle !== run.asked.setpoint) input("setpoint", angle); },
+      push: (torque) => { if (torque !== run.asked.push) input("push", torque); },
     });
     Live.strips.make(byId("strips"));
     Live.drop.make(app);

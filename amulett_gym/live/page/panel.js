@@ -77,10 +77,10 @@ Live.panel = (() => {
 
     /** Show where the inputs are now, except for the one that is being moved. @param {any} state */
     function showInputs(state) {
-      const active = document.activeElement;
+      const active = document.activeElement, { asked } = app.run;
       const show = (field, value) => { if (!(field.input === active && field.input.matches(":active"))) field.set(value); };
-      show(setpoint, Math.round(state.setpoint * DEGREES));
-      show(push, state.push);
+      show(setpoint, Math.round(asked.setpoint * DEGREES));
+      show(push, asked.push);
       show(payload, state.payload);
       blocked.input.checked = Boolean(state.obstacle);
       obstacles.hidden = !state.obstacle;

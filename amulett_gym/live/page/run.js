@@ -126,6 +126,12 @@ Live.run = (() => {
       get end() { return Math.max(end, events.length ? events[events.length - 1].tick : 0); },
       get replaying() { return next < events.length || tick < end; },
       get events() { return events; },
+      /** The setpoint and the push by hand that are asked for, though no tick may have followed. */
+      get asked() {
+        let { setpoint } = state.mine;
+        for (let k = next - 1; k >= 0 && events[k].tick === tick; k--) if (events[k].kind === "setpoint") { setpoint = events[k].value; break; }
+        return { setpoint, push: state.mine.hand };
+      },
       /** The law that acts: the run's first, or the one that was chosen last. @returns {Law} */
       get law() {
         for (let k = next - 1; k >= 0; k--) if (events[k].kind === "law") return events[k].value;
