@@ -450,7 +450,7 @@ Live.app = (() => {
 
     /** Open a link's text. */
     async function open(hash) {
-      if (hash.length < 2) return;
+      if (hash.length < 2 || byId(hash.slice(1))) return; // none, or a place on this page
       try { load(await Live.link.decode(hash.slice(1))); } catch (error) { Live.messages.fail(error); }
     }
     app.open = open;
