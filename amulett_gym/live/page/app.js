@@ -30,7 +30,7 @@ Live.app = (() => {
       law: () => data.laws.find((each) => each.id === settings.law.name),
       state: () => run.state.mine,
       strength: () => 0.5 * data.limits.push,
-      input, choose, chooseLaw, setParameter, load, addBundle, addLaw, addScenario, addDevice, moment, link, restart, replay,
+      input, choose, chooseLaw, setParameter, load, addBundle, addLaw, addScenario, addDevice, moment, table, link, restart, replay,
       get run() { return run; },
       get playing() { return playing; },
       durations,
@@ -255,8 +255,11 @@ Live.app = (() => {
       return text;
     }
 
+    /** The run so far as CSV. */
+    function table() { return Live.csv.table(run, core); }
+
     function saveCsv() {
-      const file = new Blob([Live.csv.table(run, core)], { type: "text/csv" }), url = URL.createObjectURL(file);
+      const file = new Blob([table()], { type: "text/csv" }), url = URL.createObjectURL(file);
       const anchor = element("a", { href: url, download: `amulett-${settings.device.replace(/[^\w-]+/g, "-")}-${settings.law.name.replace(/[^\w-]+/g, "-")}.csv` });
       document.body.append(anchor);
       anchor.click();
@@ -364,6 +367,8 @@ Live.app = (() => {
 
     /** @returns {string} your cost beside eq. 6's, once there is something to compare */
     function verdict(mine, twin) {
+      // An arm that has failed costs no more, so the two costs no longer compare.
+      if (mine.failed || twin.failed) return mine.failed && twin.failed ? "both arms failed" : `${mine.failed ? "your arm" : "eq. 6's arm"} failed`;
       if (twin.cost < 1e-3) return "your cost / eq. 6's: –";
       const share = mine.cost / twin.cost;
       if (Math.abs(share - 1) < 0.005) return "costs as much as eq. 6";

@@ -20,11 +20,14 @@ Live.csv = (() => {
     ["cost", (state) => state.cost],
   ];
 
-  /** @type {[string, (mine: any, twin: any) => number | null][]} */
+  /** An arm that has not failed, if there is one: only that one goes on. */
+  const going = (mine, twin) => (mine.failed ? twin : mine);
+
+  /** @type {[string, (mine: any, twin: any, time: number) => number | null][]} */
   const COLUMNS = [
-    ["time_s", (mine) => mine.time],
-    ["setpoint_deg", (mine) => mine.setpoint * DEGREES],
-    ["push_torque_Nm", (mine) => mine.push],
+    ["time_s", (mine, twin, time) => time],
+    ["setpoint_deg", (mine, twin) => going(mine, twin).setpoint * DEGREES],
+    ["push_torque_Nm", (mine, twin) => going(mine, twin).push],
     ...OWN.map(([name, value]) => /** @type {[string, any]} */ ([name, (mine) => value(mine)])),
     ...OWN.map(([name, value]) => /** @type {[string, any]} */ ([`eq6_${name}`, (mine, twin) => value(twin)])),
   ];
@@ -32,7 +35,7 @@ Live.csv = (() => {
   /** @param {any} run @param {any} core @returns {string} the table of the run up to its present tick */
   function table(run, core) {
     const again = Live.run.make(core, run.spec, run.events), lines = [COLUMNS.map(([name]) => name).join(",")];
-    const row = () => lines.push(COLUMNS.map(([, value]) => text(value(again.state.mine, again.state.twin))).join(","));
+    const row = () => lines.push(COLUMNS.map(([, value]) => text(value(again.state.mine, again.state.twin, again.time))).join(","));
     row();
     while (again.tick < run.tick) {
       again.advance(again.tick + 1);
