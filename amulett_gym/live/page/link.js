@@ -32,8 +32,10 @@ Live.link = (() => {
 
   /** A link's content as text. @param {any} content */
   async function pack(content) {
-    const text = JSON.stringify(content);
-    return `z${toBase64(await packed(new TextEncoder().encode(text), new CompressionStream("deflate-raw"), Infinity))}`;
+    const bytes = new TextEncoder().encode(JSON.stringify(content));
+    const text = `z${toBase64(await packed(bytes, new CompressionStream("deflate-raw"), Infinity))}`;
+    if (bytes.length > MOST_BYTES || text.length > MOST_TEXT) throw new UserError(`the run has too many inputs for a link, which has at most ${MOST_TEXT} characters; restart, or save the CSV`);
+    return text;
   }
 
   /**
@@ -132,6 +134,7 @@ Live.link = (() => {
       oneOf(`input 'events.${k}.1' of the link`, row[1], [...Live.run.SHARED, "law"]);
       return { tick, kind: row[1], value: checkInput(`'events.${k}.2'`, row[1], row[2], data) };
     });
+    if (tick > content.end) throw new UserError(`'end' is ${content.end}; it has to be at least ${tick}, the tick of the last input`);
     return { ...content, law: checkLaw("'law'", content.law, data), events };
   }
 
