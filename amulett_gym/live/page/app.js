@@ -201,7 +201,7 @@ Live.app = (() => {
         Amulett.base.number(`'${each.name}' of '${file}' [${each.unit}]`, value, each.low, each.high);
         return { ...each, title: each.name.replaceAll("_", " "), value };
       });
-      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: `${recipe.law}, tuned by you`, parameters, content: { name: recipe.law } };
+      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: `${recipe.law}, tuned by you`, parameters, content: { name: recipe.law, range: data.ranges[loop] } };
       offer(data.laws, entry, () => change({ loop, law: fresh(id, true) }));
     }
 
