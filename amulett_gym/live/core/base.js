@@ -17,7 +17,7 @@ Amulett.base = (() => {
   function shown(value) {
     let text;
     if (typeof value === "string") return `'${value.length > 60 ? `${value.slice(0, 57)}…` : value}'`;
-    try { text = typeof value === "number" ? String(value) : JSON.stringify(value); } catch { text = String(value); }
+    try { text = typeof value === "number" ? String(value) : JSON.stringify(value); } catch { text = typeof value === "object" ? "too deep to show" : String(value); }
     text = text === undefined ? String(value) : text;
     return text.length > 60 ? `${text.slice(0, 57)}…` : text;
   }

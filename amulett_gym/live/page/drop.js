@@ -81,9 +81,9 @@ Live.drop = (() => {
     const content = parse(await text(file), suffix, name);
     if (typeof content !== "object" || content === null || Array.isArray(content)) throw new UserError(`'${name}' holds ${shown(content)}; it has to hold keys with values`);
     if (content.format === "amulett-tuned-law") return app.addLaw(name, content);
-    if (["moves", "pushes", "initial_angle_deg", "obstacle", "wave", "shake", "payload"].some((key) => Object.hasOwn(content, key))) return app.addScenario(name, content);
+    if (["moves", "setpoint", "pushes", "initial_angle_deg", "obstacle", "wave", "shake", "payload"].some((key) => Object.hasOwn(content, key))) return app.addScenario(name, content);
     if (["name", "base", "plant", "spring", "drives", "sensors", "loop"].some((key) => Object.hasOwn(content, key))) return app.addDevice(name, content);
-    throw new UserError(`'${name}' is no device (it has neither name nor base), no scenario (no moves or pushes) and no tuned law (its format is not amulett-tuned-law); its keys are ${Object.keys(content).slice(0, 8).map((key) => key.slice(0, 40)).join(", ") || "none"}`);
+    throw new UserError(`'${name}' is no device (it has neither name nor base), no scenario (no moves, setpoint or pushes) and no tuned law (its format is not amulett-tuned-law); its keys are ${Object.keys(content).slice(0, 8).map((key) => key.slice(0, 40)).join(", ") || "none"}`);
   }
 
   async function text(file) {
@@ -111,7 +111,7 @@ Live.drop = (() => {
     for (let seen = 0; left.length; seen++) {
       if (seen > MOST_VALUES) throw new UserError(`'${name}' holds more than ${MOST_VALUES} values, which is the most`);
       const each = left.pop();
-      if (typeof each === "object" && each !== null) left.push(...Object.values(each).slice(0, MOST_VALUES));
+      if (typeof each === "object" && each !== null) for (const value of Object.values(each).slice(0, MOST_VALUES)) left.push(value);
     }
   }
 

@@ -22,7 +22,6 @@ Live.profile = (() => {
    */
   function read(content, file, layout, data) {
     const what = `'${file}'`, { schema, bases } = data.profile;
-    if (content.format === "amulett-live-device") return entry(content, what, content.name);
     const profile = resolve(content, what, bases);
     const spring = isObject(profile.spring) ? profile.spring : {};
     if (spring.measured_curve) throw new UserError(`${what} has a 'spring.measured_curve', which ${ELSEWHERE}`);
@@ -35,7 +34,6 @@ Live.profile = (() => {
   }
 
   function entry(content, what, base) {
-    if (typeof content.name !== "string" || !content.name || !isObject(content.unfit) || !isObject(content.parameters)) throw new UserError(`${what} is no device of amulett_gym.live.core.data.device_data`);
     const { joint_radius: jointRadius, drive_radius: driveRadius, max_force: maxForce } = content.parameters;
     return {
       title: content.name, description: `of ${what}; its costs are in units of the ${base}'s`, unfit: content.unfit,
