@@ -3,7 +3,7 @@
 // file of it is used before it was checked.
 
 Amulett.policy = (() => {
-  const { AmulettError, checked, isObject, number, shown, sha256 } = Amulett.base;
+  const { AmulettError, checked, isObject, number, oneOf, shown, sha256 } = Amulett.base;
   const FILES = ["weights.safetensors", "policy.json", "env.json", "provenance.json"], MANIFEST = "manifest.json";
   const OPTIONAL = ["card.md", "critic.npz"]; // which no policy needs to act
   const MOST_BYTES = 16e6, MOST_WEIGHT = 1e6, MOST_HEADER = 1e5;
@@ -32,7 +32,7 @@ Amulett.policy = (() => {
     const policy = checked(layout.schemas.policy, json(files, "policy.json"), "'policy.json'");
     checkPolicy(layout, policy);
     const env = json(files, "env.json"), keywords = isObject(env.keywords) ? env.keywords : {};
-    const control = typeof keywords.control === "string" ? keywords.control : "decentralized";
+    const control = oneOf("control loop in 'env.json'", keywords.control ?? "decentralized", layout.loops);
     const delay = keywords.action_delay === undefined ? 0 : number("'env.json': 'keywords.action_delay'", keywords.action_delay, 0, 1e6);
     const found = { id: sha256(files[MANIFEST]), delay: Math.floor(delay), policy, layers: readLayers(files["weights.safetensors"], policy.network), control };
     policies.set(found.id, found);
@@ -93,7 +93,8 @@ Amulett.policy = (() => {
     const wanted = sizes.slice(1).flatMap((outputs, k) => /** @type {[string, number[]][]} */ ([[`layer_${k}.weight`, [outputs, sizes[k]]], [`layer_${k}.bias`, [outputs]]]));
     for (const name of Object.keys(header)) if (name !== "__metadata__" && !wanted.some(([each]) => each === name)) wrong(` holds '${name.slice(0, 100)}', which policy.json does not describe`);
     const tensors = wanted.map(([name, shape]) => {
-      const { dtype, shape: found, data_offsets: [begin, end] = [NaN, NaN] } = isObject(header[name]) ? header[name] : wrong(` does not hold '${name}', which policy.json describes`);
+      const { dtype, shape: found, data_offsets: offsets } = isObject(header[name]) ? header[name] : wrong(` does not hold '${name}', which policy.json describes`);
+      const [begin, end] = Array.isArray(offsets) ? offsets : [NaN, NaN];
       const count = shape.reduce((product, size) => product * size, 1), start = 8 + length + begin;
       if (dtype !== "F32" || !Array.isArray(found) || !sameList(found, shape)) wrong(`: '${name}' is ${shown(dtype)} of shape ${shown(found)}; it has to be F32 of shape ${shown(shape)}`);
       if (!(Number.isInteger(begin) && begin >= 0 && end - begin === 4 * count && start + 4 * count <= bytes.length)) wrong(` is not a valid safetensors file: '${name}' is not within it`);
