@@ -19,6 +19,7 @@ from live.browser import MISSING, Page, chromium, has_browser
 
 from amulett_gym.cli import main
 from amulett_gym.fleet import load_fleet
+from amulett_gym.laws.parametric import tuned_vector
 from amulett_gym.live.core.data import device_data
 from amulett_gym.live.page import build_page
 from amulett_gym.profile import load_profile
@@ -279,6 +280,14 @@ def test_tab_reaches_every_control_and_each_has_a_name(page):
 
 
 @needs_browser
+def test_the_link_that_skips_to_the_controls_is_no_link_to_a_moment(page):
+    page.find(".skip").send_keys("\n")
+    page.wait("return location.hash === '#controls'")
+    time.sleep(0.2)
+    assert page.messages() == "" and page.errors() == []
+
+
+@needs_browser
 def test_letters_can_be_switched_off(page):
     from selenium.webdriver import ActionChains
 
@@ -324,6 +333,57 @@ def test_going_back_in_time_gives_the_same_states(page):
 
 
 @needs_browser
+def test_going_back_in_time_shows_the_law_that_acts(page):
+    page.run(PLAYED)
+    shown = "return [app.settings.law.name, document.getElementById('law').value]"
+    assert page.run(shown) == ["constant", "constant"]
+    page.run("""
+        document.getElementById("time").value = "333";
+        document.getElementById("time").dispatchEvent(new Event("input"));
+    """)
+    page.wait("return app.settings.law.name === 'pretrained'")
+    assert page.run(shown) == ["pretrained", "pretrained"]
+    page.run("app.input('setpoint', 0.2); run.advance(800)")  # takes over from there: with the law that is shown
+    assert page.run(shown) == ["pretrained", "pretrained"] == [page.run("return run.law.name")] * 2
+
+
+@needs_browser
+def test_inputs_add_up_while_it_is_paused(page):
+    from selenium.webdriver import ActionChains, Keys
+
+    ActionChains(page.driver).send_keys(Keys.ARROW_UP, Keys.ARROW_UP, Keys.ARROW_UP).perform()
+    page.find("#push").send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    page.find("#step").click()
+    mine = state(page)["mine"]
+    assert math.degrees(mine["setpoint"]) == pytest.approx(15.0) and mine["push"] == pytest.approx(0.03)
+
+
+@needs_browser
+def test_a_push_ends_with_its_pull_while_it_is_paused(page):
+    from selenium.webdriver import ActionChains
+
+    canvas, hold = page.find("#mine-canvas"), page.place(0.0, 150.0)
+    actions = ActionChains(page.driver, duration=20).move_to_element_with_offset(canvas, *hold).click_and_hold()
+    actions.move_by_offset(0, -60).perform()
+    assert page.run("return run.asked.push") > 0.2
+    ActionChains(page.driver).release().perform()
+    page.find("#step").click()
+    assert state(page)["mine"]["push"] == 0.0
+
+
+@needs_browser
+def test_an_arm_that_failed_is_not_called_the_cheaper_one(page):
+    page.run("app.chooseLaw('constant'); app.input('setpoint', 2.4); app.input('payload', 2); app.input('push', 0.8)")
+    page.run("run.advance(4000)")
+    found = state(page)
+    assert found["mine"]["failed"] or found["twin"]["failed"]
+    page.find("#step").click()
+    assert page.wait("return document.getElementById('verdict').textContent").endswith("failed")
+    times = read_table(page.run("return app.table()"))["time_s"]
+    assert times == sorted(set(times)) and len(times) == page.run("return run.tick") + 1
+
+
+@needs_browser
 def test_a_replay_has_the_same_inputs_with_another_law(page):
     page.run(PLAYED)
     twin = state(page)["twin"]
@@ -342,6 +402,7 @@ WRONG_LINKS = (
     ({"tick": 1e12}, "tick"),
     ({"tick": 5, "end": 4}, "tick"),
     ({"end": 10**8, "tick": 0}, "longer than 600 s"),
+    ({"events": [[10**8, "push", 0]]}, "'end' is 100; it has to be at least 100000000"),
     ({"events": [[0, "setpoint", None]]}, "events.0.2"),
     ({"events": [[0, "setpoint", 1e308]]}, "events.0.2"),
     ({"events": [[-1, "push", 0]]}, "events.0.0"),
@@ -400,6 +461,7 @@ GARBAGE = {
     "far__json": '{"moves": [{"time": 0, "angle_deg": 1e300}]}',
     "null__json": "null",
     "deep__json": "[" * 100_000,
+    "deep2__json": '{"moves": ' + "[" * 50_000 + "]" * 50_000 + "}",
     "html__json": '{"<img src=x onerror=globalThis.pwned=1>": 1}',
     "moves__json": '{"moves": "<img src=x onerror=globalThis.pwned=1>"}',
     "unknown__json": '{"moves": [], "obstacel": null}',
@@ -418,7 +480,9 @@ GARBAGE = {
     "device3__yaml": "name: mine\nbase: nobody\n",
     "device4__yaml": "name: mine\nbase: testbed\ndrives: {lag: .nan}\n",
     "device5__yaml": "name: mine\nbase: testbed\ndrives: {lag: 1.0e+300}\n",
-    "live__json": '{"format": "amulett-live-device", "name": "x"}',
+    "live__json": json.dumps(
+        {"format": "amulett-live-device", "name": "x", "unfit": {}, "parameters": {}, "prices": {}}
+    ),
     "weights__safetensors": b"\xff" * 100,
     "policy__json": "{}",
 }
@@ -513,6 +577,27 @@ def test_a_tuned_law_of_ones_own_acts_as_the_shipped_one(page, tmp_path):
     assert page.run("return app.settings.law.name") == "own:mine.json"
     page.run("app.restart(false); app.input('setpoint', 0.8); run.advance(400)")
     assert state(page) == shipped
+
+
+@needs_browser
+def test_a_law_that_was_tuned_in_another_loop_has_its_tensions(page, tmp_path):
+    import amulett_gym
+
+    tuned = Path(amulett_gym.__file__).parent / "laws" / "tuned" / "testbed" / "parametric-mixed.json"
+    content = json.loads(tuned.read_text())
+    content["recipe"]["control"] = "computed-torque"
+    give(page, tmp_path, mine__json=json.dumps(content))
+    assert page.run("return [app.settings.loop, app.settings.law.name]") == ["computed-torque", "own:mine.json"]
+    path = tmp_path / "mine.json"
+    law, _ = tuned_vector(str(path), load_profile("testbed"))
+    assert page.run("return app.law().content.range") == list(law.range) == [0.0, 15.0]
+
+
+@needs_browser
+def test_a_scenario_of_samples_alone_is_taken(page, tmp_path):
+    give(page, tmp_path, mine__json='{"setpoint": {"time": [0, 0.2], "angle_deg": [10, 30]}}')
+    page.run("run.advance(200)")
+    assert math.degrees(state(page)["mine"]["setpoint"]) == pytest.approx(30.0), page.messages()
 
 
 @needs_browser
