@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
+
+from myst_nb.core.execute import cache as notebooks
 
 from amulett_gym import __version__
 
@@ -38,6 +41,8 @@ suppress_warnings = ["misc.highlighting_failure"]
 # one ends the build.
 nb_execution_mode = "cache"
 nb_execution_timeout = 300  # [s] for a cell, on a busy machine
+# [s] for the start of its process, of which 60, the default, are too few beside CI's other work. There is no setting.
+notebooks.single_nb_execution = partial(notebooks.single_nb_execution, startup_timeout=300)
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
