@@ -110,11 +110,12 @@ def run(arguments: argparse.Namespace) -> int:
         interrupted = True
         print("amulett: interrupted; the results until then are kept", file=sys.stderr)
     finally:  # an error in a late section must not lose the early ones
+        content = {"machine": here, **compiled, **data}
         for target in targets if data else ():
-            write_json(target, {"machine": here, **compiled, **data})
+            write_json(target, content)
             show(f"Written: {target}")
         if arguments.json:
-            print_json({"machine": here, **compiled, **data})
+            print_json(content)
     if arguments.out is not None:
         from amulett_gym.studies.speed.figures import draw
 
