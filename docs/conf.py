@@ -33,9 +33,7 @@ extensions = [
 exclude_patterns = ["_ext"]
 default_role = "code"  # a name in single backticks
 
-myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 4  # with the names that GitHub gives them
-suppress_warnings = ["misc.highlighting_failure"]
 
 # Tutorials are executed once, and again when their own code changes (not the package's: CONTRIBUTING.md); an error in
 # one ends the build.
