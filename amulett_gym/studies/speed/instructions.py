@@ -79,9 +79,12 @@ def compiler_target() -> dict[str, Any]:
         ``target``: the processor, as LLVM names it; ``vector_bits``: the widest registers in the tick's longest stage,
         None where they cannot be told.
     """
-    target = numba.config.CPU_NAME or llvm.get_host_cpu_name()
     known = platform.machine() in ("x86_64", "AMD64") and not numba.config.DISABLE_JIT
-    return {"target": target, "vector_bits": counted(machine_code("evaluate"))["bits"] if known else None}
+    return {"target": _own_target(), "vector_bits": counted(machine_code("evaluate"))["bits"] if known else None}
+
+
+def _own_target() -> str:
+    return str(numba.config.CPU_NAME or llvm.get_host_cpu_name())
 
 
 def machine_code(stage: str) -> str:
@@ -102,7 +105,7 @@ def counted(code: str) -> dict[str, int]:
             packed = match[1] == "p"
             found["packed" if packed else "scalar"] += 1
             if packed:
-                found["bits"] = max(found["bits"], *(_WIDTHS[width] for width in _WIDTHS if width in operands), 64)
+                found["bits"] = max([found["bits"], *(bits for name, bits in _WIDTHS.items() if name in operands)])
     return found
 
 
@@ -145,9 +148,10 @@ def text(counts: Mapping[str, Mapping[str, int]], target: str) -> str:
 def main() -> int:
     """Run the command."""
     parser = argparse.ArgumentParser("python -m amulett_gym.studies.speed.instructions", None, __doc__.split("\n")[0])
-    parser.add_argument("--target", metavar="NAME", help="processor, as LLVM names it (default: this one)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--target", metavar="NAME", help="processor, as LLVM names it (default: this one)")
+    what.add_argument("--record", action="store_true", help=f"renew {RECORDED}")
     parser.add_argument("--json", metavar="FILE", help="write the counts as JSON; '-' prints them and nothing else")
-    parser.add_argument("--record", action="store_true", help=f"renew {RECORDED}")
     arguments = parser.parse_args()
     if arguments.record:
         content = {"llvm": llvm_version(), "counts": {target: count_for(target) for target in TARGETS}}
@@ -160,7 +164,7 @@ def main() -> int:
     if arguments.json == "-":
         print(json.dumps(counts))
         return 0
-    print(text(counts, arguments.target or numba.config.CPU_NAME or llvm.get_host_cpu_name()))
+    print(text(counts, arguments.target or _own_target()))
     if arguments.json:
         write_json(arguments.json, counts)
     return 0
