@@ -95,9 +95,10 @@ def choices(profile: Any, policies: Sequence[str], scenario: Any, loop: str | No
         raise unknown("control loop", loop, CONTROLS)
     contenders = [(name, parse_contender(name)) for name in dict.fromkeys(policies)]
     devices = [_device(each, group) for each, group in _devices(own)]
-    added = [_own_law(name, contender, own) for name, contender in contenders]
-    laws = list({law["id"]: law for law in [*_laws(own), *added]}.values())
-    first = added[0] if added else next(law for law in laws if law["id"] == "pretrained")
+    shipped = {law["id"]: law for law in _laws(own)}
+    added = [_own_law(name, contender, own, shipped) for name, contender in contenders]
+    laws = list((shipped | {law["id"]: law for law in added}).values())
+    first = added[0] if added else shipped["pretrained"]
     loop = loop or first.get("loop", CONTROLS[0])
     if reason := next(each for each in devices if each["id"] == own.name)["unfit"].get(loop):
         raise AmulettError(f"the control loop '{loop}' does not fit the device '{own.name}': {reason}")
@@ -188,19 +189,18 @@ def _laws(own: Profile) -> list[dict[str, Any]]:
     ]
     tension = {**_parameter(BEST_CONSTANT.parameters[0], 8.0), "low": FEED_FORWARD_RANGE[0]}
     laws = [
-        _law("constant", "constant tension", "By hand", "the same tension all the time", [tension]),
-        _law("eq6", "eq. 6", "By hand", names["eq6"], eq6),
-        _law("eq6-held", "eq. 6, every 20 ms", "By hand", names["eq6-held"], eq6),
+        _law("constant", "constant tension", "Hand-made", "the same tension all the time", [tension]),
+        _law("eq6", "eq. 6", "Hand-made", names["eq6"], eq6),
+        _law("eq6-held", "eq. 6, every 20 ms", "Hand-made", names["eq6-held"], eq6),
     ]
     laws += [_tuned(name, own) for name in SHOWN_TUNED]
     return [*laws, *(_learned(name, names[name].partition(";")[0]) for name in SHOWN_LEARNED)]
 
 
-def _own_law(name: str, contender: Contender, own: Profile) -> dict[str, Any]:
+def _own_law(name: str, contender: Contender, own: Profile, shipped: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """Return the entry of a law that was asked for, with the loop that it was made for."""
     law_name = split_loop(name)[1]
     shown = {"group": "Your own", "loop": contender.env_keywords.get("control", CONTROLS[0])}
-    shipped = {law["id"]: law for law in _laws(own)}
     if contender.env_id is not None:
         raise AmulettError(f"'{name}' acts in {contender.env_id} alone; the page shows laws that choose a tension")
     if law_name in shipped:
