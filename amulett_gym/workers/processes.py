@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import os
 import signal
 from collections import Counter
@@ -144,6 +146,7 @@ def _begin(units: Any) -> None:
     """Begin a worker: end it when its parent ends, since a parent that was killed cannot do that."""
     global _progress
     _progress = units
+    atexit.register(gc.freeze)  # its parent waits for its end, which takes a second with a search for garbage
     Thread(target=_end_with_parent, daemon=True).start()
 
 
