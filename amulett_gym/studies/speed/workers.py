@@ -43,8 +43,8 @@ TASK = 1.0
 LIMITS = {"gain": 1.8, "overhead": 0.05}
 """Least gain of two workers, and largest overhead as a part of the task."""
 
-SIZES = (1_000, 100_000, 10_000_000)
-"""Sizes of results [bytes]."""
+SIZES = {1_000: 2_000, 100_000: 500, 10_000_000: 20}
+"""Sizes of results [bytes] -> how many of them."""
 
 
 def measure(two: Workers, turns: int) -> dict[str, Any]:
@@ -66,8 +66,8 @@ def measure(two: Workers, turns: int) -> dict[str, Any]:
             got.append(_free_cores())
             overheads.append(_overhead(one))
         rates = {f"tasks of 0 s, {two.words()}": _rate(two, 0, 500)}
-        rates |= {f"results of {size:,} bytes": _rate(two, size, max(20_000_000 // size, 20)) for size in SIZES[:2]}
-        rates[f"results of {SIZES[2]:,} bytes"] = _rate(two, SIZES[2], 20)
+        for size, count in SIZES.items():
+            rates[f"results of {size:,} bytes"] = _rate(two, size, count)
         files = _files(Path(folder) / "files", 1000)
     return {
         "workers": two.words(),
