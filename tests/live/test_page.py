@@ -371,6 +371,71 @@ def test_a_push_ends_with_its_pull_while_it_is_paused(page):
     assert state(page)["mine"]["push"] == 0.0
 
 
+def strip_pictures(page: Page) -> list[np.ndarray]:
+    """Return the strips' pixels, each of shape (height, width, 3)."""
+    taken = page.run("""
+        Live.strips.draw(run.samples, run.time, false);
+        return [...document.querySelectorAll(".strip canvas")].map((each) => [each.height, each.width,
+            btoa(Array.from(each.getContext("2d").getImageData(0, 0, each.width, each.height).data,
+                (value) => String.fromCharCode(value)).join(""))]);
+    """)
+    pictures = (np.frombuffer(base64.b64decode(data), np.uint8).reshape(high, wide, 4) for high, wide, data in taken)
+    return [picture[..., :3].astype(float) for picture in pictures]
+
+
+def coloured(picture: np.ndarray) -> np.ndarray:
+    """Return how many pixels of each column are of a curve: lines and texts of the ground are grey."""
+    return (np.ptp(picture, axis=2) > 60).sum(axis=0)
+
+
+@needs_browser
+def test_curves_that_grew_with_time_are_those_drawn_at_once(page):
+    page.run("app.chooseLaw('constant'); app.input('push', 0.1); app.input('setpoint', 0.6)")
+    for until in (5.0, 11.0, 20.0):  # s: in the first window, after it, and after their canvas was moved to the left
+        page.run(
+            """
+            while (run.time < arguments[0]) {
+                if (run.tick % 350 === 0) app.input("setpoint", 0.6 + 0.15 * Math.sin(run.tick));
+                run.advance(run.tick + 7);
+                Live.strips.draw(run.samples, run.time, false);
+            }
+            """,
+            until,
+        )
+        grown = strip_pictures(page)
+        page.run("const now = run.tick; run.seek(0); run.seek(now)")  # begins the curves anew
+        for k, (one, other) in enumerate(zip(grown, strip_pictures(page), strict=True)):
+            if k in (2, 3, 5):  # no dashes; pieces of two curves that cross may lie upon each other in another order
+                assert np.mean(np.abs(one - other) > 64) < 0.003, (until, k)
+            assert np.array_equal(coloured(one) > 0, coloured(other) > 0), (until, k, "there is a gap")
+            assert np.mean(coloured(one) > 0) > 0.3, (until, k)
+
+
+@needs_browser
+def test_no_frame_is_asked_for_while_there_is_nothing_to_do(page):
+    time.sleep(0.3)
+    page.run("app.durations.length = 0")
+    time.sleep(0.3)
+    assert page.run("return app.durations.length") == 0
+    page.find("#play").click()
+    page.wait("return app.durations.length > 3")
+
+
+@needs_browser
+def test_a_picture_that_cannot_be_drawn_is_reported_once_and_ends_the_run(page):
+    page.run("""
+        globalThis.draw = Live.arm.draw;
+        Live.arm.draw = () => { throw new Error("no picture"); };
+    """)
+    page.find("#play").click()
+    page.wait("return document.getElementById('messages').children.length > 0 && !app.playing")
+    time.sleep(0.3)
+    assert page.messages().count("no picture") == 1
+    assert page.find("#play").text.endswith("Run") and any("no picture" in error for error in page.errors())
+    page.run("Live.arm.draw = globalThis.draw; document.getElementById('play').click()")
+    page.wait("return run.time > 0.2")
+
+
 @needs_browser
 def test_an_arm_that_failed_is_not_called_the_cheaper_one(page):
     page.run("app.chooseLaw('constant'); app.input('setpoint', 2.4); app.input('payload', 2); app.input('push', 0.8)")

@@ -2,11 +2,11 @@
 // The page: it holds the choices and the run, and calls the other parts once a frame.
 
 Live.app = (() => {
-  const { byId, element, fixed, DEGREES, clamp, UserError } = Live.base;
+  const { byId, element, write, fixed, DEGREES, clamp, UserError } = Live.base;
 
   const SPEEDS = [[1, "real time"], [0.5, "1/2"], [0.25, "1/4"], [0.1, "1/10"]];
   const MOST_PASSED = 0.1; // [s] of real time that a frame makes up for
-  const WRITE_EVERY = 100; // [ms] between two updates of numbers
+  const WRITE_EVERY = 200; // [ms] between two updates of numbers, which cost more than a picture and have to be read
   const KEPT = 3600; // durations of frames
 
   const TERMS = [
@@ -22,7 +22,7 @@ Live.app = (() => {
   function make(data, core) {
     const settings = { ...data.start };
     const memory = {}; // parameters of laws that were chosen before
-    let run = begin([]), playing = false, carry = 0, last = 0, written = 0, untouched = true, dirty = true;
+    let run = begin([]), playing = false, carry = 0, last = NaN, written = 0, untouched = true, dirty = false, awake = false;
     const durations = [];
 
     const app = {
@@ -84,7 +84,7 @@ Live.app = (() => {
       guarded(() => {
         touched();
         run.input(kind, value);
-        dirty = true;
+        redraw();
       });
     }
 
@@ -148,7 +148,7 @@ Live.app = (() => {
         run.input("law", law);
         settings.law = law;
         memory[law.name] = { ...law.parameters };
-        dirty = true;
+        redraw();
       });
     }
 
@@ -275,26 +275,44 @@ Live.app = (() => {
       byId("play").setAttribute("aria-pressed", String(now));
       byId("play-word").textContent = now ? "Pause" : "Run";
       byId("play-sign").textContent = now ? "\u275A\u275A" : "\u25B6";
-      dirty = true;
+      redraw();
     }
 
     function stepOnce(ticks) {
       setPlaying(false);
       guarded(() => run.advance(run.tick + Math.min(ticks, run.room())));
-      dirty = true;
+      redraw();
     }
 
+    /** Draw in the next frame. */
+    function redraw() {
+      dirty = true;
+      wake();
+    }
+
+    function wake() {
+      if (!awake) requestAnimationFrame(frame);
+      awake = true;
+    }
+
+    /** Simulate and draw; while there is nothing to do, no frame is asked for. */
     function frame(now) {
       const began = performance.now(), passed = Math.min((now - last) / 1000, MOST_PASSED);
-      last = now;
+      [awake, last] = [false, now];
       guarded(() => {
         pointer.follow();
         if (playing && passed > 0) play(passed);
-        if (dirty || playing) draw(now);
       }, () => setPlaying(false));
+      guarded(() => {
+        if (dirty || playing) draw(now);
+      }, () => {
+        setPlaying(false);
+        dirty = false; // else each frame would be refused, and say so
+      });
       durations.push(performance.now() - began);
       if (durations.length > KEPT) durations.shift();
-      requestAnimationFrame(frame);
+      if (playing || dirty || pointer.pull) wake();
+      else last = NaN; // the next frame is a first one
     }
 
     function play(passed) {
@@ -326,27 +344,27 @@ Live.app = (() => {
       Live.strips.draw(run.samples, run.time, playing);
       if (now - written >= WRITE_EVERY || !playing) {
         written = now;
-        write(mine, twin);
+        writeNumbers(mine, twin);
       }
     }
 
-    function write(mine, twin) {
+    function writeNumbers(mine, twin) {
       panel.showInputs(mine);
       Live.strips.write(run.samples);
-      byId("clock").textContent = `${run.time.toFixed(2)} s`;
+      write(byId("clock"), `${run.time.toFixed(2)} s`);
       const bar = byId("time");
       bar.max = String(Math.max(run.end, 1));
       bar.value = String(run.tick);
       bar.setAttribute("aria-valuetext", `${run.time.toFixed(2)} seconds`);
       for (const [name, state] of [["mine", mine], ["twin", twin]]) {
-        byId(`${name}-cost`).textContent = state.cost.toFixed(3);
-        readings[name].forEach((reading, k) => { reading.textContent = READINGS[k][1](state); });
+        write(byId(`${name}-cost`), state.cost.toFixed(3));
+        readings[name].forEach((reading, k) => write(reading, READINGS[k][1](state)));
         const failure = byId(`${name}-failure`);
         failure.hidden = !state.failed;
-        if (state.failed) failure.textContent = `Left its limits (${state.failed}). Restart, or go back in time.`;
+        if (state.failed) write(failure, `Left its limits (${state.failed}). Restart, or go back in time.`);
         byId(`${name}-canvas`).setAttribute("aria-label", described(name, state));
       }
-      byId("verdict").textContent = verdict(mine, twin);
+      write(byId("verdict"), verdict(mine, twin));
     }
 
     const READINGS = /** @type {[string, (state: any) => string][]} */ ([
@@ -382,7 +400,7 @@ Live.app = (() => {
       byId("mine-loop").textContent = `${loop.title} \u00B7 ${device.title}`;
       for (const label of document.querySelectorAll(".cost small")) label.textContent = run.control ? "cost, full control" : "cost so far";
       panel.showChoices();
-      dirty = true;
+      redraw();
     }
 
     // ----- wiring -----
@@ -445,13 +463,12 @@ Live.app = (() => {
     byId("time").addEventListener("input", () => guarded(() => {
       setPlaying(false);
       run.seek(Number(byId("time").value));
-      dirty = true;
+      redraw();
     }));
     document.addEventListener("submit", (event) => { if (!(event.target instanceof HTMLElement && event.target.closest("dialog"))) event.preventDefault(); });
-    new ResizeObserver(() => { dirty = true; }).observe(byId("stage"));
-    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Live.palette.read(); dirty = true; });
+    new ResizeObserver(redraw).observe(byId("stage"));
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { Live.palette.read(); redraw(); });
     window.addEventListener("hashchange", () => open(location.hash));
-    requestAnimationFrame((now) => { last = now; frame(now); });
 
     /** Open a link's text. */
     async function open(hash) {

@@ -116,6 +116,8 @@ Live.arm = (() => {
     const canvas = document.createElement("canvas");
     [canvas.width, canvas.height] = [width, height];
     const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d")), ratio = width / element.clientWidth;
+    context.fillStyle = Live.palette.colours.card;
+    context.fillRect(0, 0, width, height);
     context.scale(ratio, ratio);
     begin(context, place);
     drawScale(context, text);

@@ -37,8 +37,11 @@ Live.base = (() => {
     return made;
   };
 
+  /** Give a node a text, if it is another one: a text that is set costs a layout. @param {any} node @param {string} text */
+  const write = (node, text) => { if (node.textContent !== text) node.textContent = text; };
+
   /** An error with a text for the person in front of the page: the simulation's own kind. */
   const UserError = Amulett.base.AmulettError;
 
-  return { DEGREES, clamp, fixed, byId, element, UserError };
+  return { DEGREES, clamp, fixed, byId, element, write, UserError };
 })();

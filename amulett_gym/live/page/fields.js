@@ -2,7 +2,7 @@
 // The panel's fields: labelled sliders, choices and checks, each reachable and usable by keyboard.
 
 Live.fields = (() => {
-  const { element, fixed, clamp } = Live.base;
+  const { element, write, fixed, clamp } = Live.base;
   let count = 0;
 
   /**
@@ -23,7 +23,7 @@ Live.fields = (() => {
     }));
     const output = element("output", { for: id });
     const show = (value) => {
-      output.textContent = `${fixed(value, digits)}${of.unit && of.unit !== "1" ? `\u2009${of.unit}` : ""}`;
+      write(output, `${fixed(value, digits)}${of.unit && of.unit !== "1" ? `\u2009${of.unit}` : ""}`);
       input.setAttribute("aria-valuetext", output.textContent);
     };
     const set = (value) => { input.value = String(toPlace(value)); show(value); };

@@ -10,7 +10,7 @@ Live.samples = (() => {
    */
   function make(capacity) {
     const rings = Object.fromEntries(CHANNELS.map((name) => [name, new Float64Array(capacity)]));
-    let count = 0, next = 0;
+    let count = 0, next = 0, cleared = 0;
 
     /** Add what `arm.read()` returned. @param {any} state */
     function add(state) {
@@ -24,12 +24,12 @@ Live.samples = (() => {
       count = Math.min(count + 1, capacity);
     }
 
-    /** Call `visit(time, value)` for the samples from just before `begin` [s] on. */
+    /** Call `visit(time, value)` for the newest sample up to `begin` [s], and for all later ones. */
     function each(channel, begin, visit) {
       const times = rings.time, values = rings[channel];
-      let k = count;
-      while (k > 0 && times[at(count - k)] < begin) k--;
-      for (k = Math.min(k + 1, count); k > 0; k--) visit(times[at(count - k)], values[at(count - k)]);
+      let k = count - 1;
+      while (k > 0 && times[at(k)] > begin) k--;
+      for (; k >= 0 && k < count; k++) visit(times[at(k)], values[at(k)]);
     }
 
     /** @returns {number[]} the least and the largest value from `begin` [s] on */
@@ -44,8 +44,11 @@ Live.samples = (() => {
 
     const at = (k) => (next - count + k + capacity) % capacity;
     const last = (channel) => (count ? rings[channel][at(count - 1)] : NaN);
-    const clear = () => { count = next = 0; };
-    return { add, each, range, last, clear };
+    const clear = () => {
+      count = next = 0;
+      cleared++;
+    };
+    return { add, each, range, last, clear, get cleared() { return cleared; } };
   }
 
   return { make };

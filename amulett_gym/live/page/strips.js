@@ -17,12 +17,12 @@ Live.strips = (() => {
   /** @type {{title: string, unit: string, digits: number, range: number[], curves: Curve[]}[]} */
   const STRIPS = [
     { title: "Angle", unit: "°", digits: 1, range: [-5, 95], curves: [
-      { name: "setpoint", arm: "mine", channel: "setpoint", colour: "setpoint", shape: "diamond", factor: DEGREES, width: 1.5, dash: [6, 4], steps: true },
+      { name: "setpoint", arm: "mine", channel: "setpoint", colour: "setpoint", shape: "diamond", factor: DEGREES, width: 1.5, dash: [5, 5], steps: true },
       { name: "eq. 6", arm: "twin", channel: "angle", colour: "twin", shape: "square", factor: DEGREES, width: 1.5 },
       { name: "yours", arm: "mine", channel: "angle", colour: "accent", shape: "circle", factor: DEGREES, width: 2.4 },
     ] },
     { title: "String tensions, yours", unit: "N", digits: 1, range: [0, 16], curves: [
-      { name: "asked for", arm: "mine", channel: "tensionSetpoint", colour: "setpoint", shape: "diamond", width: 1.5, dash: [6, 4], steps: true },
+      { name: "asked for", arm: "mine", channel: "tensionSetpoint", colour: "setpoint", shape: "diamond", width: 1.5, dash: [5, 5], steps: true },
       { name: "biceps", arm: "mine", channel: "biceps", colour: "biceps", shape: "circle", width: 2 },
       { name: "triceps", arm: "mine", channel: "triceps", colour: "triceps", shape: "triangle", width: 2 },
     ] },
@@ -44,7 +44,7 @@ Live.strips = (() => {
     ] },
   ];
 
-  /** @type {{canvas: HTMLCanvasElement, values: HTMLElement[], span: number[]}[]} */
+  /** @type {{canvas: HTMLCanvasElement, values: HTMLElement[], paper: any, ground: HTMLCanvasElement, key: string}[]} */
   let made = [];
 
   /** Make the figures. @param {HTMLElement} parent */
@@ -56,7 +56,7 @@ Live.strips = (() => {
       const canvas = /** @type {HTMLCanvasElement} */ (element("canvas", { role: "img", "aria-label": `${strip.title}, last ${SECONDS} seconds` }));
       const unit = strip.unit ? ` [${strip.unit}]` : "";
       parent.append(element("figure", { class: "card strip" }, element("figcaption", {}, element("b", { text: strip.title + unit }), legend), canvas));
-      return { canvas, values, span: [...strip.range] };
+      return { canvas, values, paper: Live.paper.make(), ground: document.createElement("canvas"), key: "" };
     });
   }
 
@@ -95,87 +95,100 @@ Live.strips = (() => {
   function write(samples) {
     made.forEach((figure, k) => STRIPS[k].curves.forEach((curve, c) => {
       const value = samples[curve.arm].last(curve.channel) * (curve.factor || 1);
-      figure.values[c].textContent = Number.isFinite(value) ? fixed(value, STRIPS[k].digits) : "";
+      Live.base.write(figure.values[c], Number.isFinite(value) ? fixed(value, STRIPS[k].digits) : "");
     }));
   }
 
   function drawStrip(figure, strip, samples, now) {
-    const { context, width, height } = Live.canvas.begin(figure.canvas);
+    const { context, ratio, width, height } = Live.canvas.begin(figure.canvas);
     if (width < LEFT + RIGHT + 20) return;
-    const { colours } = Live.palette, end = Math.max(now, SECONDS), begin = end - SECONDS;
-    const [low, high] = spanOf(figure, strip, samples, begin);
-    const right = width - RIGHT, bottom = height - BOTTOM;
-    const toX = (time) => LEFT + ((time - begin) / SECONDS) * (right - LEFT);
-    const toY = (value) => bottom - ((value - low) / (high - low)) * (bottom - TOP);
-    context.font = font(11);
+    const begin = Math.max(now - SECONDS, 0), [low, high] = spanOf(strip, samples, begin);
+    const left = Math.round(LEFT * ratio), wide = Math.round((width - RIGHT) * ratio) - left;
+    const top = TOP * ratio, bottom = (height - BOTTOM) * ratio;
+    const plot = {
+      width: wide, height: figure.canvas.height, ratio, rate: wide / SECONDS, begin, low, high, left, bottom,
+      toY: (value) => bottom - ((value - low) / (high - low)) * (bottom - top),
+      key: [low, high, ratio, Live.palette.colours.card].join(),
+    };
+    figure.paper.update(plot, strip.curves, samples);
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.drawImage(groundOf(figure, plot), 0, 0);
+    drawSeconds(context, plot);
+    figure.paper.put(context, plot, left);
+    for (const curve of strip.curves) drawMark(context, plot, curve, samples[curve.arm]);
+  }
+
+  /** What lies behind the curves and does not move, drawn once for each size, span and theme. */
+  function groundOf(figure, plot) {
+    const { width, height, ratio, left, low, high, toY } = plot, { colours } = Live.palette;
+    const key = [plot.key, width, height].join(), canvas = figure.ground;
+    if (key === figure.key) return canvas;
+    figure.key = key;
+    [canvas.width, canvas.height] = [figure.canvas.width, height];
+    const context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
+    context.fillStyle = colours.card;
+    context.fillRect(0, 0, canvas.width, height);
+    context.font = font(11 * ratio);
     context.textBaseline = "middle";
-    context.lineWidth = 1;
+    context.textAlign = "right";
+    const thick = Math.max(Math.round(ratio), 1);
     for (const value of ticks(low, high)) {
-      const y = Math.round(toY(value)) + 0.5;
-      context.strokeStyle = value === 0 ? colours.faint : colours.line;
-      segment(context, LEFT, y, right, y);
-      context.textAlign = "right";
+      const y = Math.round(toY(value));
+      context.fillStyle = value === 0 ? colours.faint : colours.line;
+      context.fillRect(left, y, width, thick);
       context.fillStyle = colours.muted;
-      context.fillText(label(value), LEFT - 6, y);
+      context.fillText(label(value), left - 6 * ratio, y);
     }
+    return canvas;
+  }
+
+  /** Draw a line for each second, and every other one's time. */
+  function drawSeconds(context, plot) {
+    const { width, ratio, left, bottom, begin } = plot, { colours } = Live.palette, thick = Math.max(Math.round(ratio), 1);
+    const whole = [];
+    for (let second = Math.ceil(begin); second <= begin + SECONDS; second++) whole.push(second);
+    context.fillStyle = colours.line;
+    for (const second of whole) context.fillRect(Math.round(xOf(plot, second)), TOP * ratio, thick, bottom - TOP * ratio);
+    context.font = font(11 * ratio);
+    context.textBaseline = "middle";
     context.textAlign = "center";
-    for (let second = Math.ceil(begin); second <= end; second++) {
-      const x = Math.round(toX(second)) + 0.5;
-      context.strokeStyle = colours.line;
-      segment(context, x, TOP, x, bottom);
-      if (second % 2 === 0 && x < right - 6) context.fillText(`${second} s`, x, bottom + 10);
+    context.fillStyle = colours.muted;
+    for (const second of whole) {
+      const x = xOf(plot, second);
+      if (second % 2 === 0 && x < left + width - 6 * ratio) context.fillText(`${second} s`, x, bottom + 10 * ratio);
     }
-    context.save();
-    context.beginPath();
-    context.rect(LEFT, TOP - 6, right - LEFT + 8, bottom - TOP + 10);
-    context.clip();
-    for (const curve of strip.curves) drawCurve(context, curve, samples[curve.arm], begin, toX, toY);
-    context.restore();
   }
 
-  function drawCurve(context, curve, samples, begin, toX, toY) {
-    const colour = Live.palette.colours[curve.colour], factor = curve.factor || 1;
-    context.strokeStyle = colour;
-    context.lineWidth = curve.width || 2;
-    context.lineJoin = "bevel";
-    context.setLineDash(curve.dash || []);
-    context.beginPath();
-    let x = 0, y = 0, drawing = false, before = NaN;
-    samples.each(curve.channel, begin, (time, value) => {
-      if (!Number.isFinite(value)) { drawing = false; return; }
-      [x, y] = [toX(time), toY(value * factor)];
-      if (!drawing) context.moveTo(x, y);
-      else {
-        if (curve.steps && y !== before) context.lineTo(x, before);
-        context.lineTo(x, y);
-      }
-      [drawing, before] = [true, y];
-    });
-    context.stroke();
-    context.setLineDash([]);
-    if (drawing && curve.shape) mark(context, curve.shape, x, y, 3.6, colour);
+  /** Where a time lies: everything moves by whole pixels, as the paper does. */
+  const xOf = ({ left, rate, begin }, time) => left + time * rate - Math.round(begin * rate);
+
+  /** Draw the mark at the end of a curve, which an arm that failed leaves behind. */
+  function drawMark(context, plot, curve, samples) {
+    const x = xOf(plot, samples.last("time")), value = samples.last(curve.channel) * (curve.factor || 1);
+    if (Number.isFinite(value) && x >= plot.left) mark(context, curve.shape, x, plot.toY(value), 3.6 * plot.ratio, Live.palette.colours[curve.colour]);
   }
 
-  /** The range of a strip's axis: it grows at once, and shrinks slowly, so that it does not jump. */
-  function spanOf(figure, strip, samples, begin) {
+  /** The range of a strip's axis: its usual one, or on to the next line of the axis that the curves need. */
+  function spanOf(strip, samples, begin) {
     let [low, high] = strip.range;
     for (const curve of strip.curves) {
       const [least, most] = samples[curve.arm].range(curve.channel, begin);
       low = Math.min(low, least * (curve.factor || 1));
       high = Math.max(high, most * (curve.factor || 1));
     }
-    const room = 0.05 * (high - low), span = figure.span;
-    const wanted = [low < strip.range[0] ? low - room : low, high > strip.range[1] ? high + room : high];
-    span[0] = wanted[0] < span[0] ? wanted[0] : span[0] + 0.04 * (wanted[0] - span[0]);
-    span[1] = wanted[1] > span[1] ? wanted[1] : span[1] + 0.04 * (wanted[1] - span[1]);
-    return span;
+    const step = 0.5 * stepOf(low, high);
+    return [low < strip.range[0] ? step * Math.floor(low / step) : low, high > strip.range[1] ? step * Math.ceil(high / step) : high];
   }
 
-  /** Values at which an axis has a line: at most five. @returns {number[]} */
-  function ticks(low, high) {
+  /** The distance of an axis's lines: at most five. */
+  function stepOf(low, high) {
     const rough = (high - low) / 4, power = 10 ** Math.floor(Math.log10(rough));
-    const step = power * ([1, 2, 5, 10].find((factor) => power * factor >= rough) || 10);
-    const found = [];
+    return power * ([1, 2, 5, 10].find((factor) => power * factor >= rough) || 10);
+  }
+
+  /** Values at which an axis has a line. @returns {number[]} */
+  function ticks(low, high) {
+    const step = stepOf(low, high), found = [];
     for (let k = Math.ceil(low / step); k * step <= high; k++) found.push(k * step);
     return found;
   }
@@ -185,13 +198,6 @@ Live.strips = (() => {
     const size = Math.abs(value);
     if (size >= 10000) return `${fixed(value / 1000, 0)}k`;
     return value === 0 ? "0" : fixed(value, size >= 1 && Number.isInteger(Math.round(value * 1e6) / 1e6) ? 0 : size >= 0.995 ? 1 : 2);
-  }
-
-  function segment(context, x0, y0, x1, y1) {
-    context.beginPath();
-    context.moveTo(x0, y0);
-    context.lineTo(x1, y1);
-    context.stroke();
   }
 
   return { make, draw, write, SECONDS };
