@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_d
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
 from amulett_gym.errors import AmulettError, unknown
+from amulett_gym.jit.compiled import compiled_for
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
@@ -66,14 +67,16 @@ class Episodes:
         The entries `privileged.FLEET_PRIVILEGED` of each profile; a fleet with the hidden state observes them.
     terms : tuple of str
         Names of the reward's terms, in order.
-    entries : tuple of str
-        Names in ``info`` of a report's entries after the reward: the terms, the readings and the metrics.
+    entries : dict
+        Names in ``info`` of a report's entries after the reward, the terms, the readings and the metrics, each with 0.
     report_size : int
         Entries of a report.
     """
 
     terms: ClassVar[tuple[str, ...]] = TERMS
-    entries: ClassVar[tuple[str, ...]] = (*map(TERM_KEY.format, TERMS), *transition.READINGS, *transition.METRICS)
+    entries: ClassVar[dict[str, Any]] = dict.fromkeys(
+        (*map(TERM_KEY.format, TERMS), *transition.READINGS, *transition.METRICS), 0.0
+    )
     report_size: ClassVar[int] = transition.REPORT_SIZE
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
@@ -112,6 +115,7 @@ class Episodes:
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
+        self._codes: dict[bool, Callable[..., None]] = {}
 
     @property
     def agent_period(self) -> float:
@@ -319,8 +323,8 @@ class Episodes:
         Parameters
         ----------
         actions : ndarray, shape (N * action_size,)
-            Of one device after the other, in [-1, 1]; values beyond are clipped. float64, for which the kernel is
-            compiled.
+            Of one device after the other, in [-1, 1]; values beyond are clipped. float64 and contiguous, for which the
+            kernel is compiled.
 
         Returns
         -------
@@ -398,10 +402,16 @@ class Episodes:
         report: Report,
     ) -> None:
         """Take one agent step with the devices of some blocks; arguments as of `_memory` and `_split`."""
-        paths, loop = memory
-        transition.step(*arrays, paths, loop, others, actions, observations, report)
+        self._call(transition.step, *arrays, *memory, others, actions, observations, report)
         if self.privileged:
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
+
+    def _call(self, step: Callable[..., None], *arguments: Any) -> None:
+        """Call a compiled `step`, always the same; of its arguments' types, only that of the paths changes, if any."""
+        some = self.simulation.paths is not None
+        if (code := self._codes.get(some)) is None:
+            code = self._codes[some] = compiled_for(step, arguments)
+        code(*arguments)
 
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
         """Fill the observations of devices."""
@@ -450,7 +460,7 @@ class Episodes:
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        return {**self.__dict__, "_pool": None, "_codes": {}}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""

@@ -28,7 +28,8 @@ def info_of(episodes: Episodes, report: Report) -> dict[str, Any]:
         Of one device.
     report : ndarray, shape (1, report_size)
     """
-    info: dict[str, Any] = dict(zip(episodes.entries, report[0, FIRST_TERM:].tolist(), strict=True))
+    info: dict[str, Any] = episodes.entries.copy()  # faster than a dict that grows
+    info.update(zip(episodes.entries, report[0, FIRST_TERM:].tolist(), strict=True))
     info["failure"] = int(info["failure"])
     if episodes.settings.control not in BY_STIFFNESS:
         del info[_BY_STIFFNESS]

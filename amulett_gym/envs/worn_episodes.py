@@ -31,12 +31,15 @@ class WornEpisodes(Episodes):
 
     simulation: WornSimulation
     terms = WORN_TERMS
-    entries = (
-        *map(TERM_KEY.format, WORN_TERMS),
-        *transition.READINGS,
-        *transition.METRICS,
-        *worn_transition.READINGS,
-        *worn_transition.METRICS,
+    entries = dict.fromkeys(
+        (
+            *map(TERM_KEY.format, WORN_TERMS),
+            *transition.READINGS,
+            *transition.METRICS,
+            *worn_transition.READINGS,
+            *worn_transition.METRICS,
+        ),
+        0.0,
     )
     report_size = worn_transition.REPORT_SIZE
 
@@ -114,8 +117,7 @@ class WornEpisodes(Episodes):
         observations: Observations,
         report: Report,
     ) -> None:
-        paths, loop, worn = memory
-        worn_transition.step(*arrays, paths, loop, worn, others, actions, observations, report)
+        self._call(worn_transition.step, *arrays, *memory, others, actions, observations, report)
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and assistances begin their ramps; see `Episodes.begin_ramps`."""

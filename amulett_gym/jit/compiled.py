@@ -95,6 +95,19 @@ def compiled_lanes(function: F) -> F:
     return _compiled(function, **_NO_ALIAS)
 
 
+def compiled_for(function: F, arguments: Sequence[Any]) -> F:
+    """Return a compiled function's code for the types of these arguments, as a function that looks at no types.
+
+    numba does in each call, which takes as long as four control ticks of a single device. Later arguments need the same
+    types, and arrays the same layout: nothing checks it.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    dispatcher: Any = function
+    code: F = dispatcher.compile(tuple(map(numba.typeof, arguments)))
+    return code
+
+
 def _compiled(function: F, **options: bool | str) -> F:
     if numba.config.DISABLE_JIT:  # Python runs it; like compiled code, it does not warn of an overflow
         return np.errstate(all="ignore")(function)
