@@ -27,7 +27,7 @@ YAML, YAML_LICENCE = "vendor/js-yaml.min.js", "vendor/js-yaml.LICENSE"
 """js-yaml 5.5.0, `dist/browser/js-yaml.umd.min.js` of the package of that name on npm, unchanged."""
 
 SCRIPTS = (
-    *("base", "palette", "canvas", "arm", "samples", "paper", "strips", "run", "messages", "link", "csv"),
+    *("base", "palette", "canvas", "arm", "samples", "paper", "strips", "run", "laws", "messages", "link", "csv"),
     *("fields", "pointer", "keys", "profile", "drop", "panel", "app"),
 )
 """The page's scripts, in the order in which they need each other."""

@@ -97,7 +97,16 @@ def test_it_waits_for_readers_who_want_little_motion(page):
     before = page.run("return run.tick")
     time.sleep(0.3)
     assert page.run("return run.tick") == before
-    assert page.find("#play").get_attribute("aria-pressed") == "false"
+    assert page.find("#play").text.endswith("Run")
+
+
+@needs_browser
+def test_the_button_says_what_it_does_and_no_state_that_contradicts_it(page):
+    button = page.find("#play")
+    for word in ("Run", "Pause", "Run"):
+        assert button.text.endswith(word) and button.get_attribute("aria-pressed") is None
+        assert page.run("return app.playing") == (word == "Pause")
+        button.click()
 
 
 @needs_browser
@@ -476,6 +485,8 @@ WRONG_LINKS = (
     ({"events": "x"}, "events"),
     ({"version": 99}, "version 1"),
     ({"extra": 1}, "unknown key"),
+    ({"hashes": {}}, "'hashes'"),
+    ({"task": "mixed"}, "task 'mixed' is another one than that of this page"),
 )
 """What is changed in a link, and what the error has to say."""
 
@@ -493,6 +504,148 @@ def test_a_wrong_link_is_refused_by_its_key_and_changes_nothing(page):
         assert said in page.messages(), (change, page.messages())
         assert state(page) == before, change
     assert page.errors() == []
+
+
+@needs_browser
+def test_a_link_waits_for_the_very_file_that_it_was_made_with(page, tmp_path):
+    device, other = "name: mine\nbase: testbed\nsensors: {encoder_bits: 12}\n", "name: mine\nbase: testbed\n"
+    law = {
+        "format": "amulett-tuned-law",
+        "recipe": {"law": "eq6-tuned"},
+        "parameters": {
+            "nominal_tension": {"value": 9.0},
+            "minimum_tension": {"value": 5.0},
+            "error_offset": {"value": 20.0},
+            "exponent": {"value": 3.0},
+        },
+    }
+    give(page, tmp_path, mine__yaml=device, law__json=json.dumps(law))
+    page.wait("return app.settings.law.name === 'own:law.json'")
+    page.run("app.input('setpoint', 0.8); run.advance(300)")
+    before, link = state(page), page.promise("app.link()")["value"]
+    page.open("#" + link)
+    assert "drop its files on this page" in page.messages() and state(page)["tick"] < 300
+    give(page, tmp_path, mine__yaml=other, law__json=json.dumps(law))
+    page.wait("return document.getElementById('messages').innerText.includes('another one')")
+    assert "the link's device 'mine' is another one" in page.messages() and state(page) != before
+    page.run("document.getElementById('messages').replaceChildren()")
+    page.promise("app.open('#' + arguments[0])", link)  # once more, with a device of that name on the page
+    assert "of the same name" in page.messages() and state(page) != before
+    give(page, tmp_path, mine__yaml=device)
+    page.wait("return run.tick === 300")
+    assert state(page) == before, page.messages()
+    page.run("document.getElementById('messages').replaceChildren()")
+    law["parameters"]["exponent"]["value"] = 4.0
+    give(page, tmp_path, law__json=json.dumps(law))
+    page.promise("app.open('#' + arguments[0])", link)
+    assert "the link's law 'law.json' is another one" in page.messages()
+    assert page.errors() == []
+
+
+@needs_browser
+def test_a_link_of_another_simulation_is_refused(page):
+    link = "Live.link.pack({ version: 1, ...app.moment(), hashes: { ...app.moment().hashes, simulation: 'x' } })"
+    page.promise("app.open('#' + arguments[0])", page.promise(link)["value"])
+    assert "another one" in page.messages() and "amulett.wasm" in page.messages()
+
+
+@needs_browser
+def test_eq6_begins_with_the_values_of_the_device(page, tmp_path):
+    shown = """
+        const { parameters } = app.settings.law;
+        return app.parameters().map(({ name, low, high }) => [name, parameters[name], low, high]);
+    """
+    page.run("app.chooseLaw('eq6')")
+    assert [row[1] for row in page.run(shown)] == pytest.approx([10.0, 4.0, 30.0])
+    page.run("app.setParameter('nominal_tension', 12)")
+    own = {"nominal_tension": 18.0, "minimum_tension": 3.0, "error_offset_deg": 25.0}
+    give(page, tmp_path, mine__yaml=yaml.safe_dump({"name": "mine", "base": "testbed", "variable_stiffness": own}))
+    found = {name: (value, low, high) for name, value, low, high in page.run(shown)}
+    assert {name: row[0] for name, row in found.items()} == pytest.approx(own)
+    assert found["nominal_tension"][2] == 18.0 and found["minimum_tension"][1] == 3.0
+    page.run("app.input('setpoint', 0.8); run.advance(400)")
+    both = state(page)
+    assert both["mine"] == both["twin"]  # the other arm has the device's eq. 6, too
+    link = page.promise("app.link()")["value"]
+    page.promise("app.open('#' + arguments[0])", link)
+    assert state(page) == both, page.messages()
+    page.run("app.choose({ device: 'testbed' })")
+    assert page.run("return app.settings.law.parameters.nominal_tension") == 12.0  # which was set there
+
+
+@needs_browser
+def test_several_laws_within_a_tick_are_recorded_as_they_act(page):
+    page.run("""
+        app.chooseLaw("pretrained"); app.input("setpoint", 0.9); run.advance(303);
+        app.chooseLaw("eq6"); app.chooseLaw("constant"); app.setParameter("tension", 7.25); app.chooseLaw("parametric");
+        app.input("setpoint", 0.2); app.input("push", 0.1); app.input("setpoint", 0.4); run.advance(600);
+    """)
+    before, link = state(page), page.promise("app.link()")["value"]
+    assert page.run("return run.events.filter((each) => each.tick === 303).map((each) => each.kind)") == [
+        "law",
+        "push",
+        "setpoint",
+    ]
+    page.run("run.seek(0); run.advance(600)")
+    assert state(page) == before
+    page.open("#" + link)
+    assert state(page) == before
+
+
+@needs_browser
+def test_an_input_that_is_refused_leaves_everything_as_it_was(page):
+    page.run("app.input('setpoint', 0.5); run.advance(100); app.input('payload', 1); app.input('setpoint', 0.7)")
+    before, events = state(page), page.run("return run.events")
+    page.run("app.input('obstacle', { angle: 0.2, side: 1, stiffness: 1e9 })")
+    assert "stiffness" in page.messages() and state(page) == before and page.run("return run.events") == events
+    page.run("app.input('payload', 99)")
+    assert state(page) == before and page.run("return run.events") == events
+
+
+@needs_browser
+def test_an_input_that_is_refused_in_a_replay_leaves_the_record(page):
+    page.run("""
+        const obstacle = { angle: 0.2, side: 1, stiffness: 1e9 };
+        run.script([{ tick: 0, kind: "setpoint", value: 0.5 }, { tick: 120, kind: "obstacle", value: obstacle },
+            { tick: 150, kind: "setpoint", value: 0.1 }], 200);
+    """)
+    assert "stiffness" in page.promise("app.run.advance(200)")["error"]
+    page.run("run.advance(200)")
+    assert page.run("return run.events.map((each) => each.kind)") == ["setpoint", "setpoint"]
+    assert math.degrees(state(page)["mine"]["setpoint"]) == pytest.approx(math.degrees(0.1))
+
+
+@needs_browser
+def test_the_damping_of_a_scenarios_obstacle_stays_when_it_is_moved(page, tmp_path):
+    obstacle = {"angle_deg": 40.0, "stiffness": 12.0, "damping": 0.05}
+    give(page, tmp_path, mine__json=json.dumps({"obstacle": obstacle}))
+    page.find("#step").click()
+    page.wait("return document.getElementById('obstacle').checked")
+    page.run("""
+        const slider = document.querySelector(".inner input");
+        slider.value = "45";
+        slider.dispatchEvent(new Event("input"));
+    """)
+    page.find("#step").click()
+    found = state(page)["mine"]["obstacle"]
+    assert math.degrees(found["angle"]) == pytest.approx(45.0)
+    assert found["damping"] == pytest.approx(0.05) and found["stiffness"] == pytest.approx(12.0)
+    link = page.promise("app.link()")["value"]
+    before = state(page)
+    page.promise("app.open('#' + arguments[0])", link)
+    assert state(page) == before, page.messages()
+
+
+@needs_browser
+def test_curves_of_an_arm_that_failed_end_and_the_panel_follows_the_other_one(page):
+    page.run("app.chooseLaw('constant'); app.input('setpoint', 2.4); app.input('payload', 2); app.input('push', 0.8)")
+    page.run("run.advance(1200); app.input('setpoint', 0.5); app.input('push', -0.4); run.advance(1300)")
+    found = state(page)
+    assert found["mine"]["failed"] and not found["twin"]["failed"]
+    ends = "return ['time', 'setpoint', 'push'].map((name) => run.samples.mine.last(name))"
+    assert page.run(ends) == [found["mine"][name] for name in ("time", "setpoint", "push")]
+    assert page.run(ends)[1:] == [2.4, 0.8]  # at its end, not what the other arm has now
+    assert page.run("return run.asked.setpoint") == found["twin"]["setpoint"] == 0.5
 
 
 @needs_browser

@@ -21,13 +21,24 @@ Live.app = (() => {
   /** @param {any} data the page's data @param {any} core what `Amulett.load` returned */
   function make(data, core) {
     const settings = { ...data.start };
-    const memory = {}; // parameters of laws that were chosen before
+    const memory = {}; // parameters of laws that were chosen before; those that a device has of its own, for each device
+
+    /** The present device. */
+    const device = () => data.devices.find((each) => each.id === settings.device);
+
+    /** Where the parameters of a law are remembered. */
+    const place = (id) => (Live.laws.isOfDevice(data.laws.find((each) => each.id === id)) ? `${id} of ${settings.device}` : id);
+
+    settings.law = fresh(settings.law.name);
     let run = begin([]), playing = false, carry = 0, last = NaN, written = 0, untouched = true, dirty = false, awake = false;
+    /** @type {any} content of a link that needs files which this page has not, or others of the same name */
+    let awaited = null;
     const durations = [];
 
     const app = {
       data, settings,
       law: () => data.laws.find((each) => each.id === settings.law.name),
+      parameters: () => Live.laws.parametersOf(app.law(), device()),
       state: () => run.state.mine,
       strength: () => 0.5 * data.limits.push,
       input, choose, chooseLaw, setParameter, load, addBundle, addLaw, addScenario, addDevice, moment, table, link, restart, replay,
@@ -40,23 +51,23 @@ Live.app = (() => {
 
     /** A run of the present choices, with inputs that come by themselves. */
     function begin(script) {
-      const device = data.devices.find((each) => each.id === settings.device), task = data.tasks.find((each) => each.id === settings.task);
-      const spec = { device: device.content, loop: settings.loop, law: settings.law, scenario: task.scenario, seed: settings.seed, lawOf: (law) => lawOf(law, device.content) };
+      const { content } = device(), task = data.tasks.find((each) => each.id === settings.task);
+      const spec = { device: content, loop: settings.loop, law: settings.law, scenario: task.scenario, seed: settings.seed, lawOf: (law) => lawOf(law, content) };
       return Live.run.make(core, spec, script);
     }
 
-    /** A law of the page's list, as the simulation takes it. */
-    function lawOf({ name, parameters }, device) {
+    /** A law of the page's list, as the simulation takes it. @param {any} law @param {any} of the device's content */
+    function lawOf({ name, parameters }, of) {
       const { content } = data.laws.find((each) => each.id === name), { error_offset_deg: offset, ...others } = parameters;
       if (content.name === "policy") return content;
       // Degrees that are those of the device are left out, so that their radians are the device's to the last bit.
-      const own = offset === undefined || Math.abs(offset - device.parameters.error_offset * DEGREES) < 1e-9;
+      const own = offset === undefined || Math.abs(offset - of.parameters.error_offset * DEGREES) < 1e-9;
       return { ...content, parameters: own ? others : parameters };
     }
 
     /** The inputs that come by themselves in the present task. */
     function scripted() {
-      const period = data.devices.find((each) => each.id === settings.device).content.parameters.control_period;
+      const period = device().content.parameters.control_period;
       const task = data.tasks.find((each) => each.id === settings.task);
       return (task.script || []).map(([time, kind, value]) => ({ tick: Math.round(time / period), kind, value }));
     }
@@ -104,12 +115,13 @@ Live.app = (() => {
       const before = { ...settings };
       touched();
       Object.assign(settings, changes);
-      const device = data.devices.find((each) => each.id === settings.device);
+      if (changes.device && !changes.law && Live.laws.isOfDevice(app.law())) settings.law = fresh(settings.law.name);
+      const { title, unfit } = device();
       try {
-        if (device.unfit[settings.loop]) {
-          if (changes.loop) throw new UserError(`the loop '${settings.loop}' does not fit this device: ${device.unfit[settings.loop]}`);
+        if (unfit[settings.loop]) {
+          if (changes.loop) throw new UserError(`the loop '${settings.loop}' does not fit this device: ${unfit[settings.loop]}`);
           settings.loop = "decentralized";
-          Live.messages.show(`${device.title} cannot have that loop; it now has the paper's.`);
+          Live.messages.show(`${title} cannot have that loop; it now has the paper's.`);
         }
         if (changes.task || !run.events.some((each) => each.kind !== "law")) restart();
         else {
@@ -125,10 +137,10 @@ Live.app = (() => {
 
     /** The law of that name, with the parameters that it had last. */
     function fresh(id, shipped = false) {
-      const law = data.laws.find((each) => each.id === id);
-      if (shipped) delete memory[id];
-      memory[id] ||= Object.fromEntries(law.parameters.map((each) => [each.name, each.value]));
-      return { name: id, parameters: { ...memory[id] } };
+      const law = data.laws.find((each) => each.id === id), at = place(id);
+      if (shipped) delete memory[at];
+      memory[at] ||= Object.fromEntries(Live.laws.parametersOf(law, device()).map((each) => [each.name, each.value]));
+      return { name: id, parameters: { ...memory[at] } };
     }
 
     function chooseLaw(id, shipped = false) {
@@ -147,7 +159,7 @@ Live.app = (() => {
         const law = { name: settings.law.name, parameters: { ...settings.law.parameters, [name]: value } };
         run.input("law", law);
         settings.law = law;
-        memory[law.name] = { ...law.parameters };
+        memory[place(law.name)] = { ...law.parameters };
         redraw();
       });
     }
@@ -155,7 +167,7 @@ Live.app = (() => {
     /** Show the law that acts: anywhere else in the record it may be another one. */
     function followLaw() {
       settings.law = run.law;
-      memory[settings.law.name] = { ...settings.law.parameters };
+      memory[place(settings.law.name)] = { ...settings.law.parameters };
     }
 
     /** Do something that may be refused: then say why, and undo. */
@@ -170,7 +182,7 @@ Live.app = (() => {
 
     // ----- what is one's own -----
 
-    /** Offer something new, and use it; take it back if that is refused. */
+    /** Offer something new, and use it; take it back if that is refused. An open link that needs it is tried again. */
     function offer(list, entry, use) {
       const before = list.findIndex((each) => each.id === entry.id), kept = [...list];
       if (before >= 0) list[before] = entry;
@@ -182,17 +194,22 @@ Live.app = (() => {
         throw error;
       }
       Live.messages.show(`Now with ${entry.title}.`);
+      if (!awaited || !JSON.stringify(awaited).includes(JSON.stringify(entry.id))) return;
+      guarded(() => {
+        load(awaited);
+        Live.messages.show("This is what the link needs: here is its moment.");
+      });
     }
 
     /** A policy bundle. @param {Object<string, Uint8Array>} files */
     function addBundle(files) {
-      const policy = core.readPolicy(files), id = `own:policy ${policy.id.slice(0, 8)}`;
+      const policy = core.readPolicy(files), id = `own:policy ${policy.id.slice(0, 12)}`;
       const entry = { id, title: id.slice(4), group: "Your own", description: "a policy of your own", parameters: [], content: { name: "policy", policy: policy.id } };
       offer(data.laws, entry, () => change({ loop: policy.control, law: { name: id, parameters: {} } }));
     }
 
     /** A tuned law, as `amulett tune-law` writes it. */
-    function addLaw(file, content) {
+    function addLaw(file, content, hash) {
       const recipe = content.recipe || {}, loop = recipe.control || "decentralized", known = core.layout.laws;
       Amulett.base.oneOf(`law of '${file}'`, recipe.law, Object.keys(known));
       Amulett.base.oneOf(`control loop of '${file}'`, loop, data.loops.map((each) => each.id));
@@ -201,18 +218,19 @@ Live.app = (() => {
         Amulett.base.number(`'${each.name}' of '${file}' [${each.unit}]`, value, each.low, each.high);
         return { ...each, title: each.name.replaceAll("_", " "), value };
       });
-      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: `${recipe.law}, tuned by you`, parameters, content: { name: recipe.law, range: data.ranges[loop] } };
+      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: `${recipe.law}, tuned by you`, parameters, content: { name: recipe.law, range: data.ranges[loop] }, hash };
       offer(data.laws, entry, () => change({ loop, law: fresh(id, true) }));
     }
 
-    function addScenario(file, content) {
-      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: "a scenario of your own", scenario: content, script: [] };
+    function addScenario(file, content, hash) {
+      const id = `own:${file}`, entry = { id, title: file, group: "Your own", description: "a scenario of your own", scenario: content, script: [], hash };
       offer(data.tasks, entry, () => change({ task: id }));
     }
 
-    function addDevice(file, content) {
-      const device = Live.profile.read(content, file, core.layout, data), id = `own:${device.title}`;
-      offer(data.devices, { ...device, id, group: "Your own" }, () => change({ device: id }));
+    function addDevice(file, content, hash) {
+      const found = Live.profile.read(content, file, core.layout, data), id = `own:${found.title}`;
+      for (const at of Object.keys(memory)) if (at.endsWith(` of ${id}`)) delete memory[at];
+      offer(data.devices, { ...found, id, group: "Your own", hash }, () => change({ device: id }));
     }
 
     // ----- links -----
@@ -220,11 +238,13 @@ Live.app = (() => {
     /** The whole state as data. */
     function moment() {
       const { device, loop, task, seed } = settings;
-      return { device, loop, law: run.spec.law, task, seed, speed: Number(byId("speed").value), tick: run.tick, end: run.end, events: run.events };
+      const found = { device, loop, law: run.spec.law, task, seed, speed: Number(byId("speed").value), tick: run.tick, end: run.end, events: run.events };
+      return { ...found, hashes: Live.link.hashesOf(found, data) };
     }
 
     /** Show a moment; raises what is wrong with it. @param {any} content of a link */
     function load(content) {
+      awaited = JSON.stringify(content).includes('"own:') ? content : null; // until it is open
       const checked = Live.link.check(content, data), before = { ...settings };
       const { device, loop, law, task, seed } = checked;
       Object.assign(settings, { device, loop, law, task, seed });
@@ -238,6 +258,7 @@ Live.app = (() => {
         Object.assign(settings, before);
         throw error;
       }
+      awaited = null;
       followLaw();
       byId("speed").value = String(SPEEDS.map(([speed]) => speed).reduce((a, b) => (Math.abs(b - checked.speed) < Math.abs(a - checked.speed) ? b : a)));
       touched();
@@ -272,7 +293,6 @@ Live.app = (() => {
 
     function setPlaying(now) {
       playing = now;
-      byId("play").setAttribute("aria-pressed", String(now));
       byId("play-word").textContent = now ? "Pause" : "Run";
       byId("play-sign").textContent = now ? "\u275A\u275A" : "\u25B6";
       redraw();
@@ -330,7 +350,7 @@ Live.app = (() => {
 
     // ----- pictures and numbers -----
 
-    const geometry = () => data.devices.find((each) => each.id === settings.device).geometry;
+    const geometry = () => device().geometry;
 
     function draw(now) {
       dirty = false;
@@ -395,9 +415,9 @@ Live.app = (() => {
 
     /** Show the choices anew, and draw. */
     function refresh() {
-      const law = app.law(), loop = data.loops.find((each) => each.id === settings.loop), device = data.devices.find((each) => each.id === settings.device);
-      byId("mine-law").textContent = law.title;
-      byId("mine-loop").textContent = `${loop.title} \u00B7 ${device.title}`;
+      const loop = data.loops.find((each) => each.id === settings.loop);
+      byId("mine-law").textContent = app.law().title;
+      byId("mine-loop").textContent = `${loop.title} \u00B7 ${device().title}`;
       for (const label of document.querySelectorAll(".cost small")) label.textContent = run.control ? "cost, full control" : "cost so far";
       panel.showChoices();
       redraw();
@@ -487,6 +507,7 @@ Live.app = (() => {
     const data = JSON.parse(byId("data").textContent);
     const bytes = Amulett.base.fromBase64(data.wasm, "the simulation");
     delete data.wasm;
+    data.simulation = Live.link.digest(bytes);
     Live.palette.read();
     const core = await Amulett.load(bytes), policies = {};
     for (const [name, files] of Object.entries(data.policies)) {

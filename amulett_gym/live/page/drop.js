@@ -78,19 +78,19 @@ Live.drop = (() => {
   async function readOne(file, app) {
     const name = file.name, suffix = name.toLowerCase().split(".").pop();
     if (!["json", "yaml", "yml"].includes(suffix)) throw new UserError(`'${name}' is neither JSON nor YAML, and no file of a policy bundle (${BUNDLE.join(", ")})`);
-    const content = parse(await text(file), suffix, name);
+    const bytes = new Uint8Array(await file.arrayBuffer()), content = parse(text(bytes, name), suffix, name), hash = Live.link.digest(bytes);
     if (typeof content !== "object" || content === null || Array.isArray(content)) throw new UserError(`'${name}' holds ${shown(content)}; it has to hold keys with values`);
-    if (content.format === "amulett-tuned-law") return app.addLaw(name, content);
-    if (["moves", "setpoint", "pushes", "initial_angle_deg", "obstacle", "wave", "shake", "payload"].some((key) => Object.hasOwn(content, key))) return app.addScenario(name, content);
-    if (["name", "base", "plant", "spring", "drives", "sensors", "loop"].some((key) => Object.hasOwn(content, key))) return app.addDevice(name, content);
+    if (content.format === "amulett-tuned-law") return app.addLaw(name, content, hash);
+    if (["moves", "setpoint", "pushes", "initial_angle_deg", "obstacle", "wave", "shake", "payload"].some((key) => Object.hasOwn(content, key))) return app.addScenario(name, content, hash);
+    if (["name", "base", "plant", "spring", "drives", "sensors", "loop"].some((key) => Object.hasOwn(content, key))) return app.addDevice(name, content, hash);
     throw new UserError(`'${name}' is no device (it has neither name nor base), no scenario (no moves, setpoint or pushes) and no tuned law (its format is not amulett-tuned-law); its keys are ${Object.keys(content).slice(0, 8).map((key) => key.slice(0, 40)).join(", ") || "none"}`);
   }
 
-  async function text(file) {
+  function text(bytes, name) {
     try {
-      return new TextDecoder("utf-8", { fatal: true }).decode(await file.arrayBuffer());
+      return new TextDecoder("utf-8", { fatal: true }).decode(bytes);
     } catch {
-      throw new UserError(`'${file.name}' is no text in UTF-8`);
+      throw new UserError(`'${name}' is no text in UTF-8`);
     }
   }
 

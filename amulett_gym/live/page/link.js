@@ -14,7 +14,9 @@ Live.link = (() => {
    * @property {string} device @property {string} loop @property {{name: string, parameters: Object<string, number>}} law
    * @property {string} task @property {number} seed @property {number} speed
    * @property {number} tick @property {number} end @property {Input[]} events
+   * @property {Hashes} hashes of the contents that the names stand for
    */
+  /** @typedef {{simulation: string, device: string, task: string, laws: Object<string, string>}} Hashes */
 
   /**
    * The text of a moment; an event is [ticks since the one before, kind, value].
@@ -82,6 +84,44 @@ Live.link = (() => {
 
   const fromBase64 = (text) => Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (letter) => letter.charCodeAt(0));
 
+  // What follows is about contents: a name alone does not say which numbers follow.
+
+  /** The first digits of the SHA-256 of bytes. @param {Uint8Array} bytes */
+  const digest = (bytes) => Amulett.base.sha256(bytes).slice(0, 12);
+
+  /** The hash of what a device, law or task of the page stands for: of its file, if it came as one. */
+  function hashOf(entry) {
+    entry.hash ||= digest(new TextEncoder().encode(JSON.stringify([entry.content || entry.scenario, entry.script || []])));
+    return entry.hash;
+  }
+
+  /** The names of all laws that act in a run. @param {{law: any, events: Input[]}} moment @returns {string[]} */
+  const lawsOf = ({ law, events }) => [...new Set([law.name, ...events.filter((each) => each.kind === "law").map((each) => each.value.name)])];
+
+  /** The hashes of all that a moment names. @param {any} moment @param {any} data the page's data @returns {Hashes} */
+  function hashesOf(moment, data) {
+    const find = (list, id) => hashOf(data[list].find((each) => each.id === id));
+    return {
+      simulation: data.simulation, device: find("devices", moment.device), task: find("tasks", moment.task),
+      laws: Object.fromEntries(lawsOf(moment).map((name) => [name, find("laws", name)])),
+    };
+  }
+
+  /** Refuse a link whose names stand for something else on this page. */
+  function checkHashes(moment, data) {
+    const here = hashesOf(moment, data), given = keys("'hashes'", moment.hashes, Object.keys(here));
+    keys("'hashes.laws'", given.laws, Object.keys(here.laws));
+    const same = (kind, id, one, other) => {
+      if (one === other) return;
+      const remedy = id.startsWith("own:") ? "Drop that other file on this page" : "Use the page, or the amulett-gym, that the link was made with";
+      throw new UserError(`the link's ${kind} ${shown(id.replace(/^own:/, ""))} is another one than that of this page, though of the same name: its content has the hash ${shown(one)}, this one's ${shown(other)}. So the numbers would not be the link's. ${remedy}`);
+    };
+    same("device", moment.device, given.device, here.device);
+    same("task", moment.task, given.task, here.task);
+    for (const name of Object.keys(here.laws)) same("law", name, given.laws[name], here.laws[name]);
+    same("simulation", "amulett.wasm", given.simulation, here.simulation);
+  }
+
   // What follows checks data: of links, and of scripts.
 
   /** As `number`, without a fraction. */
@@ -94,7 +134,7 @@ Live.link = (() => {
   function listed(what, id, choices) {
     const ids = choices.map((each) => each.id);
     if (typeof id === "string" && id.startsWith("own:") && !ids.includes(id)) {
-      throw new UserError(`the link uses a ${what} of somebody's own, ${shown(id.slice(4, 60))}; drop its files on this page, then open the link again`);
+      throw new UserError(`the link uses a ${what} of somebody's own, ${shown(id.slice(4, 60))}; drop its files on this page, and the link opens`);
     }
     return oneOf(`${what} of the link`, id, ids);
   }
@@ -115,11 +155,12 @@ Live.link = (() => {
    * @returns {Moment}
    */
   function check(content, data) {
-    const names = ["version", "device", "loop", "law", "task", "seed", "speed", "tick", "end", "events"];
+    const names = ["version", "device", "loop", "law", "task", "seed", "speed", "tick", "end", "events", "hashes"];
     keys("the link", content, names);
     if (content.version !== VERSION) throw new UserError(`the link is of version ${shown(content.version)}; this page reads version ${VERSION}`);
     const most = Math.ceil(Live.run.MOST_SECONDS / 1e-6);
     listed("device", content.device, data.devices);
+    const device = data.devices.find((each) => each.id === content.device);
     listed("control loop", content.loop, data.loops);
     listed("task", content.task, data.tasks);
     whole("'seed'", content.seed, 0, 2 ** 32 - 1);
@@ -132,21 +173,24 @@ Live.link = (() => {
       if (!Array.isArray(row) || row.length !== 3) throw new UserError(`'events.${k}' is ${shown(row)}; it has to be [ticks, kind, value]`);
       tick += whole(`'events.${k}.0'`, row[0], 0, most);
       oneOf(`input 'events.${k}.1' of the link`, row[1], [...Live.run.SHARED, "law"]);
-      return { tick, kind: row[1], value: checkInput(`'events.${k}.2'`, row[1], row[2], data) };
+      return { tick, kind: row[1], value: checkInput(`'events.${k}.2'`, row[1], row[2], device, data) };
     });
     if (tick > content.end) throw new UserError(`'end' is ${content.end}; it has to be at least ${tick}, the tick of the last input`);
-    return { ...content, law: checkLaw("'law'", content.law, data), events };
+    const moment = { ...content, law: checkLaw("'law'", content.law, device, data), events };
+    checkHashes(moment, data);
+    return moment;
   }
 
   /** The value of one input. */
-  function checkInput(what, kind, value, data) {
+  function checkInput(what, kind, value, device, data) {
     const { limits } = data;
     if (kind === "setpoint") return number(what, value, -limits.setpoint, limits.setpoint);
     if (kind === "push") return number(what, value, -limits.push, limits.push);
     if (kind === "payload") return number(what, value, 0, limits.payload);
-    if (kind === "law") return checkLaw(what, value, data);
+    if (kind === "law") return checkLaw(what, value, device, data);
     if (value === null) return null;
-    keys(what, value, ["angle", "side", "stiffness"]);
+    keys(what, value, ["angle", "side", "stiffness", ...("damping" in value ? ["damping"] : [])]);
+    if ("damping" in value) number(`${what} damping`, value.damping, 0, 100);
     number(`${what} angle`, value.angle, -limits.setpoint, limits.setpoint);
     number(`${what} stiffness`, value.stiffness, 0.1, limits.obstacle);
     if (value.side !== 1 && value.side !== -1) throw new UserError(`${what} side is ${shown(value.side)}; it has to be 1 or -1`);
@@ -154,14 +198,14 @@ Live.link = (() => {
   }
 
   /** A law by its name, with all of its parameters within their ranges. */
-  function checkLaw(what, value, data) {
+  function checkLaw(what, value, device, data) {
     keys(what, value, ["name", "parameters"]);
     listed("law", value.name, data.laws);
-    const law = data.laws.find((each) => each.id === value.name);
-    keys(`${what} parameters`, value.parameters, law.parameters.map((each) => each.name));
-    for (const each of law.parameters) number(`${what} ${each.name} [${each.unit}]`, value.parameters[each.name], each.low, each.high);
+    const parameters = Live.laws.parametersOf(data.laws.find((each) => each.id === value.name), device);
+    keys(`${what} parameters`, value.parameters, parameters.map((each) => each.name));
+    for (const each of parameters) number(`${what} ${each.name} [${each.unit}]`, value.parameters[each.name], each.low, each.high);
     return value;
   }
 
-  return { encode, decode, check, pack };
+  return { encode, decode, check, pack, digest, hashesOf };
 })();

@@ -12,8 +12,8 @@ Live.panel = (() => {
    */
   function make(app) {
     const { data } = app, limits = data.limits, most = limits.setpoint * DEGREES;
-    /** @type {{angle: number, stiffness: number}} */
-    const obstacle = { angle: 60, stiffness: 8 };
+    /** @type {{angle: number, stiffness: number, damping: number}} */
+    const obstacle = { angle: 60, stiffness: 8, damping: 0 };
 
     const setpoint = slider({ label: "Setpoint", id: "setpoint", unit: "°", low: -Math.min(30, most), high: most, step: 1, digits: 0, value: 0, onInput: (value) => app.input("setpoint", value / DEGREES) });
     const push = slider({ label: "Push", id: "push", unit: "N m", low: -limits.push, high: limits.push, step: 0.01, digits: 2, value: 0, help: "Springs back when a pointer lets it go; by keyboard it stays until Esc", onInput: (value) => app.input("push", value) });
@@ -30,7 +30,7 @@ Live.panel = (() => {
 
     function placeObstacle(on) {
       const angle = obstacle.angle / DEGREES, side = app.state().angle <= angle ? 1 : -1;
-      app.input("obstacle", on ? { angle, side, stiffness: obstacle.stiffness } : null);
+      app.input("obstacle", on ? { angle, side, stiffness: obstacle.stiffness, damping: obstacle.damping } : null);
     }
 
     const task = select({ label: "Task", id: "task", choices: data.tasks, value: app.settings.task, onChange: (id) => app.choose({ task: id }) });
@@ -59,7 +59,7 @@ Live.panel = (() => {
     function showParameters() {
       const of = app.law(), { settings } = app, values = settings.law.parameters;
       parameters.clear();
-      const nodes = of.parameters.map((each) => {
+      const nodes = app.parameters().map((each) => {
         const made = slider({
           label: each.title, unit: each.unit, low: each.name === "tension" ? data.ranges[settings.loop][0] : each.low, high: each.high, digits: each.high < 3 ? 3 : 1, logarithmic: each.logarithmic,
           help: each.meaning, value: values[each.name], onInput: (value) => app.setParameter(each.name, value),
@@ -85,7 +85,8 @@ Live.panel = (() => {
       blocked.input.checked = Boolean(state.obstacle);
       obstacles.hidden = !state.obstacle;
       if (state.obstacle) {
-        Object.assign(obstacle, { angle: Math.round(state.obstacle.angle * DEGREES), stiffness: state.obstacle.stiffness });
+        const { angle, stiffness, damping } = state.obstacle;
+        Object.assign(obstacle, { angle: Math.round(angle * DEGREES), stiffness, damping });
         show(where, obstacle.angle);
         show(hard, obstacle.stiffness);
       }

@@ -60,13 +60,24 @@ Live.run = (() => {
       }
     }
 
+    /** Let the next recorded input act. One that is refused, as after a change of the device, leaves the record. */
+    function replay() {
+      try {
+        apply(events[next]);
+      } catch (error) {
+        events = events.filter((_, k) => k !== next);
+        throw error;
+      }
+      next++;
+    }
+
     /** Simulate up to a tick, with the recorded inputs. @param {number} target */
     function advance(target) {
       while (tick < target) {
         if (tick % snapshotTicks === 0 && tick > snapshots[snapshots.length - 1].tick) {
           snapshots.push({ tick, next, mine: mine.snapshot(), twin: twin.snapshot() });
         }
-        while (next < events.length && events[next].tick <= tick) apply(events[next++]);
+        while (next < events.length && events[next].tick <= tick) replay();
         let stop = Math.min(target, (Math.floor(tick / sampleTicks) + 1) * sampleTicks, (Math.floor(tick / snapshotTicks) + 1) * snapshotTicks);
         if (next < events.length) stop = Math.min(stop, events[next].tick);
         mine.step(stop - tick);
@@ -86,8 +97,7 @@ Live.run = (() => {
       const from = Math.max(target - Math.round(Live.strips.SECONDS / period), 0); // the strips need what was before
       if (target >= tick && target - tick < from) return advance(target);
       const place = [...snapshots].reverse().find((each) => each.tick <= from) || snapshots[0];
-      mine.restore(place.mine);
-      twin.restore(place.twin);
+      restore(place);
       [tick, next] = [place.tick, place.next];
       for (const each of Object.values(samples)) each.clear();
       state = { mine: look(mine), twin: look(twin) };
@@ -95,21 +105,36 @@ Live.run = (() => {
       return advance(target);
     }
 
+    /** @type {{mine: Uint8Array, twin: Uint8Array}} both arms at the present tick, before its inputs */
+    let before;
+
+    function restore(place) {
+      mine.restore(place.mine);
+      twin.restore(place.twin);
+    }
+
     /**
-     * Record an input, which acts from the next tick on. What was recorded for later is dropped: all of it, or if only
-     * the law changes, the later laws, so that another law can meet the same pushes.
+     * Record an input, which acts from the next tick on: the newest of its kind within a tick, as if the others had not
+     * been, so that the record gives the same numbers again. What was recorded for later is dropped: all of it, or if
+     * only the law changes, the later laws, so that another law can meet the same pushes.
      * @param {string} kind @param {any} value
      */
     function input(kind, value) {
       if (events.length >= MOST_EVENTS) throw new UserError(`the run holds ${MOST_EVENTS} inputs, which is the most; restart it`);
       const later = kind === "law" ? events.slice(next).filter((each) => each.kind !== "law") : [];
-      const before = events.slice(0, next);
-      const same = before.length ? before[before.length - 1] : null;
-      if (same && same.tick === tick && same.kind === kind) before.pop(); // the newest of several within a tick
-      const event = { tick, kind, value };
-      apply(event); // which checks it, before anything is changed
-      events = [...before, event, ...later];
-      next = before.length + 1;
+      const earlier = events.slice(0, next).filter((each) => each.tick < tick), acted = events.slice(earlier.length, next);
+      if (acted.length) restore(before);
+      else before = { mine: mine.snapshot(), twin: twin.snapshot() };
+      const inputs = [...acted.filter((each) => each.kind !== kind), { tick, kind, value }];
+      try {
+        inputs.forEach(apply);
+      } catch (error) { // it stays as it was
+        restore(before);
+        acted.forEach(apply);
+        throw error;
+      }
+      events = [...earlier, ...inputs, ...later];
+      next = earlier.length + inputs.length;
       if (kind !== "law") end = tick;
       snapshots = snapshots.filter((each) => each.tick < tick || each.tick === 0);
       state = { mine: look(mine), twin: look(twin) };
@@ -128,7 +153,7 @@ Live.run = (() => {
       get events() { return events; },
       /** The setpoint and the push by hand that are asked for, though no tick may have followed. */
       get asked() {
-        let { setpoint } = state.mine;
+        let { setpoint } = state.mine.failed ? state.twin : state.mine; // an arm that failed takes no more
         for (let k = next - 1; k >= 0 && events[k].tick === tick; k--) if (events[k].kind === "setpoint") { setpoint = events[k].value; break; }
         return { setpoint, push: state.mine.hand };
       },
