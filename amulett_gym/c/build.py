@@ -21,7 +21,7 @@ COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
 
 Blocks = NDArray[np.void]
-Advance = Callable[[Blocks, NDArray[np.int64], Blocks, Blocks, layout.Paths | None, layout.Loop | None, int, int], None]
+Advance = Callable[..., None]
 """Called as `kernel.advance` is."""
 
 
@@ -129,6 +129,7 @@ def build(name: str, folder: Path) -> Advance:
         states: NDArray[np.void],
         paths: layout.Paths | None,
         loop: layout.Loop | None,
+        extended: bool | None,
         num_devices: int,
         ticks: int,
     ) -> None:

@@ -378,11 +378,11 @@ class Episodes:
         return means, tensions
 
     def _memory(self, blocks: slice | None = None) -> tuple[Any, ...]:
-        """Return what the simulation of some blocks (None: all) needs besides `Arrays`: paths, loop."""
-        paths, loop = self.simulation.paths, self.simulation.loop
+        """Return what the simulation of some blocks (None: all) needs besides `Arrays`: paths, loop, extended."""
+        paths, loop, extended = self.simulation.paths, self.simulation.loop, self.simulation.extended
         if blocks is None:
-            return paths, loop
-        return paths and (paths[0], paths[1][blocks]), loop and (loop[0], loop[1][blocks])
+            return paths, loop, extended
+        return paths and (paths[0], paths[1][blocks]), loop and (loop[0], loop[1][blocks]), extended
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""

@@ -203,7 +203,7 @@ def _play(profile: Profile, rows: NDArray[np.void]) -> NDArray[np.float64]:
     ignored = np.zeros(len(rows)), np.empty((len(rows), len(transition.OBSERVATIONS)), dtype=np.float32)
     report = np.empty((len(rows), transition.REPORT_SIZE))
     arrays = simulation.parameters, settings, simulation.which, simulation.scenarios, simulation.states
-    transition.step(*arrays, None, None, None, *ignored, report)
+    transition.step(*arrays, None, None, simulation.extended, None, *ignored, report)
     readings = dict(zip(transition.READINGS, report.T[transition.FIRST_READING :], strict=False))
     metrics = dict(zip(transition.METRICS, report.T[transition.FIRST_METRIC :], strict=True))
     costs = [np.sum([metrics[name] for name in names], axis=0) for names in _METRICS.values()]

@@ -116,12 +116,12 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, which, c_blocks, s_blocks, paths, loop, means, actions, observations, report):
+def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, means, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row per device.
 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
     tension; `means` those for the mean drive angle, or None: then the code for these is not
-    compiled.
+    compiled. `paths`, `loop` and `extended` are as of `kernel.advance`.
     """
     num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
@@ -130,12 +130,14 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, means, actions, observati
         end = min(first + LANES, num_devices)
         c, s, own = c_blocks[block], s_blocks[block], which[block]
         m = motion[0]
-        step_block(p[own], e[own], c, s, m, paths, loop, own, block, first, end, means, actions, observations, report)
+        others = m, paths, loop, extended
+        step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
 
 
 @compiled_in_place
-def step_block(p, e, c, s, m, paths, loop, own, block, first, end, means, actions, observations, report):
+def step_block(p, e, c, s, others, own, block, first, end, means, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
+    m, paths, loop, extended = others
     for device in range(first, end):
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
@@ -145,7 +147,7 @@ def step_block(p, e, c, s, m, paths, loop, own, block, first, end, means, action
             for device in range(first, end):
                 begin_ramp(e, s, loop, block, np.uint64(device - first), means, actions, device)
         ticks = e.ticks - e.delay if begun else e.delay
-        advance_block(p, c, s, m, paths, loop, own, block, end - first, ticks)
+        advance_block(p, c, s, m, paths, loop, extended, own, block, end - first, ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         end_ramp(e, s, loop, block, i, means, actions, device)

@@ -122,13 +122,13 @@ class WornEpisodes(Episodes):
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and assistances begin their ramps; see `Episodes.begin_ramps`."""
         _, constants, which, _, states = self._arrays
-        _, loop, worn = self._memory()
+        _, loop, _, worn = self._memory()
         worn_transition.begin_ramps(constants, which, states, loop, worn, *self._split(actions))
 
     def end_ramps(self, actions: NDArray[np.float64]) -> None:
         """Set tensions and assistances to where their ramps are; see `Episodes.end_ramps`."""
         _, constants, which, _, states = self._arrays
-        _, loop, worn = self._memory()
+        _, loop, _, worn = self._memory()
         worn_transition.end_ramps(constants, which, states, loop, worn, *self._split(actions))
 
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:

@@ -49,7 +49,7 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, which, c_blocks, s_blocks, paths, loop, worn, assistances, actions, observations, report):
+def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistances, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row per device.
 
     `actions` are those for the tension, `assistances` those for the assistance; else as `transition.step`.
@@ -60,14 +60,14 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, worn, assistances, action
         first = block * LANES
         own, c, s = which[block], c_blocks[block], s_blocks[block]
         ends = first, min(first + LANES, num_devices)
-        others = motion[0], motion_of_arm[0], paths, loop, worn
+        others = motion[0], motion_of_arm[0], paths, loop, extended, worn
         step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
 
 
 @compiled_in_place
 def step_block(p, e, c, s, others, own, block, ends, assistances, actions, observations, report):
-    """Take one agent step with the devices of a block; `others` are m, k, paths, loop, worn of `worn.advance_block`."""
-    m, k, paths, loop, worn = others
+    """Take one agent step with the devices of a block; `others` are m, k and what follows in `worn.advance_block`."""
+    m, k, paths, loop, extended, worn = others
     first, end = ends
     h, w = worn[1][block], worn[2][block]
     for device in range(first, end):
@@ -81,7 +81,7 @@ def step_block(p, e, c, s, others, own, block, ends, assistances, actions, obser
                 begin_ramp(e, s, loop, block, i, None, actions, device)
                 begin_assistance(e, w, i, assistances[device])
         ticks = e.ticks - e.delay if begun else e.delay
-        advance_block(p, c, s, m, k, paths, loop, worn, own, block, end - first, ticks)
+        advance_block(p, c, s, m, k, paths, loop, extended, worn, own, block, end - first, ticks)
     for device in range(first, end):
         i = np.uint64(device - first)
         end_ramp(e, s, loop, block, i, None, actions, device)

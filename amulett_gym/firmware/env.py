@@ -71,7 +71,7 @@ class FirmwareEpisodes(Episodes):
     ) -> None:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
         parameters, constants, _, scenarios, states = arrays
-        _, loop = memory
+        _, loop, _ = memory
         open_step(constants, states, report)
         for _ in range(int(constants["ticks"][0])):
             if states["failure"][0, 0] != RUNNING:

@@ -56,6 +56,8 @@ class Simulation:
         None unless a device's setpoint is a path.
     loop : layout.Loop or None
         Gains and memory of a loop that is not the paper's.
+    extended : True or None
+        Whether springs of a profile go on beyond their table, or its drives stall.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class Simulation:
         self.scenarios = np.zeros(num_blocks, dtype=layout.SCENARIO_BLOCK)
         self.states = zeros(num_blocks, layout.STATE_BLOCK)
         self.which = np.zeros(num_blocks, dtype=np.int64)
+        self.extended = True if self.parameters["extended"].any() else None
         self.paths: Paths | None = None
         self.loop: Loop | None = None
         if control in (*LOOPS, DRIVES):
@@ -178,7 +181,7 @@ class Simulation:
     def _settle(self, devices: NDArray[np.int64]) -> None:
         """Set the given devices' states, which are zero, to rest."""
         blocks = self.which, self.scenarios, self.states
-        kernel.settle(self.parameters, *blocks, self.paths, self.loop, devices)
+        kernel.settle(self.parameters, *blocks, self.paths, self.loop, self.extended, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until the next call.
@@ -213,7 +216,7 @@ class Simulation:
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks, of each device's own control period."""
         blocks = self.which, self.scenarios, self.states
-        kernel.advance(self.parameters, *blocks, self.paths, self.loop, self.num_devices, ticks)
+        kernel.advance(self.parameters, *blocks, self.paths, self.loop, self.extended, self.num_devices, ticks)
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
@@ -308,7 +311,7 @@ class Simulation:
         blocks, states = (zeros(which.size, kind) for kind in (layout.SCENARIO_BLOCK, layout.STATE_BLOCK))
         for own, new in zip(words(blocks, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
             own[:, :, 0] = new[..., 0]
-        kernel.settle(self.parameters, which, blocks, states, None, None, LANES * np.arange(which.size))
+        kernel.settle(self.parameters, which, blocks, states, None, None, self.extended, LANES * np.arange(which.size))
         for name in ("biceps", "triceps"):
             force = states[f"force_{name}"][:, 0]
             load = force * scenarios[f"pulley_{name}_factor"] * self.parameters["drive_radius"][which]

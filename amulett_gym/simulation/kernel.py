@@ -38,9 +38,6 @@ from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, co
 from amulett_gym.simulation.loops import begin_loop, predict_drives, run_loop
 from amulett_gym.simulation.random import noise, random_bits
 
-EXTENDED = True
-"""In place of None as `extended`: of a function that has no plain version, since it runs once, or rarely."""
-
 SENSOR_STREAMS = np.uint64(4)
 ENCODER, SLIDER_BICEPS, SLIDER_TRICEPS, LATENESS = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 SHAKE_STREAM = np.uint64(0x5A4E)
@@ -50,29 +47,32 @@ TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must n
 
 
 @compiled
-def advance(p, which, c_blocks, s_blocks, paths, loop, num_devices, ticks):
+def advance(p, which, c_blocks, s_blocks, paths, loop, extended, num_devices, ticks):
     """Advance all devices by a number of control ticks; a device that failed keeps its state.
 
     `which` holds the index of each block's profile, into `p` and the gains of `loop`. `paths` is `layout.Paths`, or
     None: then the code for paths is not compiled. `loop` is `layout.Loop`, or None: then the paper's loop runs, and the
-    code for others is not compiled.
+    code for others is not compiled. `extended` is `Simulation.extended`, True or None: then the code for springs beyond
+    their table and for drives that stall is not compiled.
     """
     # The array is used in each round: numba frees it after its last use, whether or not a record of it is in use.
     motion = np.empty(1, dtype=layout.MOTION_BLOCK)
     for block in range(s_blocks.shape[0]):
         lanes, own = min(layout.LANES, num_devices - block * layout.LANES), which[block]
-        advance_block(p[own], c_blocks[block], s_blocks[block], motion[0], paths, loop, own, block, lanes, ticks)
+        advance_block(
+            p[own], c_blocks[block], s_blocks[block], motion[0], paths, loop, extended, own, block, lanes, ticks
+        )
 
 
 @compiled_in_place
-def advance_block(p, c, s, m, paths, loop, own, block, lanes, ticks):
+def advance_block(p, c, s, m, paths, loop, extended, own, block, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks; `own` is its profile's index."""
     for _ in range(ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
             # Unsigned: numba checks whether a signed index is negative, lane by lane.
-            tick(p, c, s, m, paths, loop, own, block, np.uint64(first), np.uint64(end))
+            tick(p, c, s, m, paths, loop, extended, own, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
 
@@ -86,7 +86,7 @@ def next_failed(s, first, lanes):
 
 
 @compiled_in_place
-def tick(p, c, s, m, paths, loop, own, block, first, end):
+def tick(p, c, s, m, paths, loop, extended, own, block, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     start_counting(p, c, s, m, first, end)
     lane = first
@@ -97,10 +97,7 @@ def tick(p, c, s, m, paths, loop, own, block, first, end):
     predict(s, loop, own, block, first, end)
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
-    if p.extended:
-        move(p, c, s, m, first, end, EXTENDED)
-    else:
-        move(p, c, s, m, first, end, None)
+    move(p, c, s, m, first, end, extended)
     find_setpoints(p, c, s, paths, block, first, end)
     add_waves(p, c, s, first, end)
     track_steps(p, c, s, m, first, end)
@@ -194,10 +191,16 @@ def shake_deviation(lag, period):
 
 @compiled
 def move(p, c, s, m, first, end, extended):
-    """Stages 4 to 6: integrate over the tick and read the sensors.
+    """Stages 4 to 6: integrate over the tick and read the sensors."""
+    if extended is not None and p.extended:
+        move_as(p, c, s, m, first, end, extended)
+    else:
+        move_as(p, c, s, m, first, end, None)
 
-    `extended` is None unless springs go on beyond their table or drives stall: then their code is not compiled.
-    """
+
+@compiled
+def move_as(p, c, s, m, first, end, extended):
+    """Integrate over the tick and read the sensors; `extended` is None for springs within their table and no stall."""
     h = p.control_period / p.substeps  # of the classical Runge-Kutta method
     for _ in range(p.substeps):
         evaluate(p, c, s, m, first, end, 0.0, 1.0, extended)
@@ -254,12 +257,12 @@ def give_way(p, c, m, first, end, extended):
 @compiled
 def slip(p, position, force):
     """Return by how much a position is beyond the one with a string force [N], by bisection; 0 if it is not."""
-    if spring_force(p, position, EXTENDED) <= force:
+    if spring_force(p, position, True) <= force:
         return 0.0
     low, high = 0.0, position
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if spring_force(p, middle, EXTENDED) < force:
+        if spring_force(p, middle, True) < force:
             low = middle
         else:
             high = middle
@@ -435,9 +438,9 @@ def setpoint_kick(p, s, m, i):
 
 
 @compiled
-def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push):
+def acceleration(p, c, i, angle, velocity, drive_biceps, drive_triceps, push, extended):
     """Return the joint's acceleration (eqs. 1-5) [rad/s2]."""
-    biceps, triceps = string_forces(p, c, i, angle, drive_biceps, drive_triceps, EXTENDED)
+    biceps, triceps = string_forces(p, c, i, angle, drive_biceps, drive_triceps, extended)
     return acceleration_by(p, c, i, angle, velocity, biceps, triceps, push)
 
 
@@ -750,16 +753,16 @@ def track_step(p, c, s, m, i):
 
 
 @compiled
-def settle(p, which, c_blocks, s_blocks, paths, loop, devices):
+def settle(p, which, c_blocks, s_blocks, paths, loop, extended, devices):
     """Reset the given devices, at rest at their initial angle with their initial tension."""
     for device in devices:
         # Unsigned as in a tick, so that nothing is compiled twice.
         block, i = device // layout.LANES, np.uint64(device % layout.LANES)
         c, s, own = c_blocks[block], s_blocks[block], which[block]
         parameters = p[own]
-        settle_strings(parameters, c, s, i)
+        settle_strings(parameters, c, s, i, extended)
         s.setpoint[i] = s.previous_setpoint[i] = s.angle[i]
-        read_sensors(parameters, c, s, i, EXTENDED)
+        read_sensors(parameters, c, s, i, extended)
         s.position_signal[i] = s.setpoint[i] - s.measured_angle[i]
         if not parameters.position_on_error:
             s.position_signal[i] = -s.measured_angle[i]
@@ -781,7 +784,7 @@ def begin(p, c, s, loop, own, block, i):
 
 
 @compiled
-def settle_strings(p, c, s, i):
+def settle_strings(p, c, s, i, extended):
     """Set the static equilibrium, and the controllers' memory that holds it."""
     angle = c.initial_angle[i]
     radius_biceps = p.drive_radius * c.pulley_biceps_factor[i]
@@ -804,13 +807,13 @@ def settle_strings(p, c, s, i):
         turn_biceps = wound_biceps + biceps / radius_biceps
         turn_triceps = wound_triceps - triceps / radius_triceps
     else:
-        common = position_only_equilibrium(p, c, i, needed, wound_biceps - wound_triceps)
+        common = position_only_equilibrium(p, c, i, needed, wound_biceps - wound_triceps, extended)
         turn_biceps = wound_biceps + common + p.position_only_offset
         turn_triceps = wound_biceps + common - p.position_only_offset
     s.angle[i] = angle
     s.drive_biceps[i] = s.command_biceps[i] = turn_biceps
     s.drive_triceps[i] = s.command_triceps[i] = turn_triceps
-    update_string_forces(p, c, s, i, EXTENDED)
+    update_string_forces(p, c, s, i, extended)
     if p.tension_loop:
         output = turn_biceps if biceps_is_agonist else turn_triceps
         s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
@@ -825,7 +828,7 @@ def settle_strings(p, c, s, i):
     s.stiffness_setpoint[i] = math.nan  # most loops take none
     biceps = stretch_biceps(p, c, i, turn_biceps, angle)
     triceps = stretch_triceps(p, c, i, turn_triceps, angle)
-    s.measured_difference[i] = slider_deflection(p, biceps, EXTENDED) - slider_deflection(p, triceps, EXTENDED)
+    s.measured_difference[i] = slider_deflection(p, biceps, extended) - slider_deflection(p, triceps, extended)
     # The microcontroller knows the profile's springs only.
     biceps, triceps = s.force_biceps[i] / c.spring_biceps_factor[i], s.force_triceps[i] / c.spring_triceps_factor[i]
     s.estimate_biceps[i], s.estimate_triceps[i] = trust(p, biceps, biceps), trust(p, triceps, triceps)
@@ -838,7 +841,7 @@ def settle_strings(p, c, s, i):
 
 
 @compiled
-def position_only_equilibrium(p, c, i, needed, apart):
+def position_only_equilibrium(p, c, i, needed, apart, extended):
     """Return by bisection the turn of both drives beyond the biceps' slack angle [rad] for f_1 - f_2 = `needed` [N].
 
     `apart` is the biceps' slack angle minus the triceps' [rad].
@@ -849,8 +852,8 @@ def position_only_equilibrium(p, c, i, needed, apart):
     scale_triceps = p.drive_radius * c.pulley_triceps_factor[i] * p.inverse_max_deflection
     for _ in range(60):
         middle = 0.5 * (low + high)
-        biceps = spring_force(p, (middle + p.position_only_offset) * scale_biceps, EXTENDED)
-        triceps = spring_force(p, (p.position_only_offset - middle - apart) * scale_triceps, EXTENDED)
+        biceps = spring_force(p, (middle + p.position_only_offset) * scale_biceps, extended)
+        triceps = spring_force(p, (p.position_only_offset - middle - apart) * scale_triceps, extended)
         if c.spring_biceps_factor[i] * biceps - c.spring_triceps_factor[i] * triceps < needed:
             low = middle
         else:

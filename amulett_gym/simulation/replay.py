@@ -44,7 +44,8 @@ def start_in_balance(simulation: Simulation, scenarios: NDArray[np.void]) -> Non
     """
     _place(simulation, scenarios)
     blocks = simulation.which, simulation.scenarios, simulation.states
-    settle(simulation.parameters, *blocks, None, simulation.loop, np.arange(simulation.num_devices))
+    others = None, simulation.loop, simulation.extended
+    settle(simulation.parameters, *blocks, *others, np.arange(simulation.num_devices))
 
 
 def _place(simulation: Simulation, scenarios: NDArray[np.void]) -> None:
@@ -119,12 +120,12 @@ def _run(
         (np.ascontiguousarray(one, dtype=np.float64), np.ascontiguousarray(other, dtype=np.float64))
         for one, other in ((first, second), (led, speed))
     )
-    _advance(simulation.parameters, *blocks, loop, *inputs, *path, chosen, closed, found)
+    _advance(simulation.parameters, *blocks, loop, simulation.extended, *inputs, *path, chosen, closed, found)
     return found
 
 
 @compiled
-def _advance(p, which, c_blocks, s_blocks, loop, first, second, angle, velocity, chosen, closed, found):
+def _advance(p, which, c_blocks, s_blocks, loop, extended, first, second, angle, velocity, chosen, closed, found):
     """Advance whole blocks by a tick for each row of the inputs; `closed` is None or True, whether the loop runs."""
     motion = np.empty(1, dtype=layout.MOTION_BLOCK)
     begin, end = np.uint64(0), np.uint64(layout.LANES)
@@ -142,10 +143,7 @@ def _advance(p, which, c_blocks, s_blocks, loop, first, second, angle, velocity,
             if closed is not None:
                 act(parameters, s, m, loop, own, block, begin, end)
             begin_motion(parameters, c, s, m, begin, end)
-            if parameters.extended:
-                move(parameters, c, s, m, begin, end, True)
-            else:
-                move(parameters, c, s, m, begin, end, None)
+            move(parameters, c, s, m, begin, end, extended)
 
 
 @compiled

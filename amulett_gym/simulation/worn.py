@@ -24,7 +24,6 @@ from amulett_gym.model.wearer import PASSIVE_DAMPING, activation_rate, excitatio
 from amulett_gym.simulation import layout
 from amulett_gym.simulation.commands import FARTHEST, choose, low_pass
 from amulett_gym.simulation.kernel import (
-    EXTENDED,
     act,
     add_waves,
     begin_motion,
@@ -52,28 +51,28 @@ MOVING = math.radians(5.0)  # [rad/s]; an intention that is faster is a motion
 
 
 @compiled
-def advance(p, which, c_blocks, s_blocks, paths, loop, worn, num_devices, ticks):
+def advance(p, which, c_blocks, s_blocks, paths, loop, extended, worn, num_devices, ticks):
     """Advance all devices and their wearers by a number of control ticks; see `kernel.advance`."""
     motion, motion_of_arm = np.empty(1, dtype=layout.MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
     for block in range(s_blocks.shape[0]):
         lanes, own = min(layout.LANES, num_devices - block * layout.LANES), which[block]
         c, s, m, k = c_blocks[block], s_blocks[block], motion[0], motion_of_arm[0]
-        advance_block(p[own], c, s, m, k, paths, loop, worn, own, block, lanes, ticks)
+        advance_block(p[own], c, s, m, k, paths, loop, extended, worn, own, block, lanes, ticks)
 
 
 @compiled_in_place
-def advance_block(p, c, s, m, k, paths, loop, worn, own, block, lanes, ticks):
+def advance_block(p, c, s, m, k, paths, loop, extended, worn, own, block, lanes, ticks):
     """Advance the devices in a block's first lanes by a number of control ticks; `own` is its profile's index."""
     for _ in range(ticks):
         first = 0
         while first < lanes:
             end = next_failed(s, first, lanes)
-            tick(p, c, s, m, k, paths, loop, worn, own, block, np.uint64(first), np.uint64(end))
+            tick(p, c, s, m, k, paths, loop, extended, worn, own, block, np.uint64(first), np.uint64(end))
             first = end + 1
 
 
 @compiled_in_place
-def tick(p, c, s, m, k, paths, loop, worn, own, block, first, end):
+def tick(p, c, s, m, k, paths, loop, extended, worn, own, block, first, end):
     """Advance the devices in the lanes from `first` to before `end` by one control tick."""
     f, h, w = worn[0][own], worn[1][block], worn[2][block]
     start_counting(p, c, s, m, first, end)
@@ -86,10 +85,7 @@ def tick(p, c, s, m, k, paths, loop, worn, own, block, first, end):
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
     excite(p, c, s, m, h, w, k, first, end)
-    if p.extended:
-        move(p, c, s, m, f, h, w, k, first, end, EXTENDED)
-    else:
-        move(p, c, s, m, f, h, w, k, first, end, None)
+    move(p, c, s, m, f, h, w, k, first, end, extended)
     end_arm(p, c, s, f, h, w, k, first, end)
     follow(p, c, s, f, w, first, end)
     intend(p, c, s, h, w, paths, block, first, end)
@@ -163,7 +159,16 @@ def shiver(p, c, s, h, w, i):
 
 @compiled
 def move(p, c, s, m, f, h, w, k, first, end, extended):
-    """Integrate device and arm over the tick and read the device's sensors; `extended` as in `kernel.move`."""
+    """Integrate device and arm over the tick and read the device's sensors."""
+    if extended is not None and p.extended:
+        move_as(p, c, s, m, f, h, w, k, first, end, extended)
+    else:
+        move_as(p, c, s, m, f, h, w, k, first, end, None)
+
+
+@compiled
+def move_as(p, c, s, m, f, h, w, k, first, end, extended):
+    """Integrate and read the sensors; `extended` as in `kernel.move_as`."""
     step_time = p.control_period / p.substeps
     for _ in range(p.substeps):
         evaluate(p, c, s, m, f, h, w, k, first, end, 0.0, 1.0, extended)
@@ -367,9 +372,9 @@ def measure(p, m, w, first, end):
 
 
 @compiled
-def settle_worn(p, which, c_blocks, s_blocks, paths, loop, worn, devices):
+def settle_worn(p, which, c_blocks, s_blocks, paths, loop, extended, worn, devices):
     """Reset the given devices as `kernel.settle`, with their wearers at rest in the same posture."""
-    settle(p, which, c_blocks, s_blocks, paths, loop, devices)
+    settle(p, which, c_blocks, s_blocks, paths, loop, extended, devices)
     for device in devices:
         block, i = device // layout.LANES, np.uint64(device % layout.LANES)
         s, h, w = s_blocks[block], worn[1][block], worn[2][block]

@@ -136,7 +136,7 @@ class WornSimulation(Simulation):
         for words_of in words(self.worn[2], LANES):
             words_of[block, :, lane] = 0
         blocks = self.which, self.scenarios, self.states
-        worn.settle_worn(self.parameters, *blocks, self.paths, self.loop, self.worn, devices)
+        worn.settle_worn(self.parameters, *blocks, self.paths, self.loop, self.extended, self.worn, devices)
 
     def assist(self, assistance: ArrayLike) -> None:
         """Set each device's assistance in [0, 1], scalar or shape (num_devices,), until the next call.
@@ -155,7 +155,7 @@ class WornSimulation(Simulation):
     def advance(self, ticks: int) -> None:
         """Simulate a number of control ticks, of each device's own control period."""
         blocks = self.which, self.scenarios, self.states
-        worn.advance(self.parameters, *blocks, self.paths, self.loop, self.worn, self.num_devices, ticks)
+        worn.advance(self.parameters, *blocks, self.paths, self.loop, self.extended, self.worn, self.num_devices, ticks)
 
     def live(self, device: int) -> dict[str, NDArray[Any]]:
         """Return views of the whole state of one device and its wearer; see `Simulation.live`."""

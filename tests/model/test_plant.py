@@ -129,6 +129,7 @@ def friction(profile, scenario):
             state["drive_biceps"][0],
             state["drive_triceps"][0],
             0.0,
+            True,
         )
         for rate in (0.0, 1.0)
     )

@@ -314,7 +314,7 @@ def test_joint_stiffness_is_the_slope_of_the_strings_torque():
     c["static_torque"][0] = 0.0
     angle, step = s["angle"][0], 1e-6
     before, after = (
-        kernel.acceleration(p, c, 0, x, 0.0, s["drive_biceps"][0], s["drive_triceps"][0], 0.0)
+        kernel.acceleration(p, c, 0, x, 0.0, s["drive_biceps"][0], s["drive_triceps"][0], 0.0, True)
         for x in (angle - step, angle + step)
     )
     slope = (before - after) * c["inertia"][0] / (2 * step)
@@ -769,7 +769,7 @@ def test_joint_stiffness_counts_what_a_string_has_beyond_its_table(end):
     simulation = start(device(**ENDS[end]), {"initial_tension": 10.0})
     p, c, s = simulation.parameters[0], simulation.scenarios[0], simulation.states[0]
     drives = s["drive_biceps"][0] + 0.5, s["drive_triceps"][0]
-    torques = [kernel.acceleration(p, c, 0, x, 0.0, *drives, 0.0) * c["inertia"][0] for x in (-1e-6, 1e-6)]
+    torques = [kernel.acceleration(p, c, 0, x, 0.0, *drives, 0.0, True) * c["inertia"][0] for x in (-1e-6, 1e-6)]
     stiffness = kernel.joint_stiffness(p, c, 0, 0.0, *drives)
     assert stiffness == pytest.approx((torques[0] - torques[1]) / 2e-6, rel=1e-6)
     held = start(device(), {"initial_tension": 10.0}).parameters[0]
@@ -853,7 +853,7 @@ def test_a_device_with_an_elastic_structure_starts_in_equilibrium(control):
     drives = s["drive_biceps"][0], s["drive_triceps"][0]
     c["static_torque"][0] = 0.0
     torques = [
-        kernel.acceleration(p, c, 0, s["angle"][0] + step, 0.0, *drives, 0.0) * c["inertia"][0]
+        kernel.acceleration(p, c, 0, s["angle"][0] + step, 0.0, *drives, 0.0, True) * c["inertia"][0]
         for step in (-1e-6, 1e-6)
     ]
     stiffness = kernel.joint_stiffness(p, c, 0, s["angle"][0], *drives)

@@ -93,7 +93,7 @@ def step_overhead(profile: str, num_envs: int | None, turns: int = TURNS) -> Ove
     ticks = round(env.episodes.agent_period / simulation.control_period)
     advance: Callable[..., None] = kernel.advance
     blocks = simulation.parameters, simulation.which, simulation.scenarios, simulation.states
-    arrays = *blocks, simulation.paths, simulation.loop, simulation.num_devices
+    arrays = *blocks, simulation.paths, simulation.loop, simulation.extended, simulation.num_devices
 
     def turn(call: Callable[[], object]) -> Turn:
         def play() -> float:

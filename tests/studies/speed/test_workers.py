@@ -6,7 +6,7 @@ from amulett_gym.workers.call import Workers
 
 def test_everything_is_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "TASK", 0.01)
-    monkeypatch.setattr(module, "SIZES", (10, 100, 1000))
+    monkeypatch.setattr(module, "SIZES", dict.fromkeys((10, 100, 1000), 20))
     monkeypatch.setattr(module, "_search", lambda folder, workers: 2.0 if workers.number == 1 else 1.0)
     monkeypatch.setattr(module, "_rate", lambda workers, size, count: float(count))
     monkeypatch.setattr(module, "_files", lambda folder, count: {"kept files (.json)": float(count)})

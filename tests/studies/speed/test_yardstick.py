@@ -57,7 +57,7 @@ def test_c_stops_the_devices_that_the_kernel_stops(yardstick):
     simulation.states["velocity"][2, 5] = np.nan
     simulation.states["velocity"][2, 7] = 1e120
     scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
-    advance(simulation.parameters, simulation.which, scenarios, states, simulation.paths, None, 27, 50)
+    advance(simulation.parameters, simulation.which, scenarios, states, None, None, None, 27, 50)
     simulation.advance(50)
     failure = states["failure"].ravel()[:27]
     assert failure[10] == ANGLE_LIMIT and (failure[[21, 23]] == NOT_FINITE).all() and (failure != RUNNING).sum() == 3
