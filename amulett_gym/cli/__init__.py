@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NoReturn
 
+from amulett_gym.cli.options import check_figures
 from amulett_gym.errors import AmulettError, nearest
 from amulett_gym.jit.notice import announce_compilation
 from amulett_gym.reporting.figure_files import figures_as
@@ -175,6 +176,7 @@ def _run(argv: Sequence[str] | None) -> int:
     if arguments.command is None:
         parser.print_help()
         return 2
+    check_figures(arguments)
     announce_compilation(lambda text: print(text, file=sys.stderr, flush=True))
     with figures_as(getattr(arguments, "format", None), getattr(arguments, "columns", None)):
         code = int(arguments.run(arguments))

@@ -40,7 +40,7 @@ _COUNTS = {
     "steps": "moves of each walker of the ensemble",
 }
 FLOORS = ("clamp", "hold", "ignore")  # of `studies.paper.reproduction.Readings.floor`
-_OF_FLEET = ("below_floor", "spring_laws", "bound", "devices", "write", "doc", "format", "columns")
+_OF_FLEET = ("below_floor", "spring_laws", "bound", "devices", "write", "doc")
 """Options for `--fleet` alone."""
 
 
@@ -92,7 +92,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--doc", help="of a fleet: renew the generated part of a document, and its figure")
     add_workers(parser, "searches", processes=True)
     parser.add_argument("--overwrite", action="store_true", help="replace a study with other sizes in the folder")
-    add_figures(parser)
+    add_figures(parser, into=("fleet",))
     add_json(parser, "the content of identification.json, or of fleet.json")
 
 

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first repetition (default: 0)")
     parser.add_argument("--out", metavar="DIR", help="folder for loops.json and figures")
     add_options(parser, "--doc")
-    add_figures(parser)
+    add_figures(parser, into=("out", "doc"))
     add_json(parser, "the content of loops.json")
     parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 

@@ -103,14 +103,32 @@ def chosen_workers(arguments: argparse.Namespace) -> Workers:
     return chosen(number, arguments.ray)
 
 
-def add_figures(parser: argparse.ArgumentParser, kind: bool = True, page: bool = False) -> None:
-    """Add `--format` (if `kind`) and `--columns`, with which `main` runs the command; `page`: figures are on a page."""
+def add_figures(
+    parser: argparse.ArgumentParser, kind: bool = True, page: bool = False, into: Sequence[str] = ("out",)
+) -> None:
+    """Add `--format` (if `kind`) and `--columns`, with which `main` runs the command.
+
+    `page`: figures are on a page. `into`: the options, any of which says where figures are written.
+    """
+    parser.set_defaults(figures_into=tuple(into))
     if kind:
-        what = "also write the page's figures as files of this format" if page else "format of figures (default: png)"
+        on_page = "also write the page's figures as files of this format; earlier ones of another format stay"
+        what = on_page if page else "format of figures (default: png)"
         parser.add_argument("--format", choices=KINDS, help=what)
     widths = ", ".join(f"{columns}: {width:g} in" for columns, width in COLUMN_WIDTHS.items())
     wide = f"draw figures for print, this number of columns of a page wide ({widths}), with text of 8 pt"
     parser.add_argument("--columns", type=int, choices=list(COLUMN_WIDTHS), help=wide)
+
+
+def check_figures(arguments: argparse.Namespace) -> None:
+    """Raise an AmulettError if it is said how figures are drawn, and the command writes none."""
+    into = getattr(arguments, "figures_into", ())
+    files = tuple(name for name in into if name != "doc")  # a document's figures are PNG
+    for option, places in (("format", files), ("columns", into)):
+        if getattr(arguments, option, None) is None or any(getattr(arguments, name) for name in places):
+            continue
+        where = " or ".join(f"--{name}" for name in places)
+        raise AmulettError(f"--{option} is for figures, which are written only with {where}; add that or leave it out")
 
 
 def add_json(parser: argparse.ArgumentParser, content: str) -> None:

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for reproduction.html, its figures, JSON and CSV files")
     add_options(parser, "--doc")
     parser.add_argument("--study", metavar="DIR", help="folder of `amulett identify`, instead of the shipped devices")
-    add_figures(parser)
+    add_figures(parser, into=("out", "doc"))
     add_json(parser, "the content of reproduction.json")
 
 

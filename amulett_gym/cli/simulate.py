@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     log = "what the device would log: setpoints, sensor readings, commands (see docs/logs.md); of one law"
     parser.add_argument("--log", metavar="FILE", help=f"{log}; .csv or .npz")
     parser.add_argument("--plot", metavar="FILE.png", help="figure (.png, .svg or .pdf); several laws share its panels")
-    add_figures(parser, kind=False)
+    add_figures(parser, kind=False, into=("plot",))
     add_json(parser, "metrics, units and scenario")
 
 

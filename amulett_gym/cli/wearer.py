@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--policy", metavar="FOLDER", action="append", default=[], help=policy)
     parser.add_argument("--out", metavar="DIR", help="folder; finished stages in it are not repeated")
     add_options(parser, "--doc")
-    add_figures(parser)
+    add_figures(parser, into=("out", "doc"))
     add_json(parser, "the content of results.json")
     parser.set_defaults(resolved=None)  # settings of a folder, for `amulett rerun`
 

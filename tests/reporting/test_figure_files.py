@@ -11,7 +11,6 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.reporting import style
 from amulett_gym.reporting.figure_files import COLUMN_WIDTHS, KINDS, figure_files, figures_as
 
-PLOTTING = ("evaluate", "benchmark", "reproduce", "wearer", "simulate", "fit", "identify", "hil", "loops", "bench")
 LONG = "a label that is much longer than a figure of one column is wide, in words of a usual length"
 
 
@@ -89,11 +88,36 @@ def test_a_figure_of_another_kind_is_refused(tmp_path):
         style.save_figure(draw_one(), tmp_path / "figure.jpg")
 
 
+def _plotting():
+    """Return the commands that draw figures, with their parsers."""
+    commands = build_parser()._subparsers._group_actions[0].choices
+    return {name: parser for name, parser in commands.items() if parser.get_default("figures_into")}
+
+
 def test_every_command_that_plots_has_the_options():
-    for name in PLOTTING:
-        help_ = build_parser()._subparsers._group_actions[0].choices[name].format_help()
-        assert "--columns {1,2}" in help_
-        assert ("--format {png,svg,pdf}" in help_) == (name != "simulate")  # there, the file's suffix says it
+    assert {"simulate", "evaluate", "benchmark"} <= set(_plotting())
+    for name, parser in _plotting().items():
+        assert "--columns {1,2}" in parser.format_help()
+        assert ("--format {png,svg,pdf}" in parser.format_help()) == (name != "simulate")  # there, the suffix says it
+        options = {action.dest for action in parser._actions}
+        assert set(parser.get_default("figures_into")) <= options, name
+
+
+@pytest.mark.parametrize("name", sorted(set(_plotting()) - {"benchmark", "fit"}))  # these two always write figures
+def test_how_figures_are_drawn_is_refused_where_none_are(name, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    needed = {"evaluate": ["--policies", "eq6"], "hil": ["firmware"], "identify": ["--out", "out"]}.get(name, [])
+    for options in (["--columns", "1"], ["--format", "svg"]):
+        if name == "simulate" and options[0] == "--format":
+            continue
+        assert main([name, *needed, *options]) == 2
+        said = capsys.readouterr().err
+        places = [
+            each for each in _plotting()[name].get_default("figures_into") if each != "doc" or "--columns" in options
+        ]
+        wanted = " or ".join(f"--{each}" for each in places)
+        assert f"{options[0]} is for figures, which are written only with {wanted}" in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_commands_write_what_was_chosen(tmp_path, capsys):

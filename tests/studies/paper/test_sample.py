@@ -221,7 +221,7 @@ def test_physics_alone_is_searched_with_the_testbeds_loop():
         ),
         (["--spring-laws", "0.5"], "--spring-laws is for a sample of devices; add --fleet"),
         (["--below-floor", "hold"], "--below-floor is for a sample of devices; add --fleet"),
-        (["--columns", "1"], "--columns is for a sample of devices; add --fleet"),
+        (["--columns", "1"], "--columns is for figures, which are written only with --fleet"),
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_written(tmp_path, capsys, options, message):
