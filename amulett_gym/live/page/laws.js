@@ -10,7 +10,7 @@ Live.laws = (() => {
   /** The values that a device has for a law, as far as it has some. @param {any} law @param {any} content of the device */
   function ownValues(law, { parameters, laws }) {
     if (!isOfDevice(law)) return {};
-    if (law.content.name in laws) return laws[law.content.name];
+    if (law.group === "Tuned") return laws[law.content.name] || {};
     const { nominal_tension, minimum_tension, error_offset } = parameters;
     return { nominal_tension, minimum_tension, error_offset_deg: error_offset * DEGREES };
   }
