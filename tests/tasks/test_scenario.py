@@ -190,6 +190,7 @@ def test_the_tick_in_c_refuses_a_path(tmp_path):
             simulation.states,
             simulation.paths,
             None,
+            None,
             1,
             1,
         )
