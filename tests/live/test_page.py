@@ -574,6 +574,17 @@ def test_eq6_begins_with_the_values_of_the_device(page, tmp_path):
 
 
 @needs_browser
+def test_a_tuned_law_begins_with_the_values_of_the_device(page):
+    for name in ("simulation", "testbed"):
+        page.run("app.choose({ device: arguments[0] }); app.chooseLaw('eq6-tuned')", name)
+        wanted = device_data(load_profile(name))["laws"]["eq6-tuned"]
+        assert page.run("return app.settings.law.parameters") == pytest.approx(wanted)
+    page.run("delete app.data.devices.find((each) => each.id === 'testbed').content.laws['eq6-tuned']")
+    page.run("app.chooseLaw('eq6-tuned', true)")  # a device without its own has those of the page
+    assert page.run("return app.settings.law.parameters") == pytest.approx(wanted)
+
+
+@needs_browser
 def test_several_laws_within_a_tick_are_recorded_as_they_act(page):
     page.run("""
         app.chooseLaw("pretrained"); app.input("setpoint", 0.9); run.advance(303);
