@@ -68,7 +68,7 @@ class Episodes:
     terms : tuple of str
         Names of the reward's terms, in order.
     entries : dict
-        Names in ``info`` of a report's entries after the reward, the terms, the readings and the metrics, each with 0.
+        Names in ``info`` of a report's entries after the reward (terms, readings, metrics), each with 0.
     report_size : int
         Entries of a report.
     """
@@ -323,8 +323,7 @@ class Episodes:
         Parameters
         ----------
         actions : ndarray, shape (N * action_size,)
-            Of one device after the other, in [-1, 1]; values beyond are clipped. float64 and contiguous, for which the
-            kernel is compiled.
+            Of one device after the other, in [-1, 1]; values beyond are clipped.
 
         Returns
         -------
@@ -338,6 +337,7 @@ class Episodes:
             If an action is NaN.
         """
         num_devices = self.simulation.num_devices
+        actions = np.array(actions, dtype=np.float64, order="C")  # a copy: strided and read-only ones are other types
         observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
         report = np.empty((num_devices, self.report_size))
         if (first := transition.first_nan(actions)) >= 0:

@@ -123,7 +123,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(action, dtype=np.float64)
+        actions = np.asarray(action)
         if actions.shape != self._action_shape:
             raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
         observations, report = self.episodes.step(actions)

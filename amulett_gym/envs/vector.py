@@ -162,7 +162,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.array(actions, dtype=np.float64, order="C")  # avoids a compilation for strided or read-only arrays
+        actions = np.asarray(actions)
         wanted = self.num_envs, self.episodes.action_size
         if actions.shape != wanted:
             raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")

@@ -103,13 +103,26 @@ def test_a_forked_process_starts_threads_of_its_own():
     assert os.waitstatus_to_exitcode(status) == 7
 
 
-def test_actions_of_any_memory_layout_are_compiled_for_once():
-    vector = gym.make_vec(SCALING, num_envs=4)
-    vector.reset(seed=0)
-    vector.step(np.zeros((4, 1)))
-    known = len(transition.step.signatures)
-    read_only = np.zeros((4, 1))
+def test_actions_of_any_memory_layout_do_the_same_by_the_same_code():
+    wide = np.linspace(-0.9, 0.9, 12).reshape(4, 3)
+    read_only = np.full((4, 1), 0.5)
     read_only.flags.writeable = False
-    for actions in (np.zeros((4, 3))[:, 1:2], np.broadcast_to(0.5, (4, 1)), read_only, np.zeros((4, 1), np.float32)):
-        vector.step(actions)
+    known = 0
+    for actions in (
+        wide[:, :1].copy(),
+        wide[:, 1:2],
+        wide[::-1, :1],
+        read_only,
+        wide[:, :1].astype(">f8"),
+        wide[:, :1] > 0,
+    ):
+        found = []
+        for given in (actions, np.array(actions, dtype=np.float64, order="C")):
+            vector = gym.make_vec(SCALING, num_envs=4)
+            vector.reset(seed=0)
+            first = vector.step(given)[0]
+            found.append((first, *vector.unwrapped.episodes.step(given[:, 0])))
+        for one, other in zip(*found, strict=True):
+            np.testing.assert_array_equal(one, other)
+        known = known or len(transition.step.signatures)
     assert len(transition.step.signatures) == known

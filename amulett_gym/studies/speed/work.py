@@ -154,7 +154,7 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
             for i in range(min(LANES, num_devices - block * LANES)):
                 for fields in _touched.values():
                     fields.clear()
-                tick(p, c, s, m, None, None, None, 0, 0, i, i + 1)
+                tick(p, c, s, m, None, None, p.extended or None, 0, 0, i, i + 1)
                 for kind, fields in _touched.items():
                     seen[kind] += sum(width[field] for field in fields)
     total = num_devices * ticks
