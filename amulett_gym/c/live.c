@@ -35,7 +35,10 @@ static scenarios scenario;
 static states state;
 static double memory[MEMORY]; /* of that loop */
 static double hand;           /* torque of a hand on the forearm [N m] */
-static int chosen;            /* the loop, -1: the paper's */
+static int chosen;            /* the loop, -1: the paper's, OUTSIDE: one that is not here */
+static struct {
+    double biceps, triceps, tension, agonist;
+} outside; /* what that one commands */
 static part path[MOST_PARTS];
 static int parts; /* of the path, 0: the setpoint follows moves */
 static double readings[READINGS];
@@ -69,6 +72,16 @@ static void command_by_own_loop(Parameters p, States s, double counting) {
     uint8_t sound = fabs(command[0]) <= FARTHEST && fabs(command[1]) <= FARTHEST;
     double biceps = sound ? command[0] : s->command_biceps[0], triceps = sound ? command[1] : s->command_triceps[0];
     command_drives(p, s, 0, counting, biceps, triceps, 0.0, 0.0);
+}
+
+/* Command the drives as a loop outside wants: command_device of amulett_gym/firmware/lock_step.py. */
+static void command_from_outside(Parameters p, States s, double counting) {
+    s->switch_count[0] += outside.agonist != s->agonist[0] ? counting : 0.0;
+    s->agonist[0] = outside.agonist, s->tension_setpoint[0] = outside.tension;
+    double kick = setpoint_kick(p, s, 0, counting), share = p->tension_loop ? p->antagonist_share : 1.0;
+    uint8_t biceps_leads = outside.agonist == BICEPS;
+    command_drives(p, s, 0, counting, outside.biceps, outside.triceps, (biceps_leads ? 1.0 : share) * kick,
+                   (biceps_leads ? share : 1.0) * kick);
 }
 
 /* ---- the setpoint: follow_path of simulation/kernel.py ---- */
@@ -105,7 +118,7 @@ EXPORT(state_at) void *state_at(void) { return &state; }
 EXPORT(memory_at) void *memory_at(void) { return memory; }
 EXPORT(path_at) void *path_at(void) { return path; }
 
-/* Choose the loop, an index into LOOPS or -1 for the paper's, and how many parts of the path are followed. */
+/* Choose the loop, an index into LOOPS, -1 for the paper's or OUTSIDE, and how many parts of the path are followed. */
 EXPORT(choose) void choose(int loop, int count) { chosen = loop, parts = count; }
 
 /* Begin an episode at rest, once the records are written. Return 0, or why the device cannot begin so (settle.h). */
@@ -123,7 +136,8 @@ EXPORT(begin) int begin(void) {
 static void play_tick(Parameters p, Scenarios c, States s) {
     double counting = start_counting(p, c, s, 0);
     if (!is_late(c, s, 0)) {
-        if (chosen < 0) run_loop(p, s, 0, counting);
+        if (chosen == OUTSIDE) command_from_outside(p, s, counting);
+        else if (chosen < 0) run_loop(p, s, 0, counting);
         else command_by_own_loop(p, s, counting);
     }
     if (chosen >= 0) end_loop[chosen](p, &own, s, memory);
@@ -138,6 +152,14 @@ EXPORT(play) int play(int ticks) {
     for (int k = 0; k < ticks && state.failure[0] == RUNNING; k++) play_tick(&device, &scenario, &state);
     return (int)state.failure[0];
 }
+
+/* What a loop outside commands in the next tick: both drives' angles [rad], its tension setpoint [N], its agonist. */
+EXPORT(command) void command(double biceps, double triceps, double tension, double agonist) {
+    outside.biceps = biceps, outside.triceps = triceps, outside.tension = tension, outside.agonist = agonist;
+}
+
+/* Whether the loop misses the next tick. */
+EXPORT(misses) int misses(void) { return is_late(&scenario, &state, 0); }
 
 /* Push the forearm with a torque [N m], positive in flexion, until the next call. */
 EXPORT(push) void push(double torque) { hand = torque; }

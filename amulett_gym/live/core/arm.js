@@ -17,20 +17,21 @@ Amulett.arm = (() => {
    * Make an arm.
    * @param {any} core @param {{device: any, loop?: string, law?: any, scenario?: any,
    *   seed?: number | bigint | string, agentPeriod?: number, actionDelay?: number, observationNoise?: number,
-   *   tensionRange?: number[] | null}} options
-   *   `scenario`: the content of a scenario file; `seed`: key of the sensor noise if the scenario has no `noise_seed`;
+   *   tensionRange?: number[] | null, note?: (bytes: number[], answer: number[]) => void}} options
+   *   `note`: see firmware.js; `scenario`: the content of a scenario file; `seed`: key of the sensor noise if the scenario has no `noise_seed`;
    *   the others are keywords of the environment
    */
   function make(core, options) {
     const { layout } = core, { records, constants } = layout, wasm = core.instance();
-    const allowed = ["device", "loop", "law", "scenario", "seed", "agentPeriod", "actionDelay", "observationNoise", "tensionRange"];
+    const allowed = ["device", "loop", "law", "scenario", "seed", "agentPeriod", "actionDelay", "observationNoise", "tensionRange", "note"];
     for (const key of Object.keys(options)) oneOf("option of an arm", key, allowed);
-    const { scenario: given = {}, seed = 0, agentPeriod = 0.02, actionDelay = 0, observationNoise = 0, tensionRange = null } = options;
-    const device = checkDevice(layout, options.device), loop = oneOf("loop", options.loop ?? "decentralized", layout.loops);
+    const { scenario: given = {}, seed = 0, agentPeriod = 0.02, actionDelay = 0, observationNoise = 0, tensionRange = null, note } = options;
+    const device = checkDevice(layout, options.device), loop = oneOf("loop", options.loop ?? "decentralized", [...layout.loops, layout.firmware.loop]);
+    const onChip = loop === layout.firmware.loop;
     const at = (name) => record(wasm.memory.buffer, wasm[`${name}_at`](), records[name]);
     const parameters = at("device"), gains = at("loop"), scene = at("scenario"), state = at("state");
     const memory = new Uint8Array(wasm.memory.buffer, wasm.memory_at(), 8 * constants.MEMORY);
-    const index = layout.loops.indexOf(loop) - 2; // of those with gains; the paper's two are before
+    const index = layout.loops.indexOf(loop) - 2; // of those with gains; the paper's two are before, and the firmware's
     const ranges = index < 0 ? layout.tensionRange : layout.feedForwardRange;
 
     writeDevice(layout, device, loop, parameters, gains);
@@ -40,7 +41,8 @@ Amulett.arm = (() => {
       const into = record(wasm.memory.buffer, wasm.path_at() + k * records.part.size, records.part);
       for (const [name, value] of Object.entries(part)) into.set(name, value);
     });
-    wasm.choose(Math.max(index, -1), path.length);
+    const chosen = onChip ? constants.OUTSIDE : Math.max(index, -1);
+    wasm.choose(chosen, path.length);
     const parts = new Uint8Array(wasm.memory.buffer, wasm.path_at(), path.length * records.part.size);
     const identity = sha256(new Uint8Array([index, ...parameters.bytes, ...(index < 0 ? [] : gains.bytes), ...parts]));
     /** @type {any} */
@@ -50,12 +52,39 @@ Amulett.arm = (() => {
     setLaw(options.law ?? { name: "eq6" });
     const problem = START[wasm.begin()];
     if (problem) throw new AmulettError(problem);
+    const firmware = onChip ? beginFirmware() : null;
+    let known = { start: state.get("step_start"), jump: 0 }; // of the setpoint's moves: what the firmware was told
+
+    /** Start the firmware where the episode begins: `begin_of` of firmware/recording.py. */
+    function beginFirmware() {
+      const found = Amulett.firmware.make(core.hex, note), both = (name) => [state.get(`${name}_biceps`), state.get(`${name}_triceps`)];
+      const springs = new Float64Array(wasm.memory.buffer, wasm.read_springs(), constants.READINGS).slice(3, 5), biases = ["biceps", "triceps"].map((name) => scene.get(`slider_bias_${name}`));
+      const single = (...names) => names.map((name) => state.get(name));
+      found.start([
+        ...both("command"), ...single("angle", "tension_setpoint"), ...both("estimate"), ...single("measured_difference", "position_output"), ...both("offset"),
+        state.get("tension_integral"), state.get("angle") + scene.get("encoder_bias"), springs[0] + biases[0], springs[1] + biases[1],
+      ], state.get("agonist"));
+      return found;
+    }
+
+    /** Let the firmware do the next control tick's part: `tick` of firmware/env.py. */
+    function askFirmware() {
+      const start = state.get("step_start"), jump = state.get("setpoint_jump"), late = Boolean(wasm.misses());
+      const count = (name, resolution) => Math.round(state.get(name) / parameters.get(resolution));
+      const { commands, tension, agonist } = firmware.tick({
+        encoder: count("measured_angle", "encoder_resolution"), biceps: count("measured_biceps", "slider_resolution"), triceps: count("measured_triceps", "slider_resolution"),
+        setpoint: state.get("setpoint"), jump: jump - known.jump, begins: start !== known.start, late,
+      });
+      known = { start, jump: late ? jump : 0 }; // a loop that misses its tick leaves the jump
+      wasm.command(...commands, tension, agonist);
+    }
 
     /** Choose the law; a new step of the agent begins. @param {any} next {name, parameters} (laws.js) */
     function setLaw(next) { take(lawOf(next)); }
 
     /** A law with what it needs to act here, checked. */
     function lawOf(next) {
+      if (onChip && (next?.name !== "eq6" || Object.keys(next.parameters || {}).length)) throw new AmulettError("the firmware has its own law, eq. 6 with the device's parameters; choose another loop for another law");
       const found = Amulett.laws.make(layout, next, device, { range: tensionRange || ranges, period: agentPeriod, policies: core.policies });
       const own = found.range || tensionRange || ranges, steps = ticksOf(found.period || agentPeriod), late = found.delay ?? actionDelay;
       if (index < 0 && own[0] === 0) throw new AmulettError(`the law chooses tensions from 0 N on; the loop '${loop}' needs more. Choose another loop, such as 'co-rotation'`);
@@ -98,7 +127,8 @@ Amulett.arm = (() => {
         const agent = law.inLoop === "agent";
         if (agent && phase === 0) wanted = Amulett.laws.tensionOf(Math.min(Math.max(law.act(observation()), -1), 1), range);
         if (agent && phase === delay) beginRamp();
-        const stop = agent && phase < delay ? delay : ticks, now = Math.min(left, stop - phase);
+        const stop = agent && phase < delay ? delay : ticks, now = onChip ? 1 : Math.min(left, stop - phase);
+        if (onChip && state.get("failure") === constants.RUNNING) askFirmware();
         if (wasm.play(now)) return;
         left -= now;
         phase += now;
@@ -182,10 +212,10 @@ Amulett.arm = (() => {
 
     /** The whole moment as bytes, for `restore` of an arm with the same device, loop and scenario. */
     function snapshot() {
-      const head = { magic: MAGIC, version: 1, identity, law: law.spec, remembered: law.state(), phase, wanted, push: wasm.pushed() };
+      const head = { magic: MAGIC, version: 1, identity, law: law.spec, remembered: law.state(), phase, wanted, push: wasm.pushed(), known };
       const text = new TextEncoder().encode(JSON.stringify(head)), size = new Uint8Array(4);
       new DataView(size.buffer).setUint32(0, text.length, true);
-      return new Uint8Array([...size, ...text, ...state.bytes, ...scene.bytes, ...memory]);
+      return new Uint8Array([...size, ...text, ...state.bytes, ...scene.bytes, ...memory, ...(firmware ? firmware.snapshot() : [])]);
     }
 
     /** Go to a snapshot's moment. The bytes are checked before anything changes. @param {Uint8Array} bytes */
@@ -193,7 +223,7 @@ Amulett.arm = (() => {
       const wrong = (text) => { throw new AmulettError(`the snapshot ${text}`); };
       const length = bytes instanceof Uint8Array && bytes.length > 4 ? new DataView(bytes.buffer, bytes.byteOffset, 4).getUint32(0, true) : Infinity;
       const [first, second, third] = [4 + length, 4 + length + state.bytes.length, 4 + length + state.bytes.length + scene.bytes.length];
-      if (!Number.isFinite(length) || bytes.length !== third + memory.length) wrong("is damaged: it has another length");
+      if (!Number.isFinite(length) || bytes.length !== third + memory.length + (firmware ? firmware.size : 0)) wrong("is damaged: it has another length");
       let head;
       try { head = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes.subarray(4, first))); } catch { wrong("is damaged: its head is no JSON"); }
       if (!isObject(head) || head.magic !== MAGIC || head.version !== 1) wrong("is of another version, or none");
@@ -203,16 +233,22 @@ Amulett.arm = (() => {
       checkRecords(states, scenes, wrong);
       number("the snapshot's push", head.push, -100, 100);
       number("the snapshot's tension", head.wanted, -1e6, 1e6);
+      number("the snapshot's begin of a move [s]", head.known?.start, -1e6, 1e6);
+      number("the snapshot's jump [rad]", head.known.jump, -1e6, 1e6);
+      const chip = copy.subarray(third + memory.length);
+      if (firmware && !firmware.fits(chip)) wrong("is damaged: its chip is not at rest");
       const found = lawOf(head.law);
       number("the snapshot's phase", head.phase, 0, found.ticks - 1);
       found.law.remember(head.remembered);
       take(found);
       state.bytes.set(states.bytes);
       scene.bytes.set(scenes.bytes);
-      memory.set(copy.subarray(third));
+      memory.set(copy.subarray(third, third + memory.length));
+      if (firmware) firmware.restore(chip);
+      known = head.known;
       [phase, wanted] = [Math.floor(head.phase), head.wanted];
       wasm.push(head.push);
-      wasm.choose(Math.max(index, -1), onPath());
+      wasm.choose(chosen, onPath());
     }
 
     /** Refuse records with which the simulation would not stay within its tables. */

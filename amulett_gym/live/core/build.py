@@ -29,6 +29,7 @@ from amulett_gym.laws.bundle import PolicyDescription
 from amulett_gym.laws.features import FEATURES
 from amulett_gym.laws.memory import MEMORY, SPANS
 from amulett_gym.laws.parametric import EQ6_TUNED, PARAMETRIC, Law
+from amulett_gym.live.core.hex import FIRMWARE, OTHER_DEVICE
 from amulett_gym.model.plant import GRAVITY
 from amulett_gym.simulation import layout
 from amulett_gym.storage.writing import atomic_path
@@ -52,6 +53,7 @@ _CONSTANTS: dict[str, Any] = {
     "MOST_PARTS": 4096,  # of a setpoint's path
     "ENTRIES": len(transition.OBSERVATIONS),
     "READINGS": 7,
+    "OUTSIDE": -2,  # the loop's index if it is the firmware's
     "PATH_MINIMUM_JERK": layout.MINIMUM_JERK,
     "NOISE_STREAM": transition._NOISE_STREAM,
     **{f"OBSERVED_{name.upper()}": scale for name, scale in transition.OBSERVATION_SCALES.items()},
@@ -134,6 +136,7 @@ def description() -> dict[str, Any]:
             name: _plain(model.model_json_schema())
             for name, model in (("scenario", Scenario), ("policy", PolicyDescription))
         },
+        "firmware": {"loop": FIRMWARE, "otherDevice": OTHER_DEVICE},
         "byStiffness": layout.BY_STIFFNESS,
         "failures": FAILURES,
         "families": layout.FAMILIES,
@@ -149,7 +152,7 @@ def description() -> dict[str, Any]:
         "feedForwardRange": FEED_FORWARD_RANGE,
         "shapes": {name: getattr(layout, name) for name in ("MINIMUM_JERK", "LINEAR", "STEPS")},
         "constants": {
-            **{name: _CONSTANTS[name] for name in ("MEMORY", "MOST_PARTS", "READINGS")},
+            **{name: _CONSTANTS[name] for name in ("MEMORY", "MOST_PARTS", "READINGS", "OUTSIDE")},
             **{name: getattr(layout, name) for name in ("CELLS", "MAX_MOVES", "MAX_PUSHES", "ON_PATH", "RUNNING")},
             "GRAVITY": GRAVITY,
         },

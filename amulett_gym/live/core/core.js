@@ -3,10 +3,11 @@
 
 /**
  * @param {BufferSource} bytes of amulett.wasm
+ * @param {string} hex the text of firmware.hex
  * @returns {Promise<any>} `arm(options)` makes an arm (arm.js); `readPolicy(files)` returns a bundle's policy, for the law
  *   {name: "policy", policy}; `layout` holds the names of loops, laws with their parameters, families, ...
  */
-Amulett.load = async (bytes) => {
+Amulett.load = async (bytes, hex) => {
   const { AmulettError } = Amulett.base;
   const module = await WebAssembly.compile(bytes);
   const [section] = WebAssembly.Module.customSections(module, "amulett.layout");
@@ -16,6 +17,7 @@ Amulett.load = async (bytes) => {
   const core = {
     layout,
     policies,
+    hex,
     instance() {
       const { exports } = new WebAssembly.Instance(module);
       exports._initialize();

@@ -17,6 +17,7 @@ from amulett_gym.fleet import fleet_names
 from amulett_gym.laws.bundle import FILES, MANIFEST, read_bundle
 from amulett_gym.laws.contenders import bundle_folder
 from amulett_gym.laws.parametric import DEFAULT_SUITE, EQ6_TUNED, PARAMETRIC, Device, tuned_content
+from amulett_gym.live.core.hex import FIRMWARE, OTHER_DEVICE, is_of_hex
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import LOOPS, pack_loop, pack_parameters, unfit_loops
 from amulett_gym.tasks.scenario import Scenario
@@ -62,7 +63,7 @@ def device_data(profile: Profile, suite: str = DEFAULT_SUITE) -> dict[str, Any]:
         "parameters": numbers,
         "positionOnly": {k: v for k, v in _numbers(position_only).items() if v != numbers[k]},
         "loops": {loop: _numbers(record) for loop, record in loops.items()},
-        "unfit": unfit,
+        "unfit": unfit if is_of_hex(profile) else {**unfit, FIRMWARE: OTHER_DEVICE},
         "tables": tables,
         "lawConstants": Device.of(profile, 1.0).constants.tolist(),
         "laws": _tuned(profile),

@@ -77,6 +77,7 @@ Amulett.records = (() => {
     fill(parameters, layout.records.device, { ...device.parameters, ...own }, device.tables, what);
     if (!["decentralized", "position-only"].includes(loop)) {
       if (device.unfit[loop]) throw new AmulettError(`the loop '${loop}' does not fit the device '${device.name}': ${device.unfit[loop]}`);
+      if (loop === layout.firmware.loop) return;
       const { loop_force_table: force = device.tables.force_table } = device.tables;
       fill(gains, layout.records.loop, device.loops[loop] || {}, { ...device.tables, force_table: force }, `${what}, loop '${loop}'`);
     }
