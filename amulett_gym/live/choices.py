@@ -26,6 +26,7 @@ from amulett_gym.laws.contenders import (
 )
 from amulett_gym.laws.parametric import BEST_CONSTANT, EQ6_TUNED, Parameter, is_tuned, is_tuned_file, tuned_vector
 from amulett_gym.live.core.data import device_data, policy_data, scenario_data
+from amulett_gym.live.core.hex import DEVICE, FIRMWARE
 from amulett_gym.profile import Profile, device_names, load_profile
 from amulett_gym.simulation.layout import CONTROLS, LOOPS
 from amulett_gym.simulation.random import keys_from_seeds
@@ -42,6 +43,8 @@ LIMITS = {"setpoint": math.radians(140.0), "push": 0.8, "payload": 2.0, "obstacl
 
 SHOWN_TUNED = ("eq6-tuned", "parametric", "parametric:plausible")
 SHOWN_LEARNED = ("pretrained", "pretrained:testbed", "pretrained:device")
+
+SHOWN_LOOPS = (*CONTROLS, FIRMWARE)
 
 SEED, SPLIT = 0, "held-out"
 """Of the episode that is shown of each suite."""
@@ -84,15 +87,15 @@ class Choices:
 
     def content(self) -> dict[str, Any]:
         """Return the choices as JSON types."""
-        ranges = {loop: list(FEED_FORWARD_RANGE if loop in LOOPS else TENSION_RANGE) for loop in CONTROLS}
+        ranges = {loop: list(FEED_FORWARD_RANGE if loop in LOOPS else TENSION_RANGE) for loop in SHOWN_LOOPS}
         return {**vars(self), "limits": LIMITS, "ranges": ranges, "profile": _profiles()}
 
 
 def choices(profile: Any, policies: Sequence[str], scenario: Any, loop: str | None) -> Choices:
     """Return what the page offers. Parameters and errors as of `page.build_page`."""
     own, task = _named(load_profile(profile)), None if scenario is None else load_scenario(scenario)
-    if loop is not None and loop not in CONTROLS:
-        raise unknown("control loop", loop, CONTROLS)
+    if loop is not None and loop not in SHOWN_LOOPS:
+        raise unknown("control loop", loop, SHOWN_LOOPS)
     contenders = [(name, parse_contender(name)) for name in dict.fromkeys(policies)]
     devices = [_device(each, group) for each, group in _devices(own)]
     shipped = {law["id"]: law for law in _laws(own)}
@@ -171,9 +174,10 @@ def _device(profile: Profile, group: str) -> dict[str, Any]:
 
 
 def _loops() -> list[dict[str, Any]]:
+    chip = f"the paper's loop and eq. 6 for the {DEVICE} as the firmware's hex file, on a simulated ATmega2560"
     return [
         {"id": name, "title": name.replace("-", " "), "description": description}
-        for name, description in loop_names().items()
+        for name, description in (loop_names() | {FIRMWARE: chip}).items()
     ]
 
 

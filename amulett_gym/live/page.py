@@ -21,6 +21,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.live.choices import Choices, choices
 from amulett_gym.live.core import script as core_script
 from amulett_gym.live.core.build import read_wasm
+from amulett_gym.live.core.hex import read_hex
 
 STYLE, TEMPLATE = "style.css", "page.html.j2"
 YAML, YAML_LICENCE = "vendor/js-yaml.min.js", "vendor/js-yaml.LICENSE"
@@ -60,7 +61,8 @@ def build_page(
 
 def render(found: Choices) -> str:
     """Return the page that offers these choices."""
-    data = {**found.content(), "version": __version__, "wasm": base64.b64encode(read_wasm()).decode()}
+    wasm = base64.b64encode(read_wasm()).decode()
+    data = {**found.content(), "version": __version__, "wasm": wasm, "hex": read_hex()}
     style, script = _read(STYLE), "\n".join([_yaml(), core_script(), *(_read(f"{name}.js") for name in SCRIPTS)])
     if "</script" in script or "</style" in style:
         raise AmulettError("a script of the page holds '</script'; an HTML page would end it there")

@@ -1,11 +1,11 @@
 "use strict";
 // Play arms in node as a page does: a job in JSON from the standard input, what was read of each arm to the output.
-// Arguments: the script of `amulett_gym.live.core.script()`, and amulett.wasm.
+// Arguments: the script of `amulett_gym.live.core.script()`, amulett.wasm, and firmware.hex.
 
 const fs = require("node:fs");
 const vm = require("node:vm");
 
-const [scriptFile, wasmFile] = process.argv.slice(2);
+const [scriptFile, wasmFile, hexFile] = process.argv.slice(2);
 vm.runInThisContext(fs.readFileSync(scriptFile, "utf8"), { filename: scriptFile });
 
 const bytesOf = (files) => Object.fromEntries(Object.entries(files).map(([name, text]) => [name, new Uint8Array(Buffer.from(text, "base64"))]));
@@ -40,7 +40,7 @@ function refusal(core, { options, policy }) {
 }
 
 (async () => {
-  const core = await Amulett.load(fs.readFileSync(wasmFile));
+  const core = await Amulett.load(fs.readFileSync(wasmFile), fs.readFileSync(hexFile, "utf8"));
   const { arms = [], refused = [], code = "" } = JSON.parse(fs.readFileSync(0, "utf8"));
   const result = { arms: arms.map((job) => play(core, job)), refused: refused.map((job) => refusal(core, job)) };
   if (code) result.returned = await vm.runInThisContext(`(async (core, input) => {${code}\n})`)(core, { arms, bytesOf });

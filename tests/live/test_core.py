@@ -29,6 +29,7 @@ from amulett_gym.live.core import script
 from amulett_gym.live.core.bench import measure
 from amulett_gym.live.core.build import NO_COMPILER, WASM, build, description, read_wasm, with_section
 from amulett_gym.live.core.data import device_data, policy_data, scenario_data
+from amulett_gym.live.core.hex import HEX, read_hex
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import CONTROLS
@@ -70,9 +71,10 @@ def node(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
     (folder / "core.js").write_text(script(), encoding="utf-8")
     (folder / WASM).write_bytes(read_wasm())
+    (folder / HEX).write_text(read_hex(), encoding="ascii")
 
     def run(**job: Any) -> dict[str, Any]:
-        command = ["node", str(PLAY), str(folder / "core.js"), str(folder / WASM)]
+        command = ["node", str(PLAY), str(folder / "core.js"), str(folder / WASM), str(folder / HEX)]
         result = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True, check=False)
         assert result.returncode == 0, result.stderr[-3000:]
         return json.loads(result.stdout)

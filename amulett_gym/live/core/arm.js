@@ -57,6 +57,7 @@ Amulett.arm = (() => {
 
     /** Start the firmware where the episode begins: `begin_of` of firmware/recording.py. */
     function beginFirmware() {
+      if (!core.hex) throw new AmulettError("the loop 'firmware' needs the hex file; give its text to Amulett.load");
       const found = Amulett.firmware.make(core.hex, note), both = (name) => [state.get(`${name}_biceps`), state.get(`${name}_triceps`)];
       const springs = new Float64Array(wasm.memory.buffer, wasm.read_springs(), constants.READINGS).slice(3, 5), biases = ["biceps", "triceps"].map((name) => scene.get(`slider_bias_${name}`));
       const single = (...names) => names.map((name) => state.get(name));

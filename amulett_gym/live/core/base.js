@@ -1,7 +1,7 @@
 "use strict";
 // The simulation's one global name. Each file adds its part to it; `amulett_gym.live.core.script()` joins them in order.
 //
-//   const core = await Amulett.load(wasmBytes);
+//   const core = await Amulett.load(wasmBytes, hexText);
 //   const arm = core.arm({device, loop: "decentralized", law: {name: "eq6"}, scenario: {}, seed: 0});
 //   arm.setSetpoint(1.0); arm.step(400); arm.read().angle;
 //

@@ -3,7 +3,7 @@
 
 /**
  * @param {BufferSource} bytes of amulett.wasm
- * @param {string} hex the text of firmware.hex
+ * @param {string} [hex] the text of firmware.hex, for the loop of that name
  * @returns {Promise<any>} `arm(options)` makes an arm (arm.js); `readPolicy(files)` returns a bundle's policy, for the law
  *   {name: "policy", policy}; `layout` holds the names of loops, laws with their parameters, families, ...
  */

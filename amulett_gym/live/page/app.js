@@ -31,6 +31,7 @@ Live.app = (() => {
 
     settings.law = fresh(settings.law.name);
     let run = begin([]), playing = false, carry = 0, last = NaN, written = 0, untouched = true, dirty = false, awake = false;
+    let lag = 0; // share of the last frames that could not make up for the time that had passed
     /** @type {any} content of a link that needs files which this page has not, or others of the same name */
     let awaited = null;
     const durations = [];
@@ -146,6 +147,7 @@ Live.app = (() => {
     function chooseLaw(id, shipped = false) {
       const before = settings.law;
       guarded(() => {
+        if (run.ownLaw) throw new UserError("the firmware has its own law, eq. 6 in the chip's program; choose another control loop for another law");
         touched();
         settings.law = fresh(id, shipped);
         run.input("law", settings.law);
@@ -281,7 +283,7 @@ Live.app = (() => {
 
     function saveCsv() {
       const file = new Blob([table()], { type: "text/csv" }), url = URL.createObjectURL(file);
-      const anchor = element("a", { href: url, download: `amulett-${settings.device.replace(/[^\w-]+/g, "-")}-${settings.law.name.replace(/[^\w-]+/g, "-")}.csv` });
+      const anchor = element("a", { href: url, download: `amulett-${settings.device.replace(/[^\w-]+/g, "-")}-${(run.ownLaw ? settings.loop : settings.law.name).replace(/[^\w-]+/g, "-")}.csv` });
       document.body.append(anchor);
       anchor.click();
       anchor.remove();
@@ -336,6 +338,7 @@ Live.app = (() => {
     }
 
     function play(passed) {
+      lag += 0.1 * (Number(passed === MOST_PASSED) - lag);
       carry += (passed * Number(byId("speed").value)) / run.period;
       const ticks = Math.min(Math.floor(carry), run.room());
       carry -= Math.floor(carry);
@@ -372,6 +375,7 @@ Live.app = (() => {
       panel.showInputs(mine);
       Live.strips.write(run.samples);
       write(byId("clock"), `${run.time.toFixed(2)} s`);
+      write(byId("pace"), playing && lag > 0.5 ? "slower than real time: this computer cannot keep up" : "");
       const bar = byId("time");
       bar.max = String(Math.max(run.end, 1));
       bar.value = String(run.tick);
@@ -416,7 +420,7 @@ Live.app = (() => {
     /** Show the choices anew, and draw. */
     function refresh() {
       const loop = data.loops.find((each) => each.id === settings.loop);
-      byId("mine-law").textContent = app.law().title;
+      byId("mine-law").textContent = run.ownLaw ? "eq. 6 on the chip" : app.law().title;
       byId("mine-loop").textContent = `${loop.title} \u00B7 ${device().title}`;
       for (const label of document.querySelectorAll(".cost small")) label.textContent = run.control ? "cost, full control" : "cost so far";
       panel.showChoices();
@@ -505,11 +509,12 @@ Live.app = (() => {
   /** Begin: read the page's data, load the simulation, and open the link in the address. */
   async function start() {
     const data = JSON.parse(byId("data").textContent);
-    const bytes = Amulett.base.fromBase64(data.wasm, "the simulation");
+    const bytes = Amulett.base.fromBase64(data.wasm, "the simulation"), { hex } = data;
     delete data.wasm;
-    data.simulation = Live.link.digest(bytes);
+    delete data.hex;
+    data.simulation = Live.link.digest(new Uint8Array([...bytes, ...new TextEncoder().encode(hex)]));
     Live.palette.read();
-    const core = await Amulett.load(bytes), policies = {};
+    const core = await Amulett.load(bytes, hex), policies = {};
     for (const [name, files] of Object.entries(data.policies)) {
       policies[name] = core.readPolicy(Object.fromEntries(Object.entries(files).map(([file, text]) => [file, Amulett.base.fromBase64(text, file)]))).id;
     }

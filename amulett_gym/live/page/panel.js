@@ -46,7 +46,8 @@ Live.panel = (() => {
       device.fill(data.devices, settings.device);
       loop.fill(data.loops.map((each) => ({ ...each, why: chosen.unfit[each.id] || "" })), settings.loop);
       law.fill(data.laws, settings.law.name);
-      const described = [data.tasks.find((each) => each.id === settings.task), chosen, data.loops.find((each) => each.id === settings.loop), app.law()];
+      law.input.disabled = app.run.ownLaw;
+      const described = [data.tasks.find((each) => each.id === settings.task), chosen, data.loops.find((each) => each.id === settings.loop), ...(app.run.ownLaw ? [] : [app.law()])];
       byId("choice-note").replaceChildren(...described.flatMap((each, k) => (each.description ? [
         element("b", { text: `${each.title}: ` }), document.createTextNode(each.description), ...(k < 3 ? [element("br")] : []),
       ] : [])));
@@ -59,7 +60,7 @@ Live.panel = (() => {
     function showParameters() {
       const of = app.law(), { settings } = app, values = settings.law.parameters;
       parameters.clear();
-      const nodes = app.parameters().map((each) => {
+      const nodes = (app.run.ownLaw ? [] : app.parameters()).map((each) => {
         const made = slider({
           label: each.title, unit: each.unit, low: each.name === "tension" ? data.ranges[settings.loop][0] : each.low, high: each.high, digits: each.high < 3 ? 3 : 1, logarithmic: each.logarithmic,
           help: each.meaning, value: values[each.name], onInput: (value) => app.setParameter(each.name, value),

@@ -173,7 +173,8 @@ Live.profile = (() => {
 
   /** The device as the simulation takes it: `device_data` of live/core/data.py. */
   function pack(profile, layout, base) {
-    const tables = tablesOf(profile.spring), { plant, damping } = profile, unfit = {}, loops = {};
+    const tables = tablesOf(profile.spring), { plant, damping } = profile, loops = {};
+    const unfit = { [layout.firmware.loop]: layout.firmware.otherDevice };
     const parameters = parametersOf(profile, tables, false), only = parametersOf(profile, tables, true);
     for (const loop of layout.loops.slice(2)) {
       const why = misfit(loop, profile.loops[loop.replaceAll("-", "_")], tables, layout);

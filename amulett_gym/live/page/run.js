@@ -26,7 +26,8 @@ Live.run = (() => {
    */
   function make(core, spec, events = []) {
     const { device, scenario, seed, lawOf } = spec;
-    const mine = core.arm({ device, loop: spec.loop, law: lawOf(spec.law), scenario, seed });
+    const ownLaw = spec.loop === core.layout.firmware.loop; // eq. 6 on the chip, whatever law is chosen
+    const mine = core.arm({ device, loop: spec.loop, law: ownLaw ? { name: "eq6" } : lawOf(spec.law), scenario, seed });
     const twin = core.arm({ device, loop: "decentralized", law: { name: "eq6" }, scenario, seed });
     const period = mine.controlPeriod, agentTicks = Math.max(Math.round(0.02 / period), 1);
     const sampleTicks = Math.max(Math.round(SAMPLE / period), 1), snapshotTicks = Math.round(SNAPSHOT / period);
@@ -51,7 +52,10 @@ Live.run = (() => {
     }
 
     function apply({ kind, value }) {
-      if (kind === "law") return mine.setLaw(lawOf(value));
+      if (kind === "law") {
+        if (!ownLaw) mine.setLaw(lawOf(value));
+        return;
+      }
       for (const arm of [mine, twin]) {
         if (kind === "setpoint") arm.setSetpoint(value);
         else if (kind === "push") arm.setPush(value);
@@ -141,7 +145,7 @@ Live.run = (() => {
     }
 
     return {
-      spec, period, agentTicks, control, samples, advance, seek, input,
+      spec, period, agentTicks, control, ownLaw, samples, advance, seek, input,
       /** Before the first tick: let inputs come by themselves, and a replay last until a tick. */
       script: (inputs, until) => { [events, end] = [[...inputs], until]; },
       /** Ticks that can still be simulated. */
