@@ -1,22 +1,19 @@
 """Measure whether the firmware keeps real time in a browser: ``python tests/live/avr.py [TICKS]``.
 
 The hex file of ``amulett export eq6`` plays the paper's step in simavr, as with ``amulett hil --transport chip``. What
-the host has sent then goes to the same hex file on avr8js, which simulates the processor in JavaScript, in node and in
-Chromium. Printed are the control ticks whose answers are the same, and how many there are in a second. It needs what
-`docs/firmware.md` installs for the simulated chip, and npm, which loads avr8js: its version and hash are fixed.
+the host has sent then goes to the hex file of `amulett live` on avr8js, which simulates the processor in JavaScript, in
+node and in Chromium. Printed are the control ticks whose answers are the same, and how many there are in a second. It
+needs what `docs/firmware.md` installs for the simulated chip.
 """
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import hashlib
 import io
 import json
 import math
 import subprocess
 import sys
-import tarfile
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -26,31 +23,16 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from live.browser import chromium, has_browser
 
 from amulett_gym.cli import main as amulett
-from amulett_gym.firmware.chip import _BOOT_TIME, Chip
+from amulett_gym.firmware.chip import Chip
 from amulett_gym.firmware.env import HardwareEnv
 from amulett_gym.firmware.protocol import Decoder
-from amulett_gym.firmware.toolchain import build_hex
+from amulett_gym.live.core import script
+from amulett_gym.live.core.hex import DEVICE, LAW, read_hex
 
-PACKAGE = "avr8js@0.21.1"
-INTEGRITY = "lS1vPaB0gB2GXoPrHFQOUG/5CRORjvnmjbs8SiPZdJpt4HkV0+v6HnNeXxo/X9lPqumqphls2Qyql8zsw9rBaw=="
 SCRIPT = Path(__file__).with_name("avr.js")
 PERIOD, STEP = 0.0025, 8  # of the testbed's control [s], and of an agent [control ticks]
 SAMPLE = 0x83  # kind of the answer to a control tick
 CYCLES = 2  # bytes at the end of a report: the tick's cycles, by a timer
-
-
-def avr8js(folder: Path) -> dict[str, str]:
-    """Return the modules of avr8js by path."""
-    subprocess.run(["npm", "pack", PACKAGE, "--silent"], cwd=folder, check=True, capture_output=True, timeout=120)
-    (archive,) = folder.glob("avr8js-*.tgz")
-    content = archive.read_bytes()
-    if base64.b64encode(hashlib.sha512(content).digest()).decode() != INTEGRITY:
-        raise SystemExit(f"the archive of {PACKAGE} is not the one that is known")
-    with tarfile.open(fileobj=io.BytesIO(content)) as tar:
-        head = "package/dist/cjs/"
-        names = [name for name in tar.getnames() if name.startswith(head) and name.endswith(".js")]
-        texts = {name: tar.extractfile(name) for name in names}
-        return {name[len(head) : -3]: text.read().decode() for name, text in texts.items() if text is not None}
 
 
 Exchanges = list[tuple[list[int], list[int]]]
@@ -95,25 +77,34 @@ def same(exchanges: Exchanges, answers: list[list[int]]) -> list[bool]:
 
 
 def job_of(folder: Path, ticks: int) -> dict[str, Any]:
-    """Return what `avr.js` plays: the modules of avr8js, the hex file, and what was said to it in simavr."""
+    """Return what `avr.js` plays: the package's hex file, and what was said in simavr to the one of its sources."""
     firmware = folder / "firmware"
     with contextlib.redirect_stdout(io.StringIO()):
-        if amulett(["export", "eq6", "--out", str(firmware)]) != 0:
+        if amulett(["export", LAW, "--profile", DEVICE, "--out", str(firmware)]) != 0:
             raise SystemExit(2)
-    hex_text = build_hex(firmware, folder / "build").read_text()
-    return {"avr8js": avr8js(folder), "hex": hex_text, "exchanges": recorded(firmware, ticks), "boot": _BOOT_TIME}
+    return {"hex": read_hex(), "exchanges": recorded(firmware, ticks)}
+
+
+def texts() -> str:
+    """Return the scripts that play a job."""
+    return f"{script()}\n{SCRIPT.read_text(encoding='utf-8')}"
 
 
 def in_node(job: dict[str, Any]) -> dict[str, Any]:
     """Play a job in node."""
-    result = subprocess.run(["node", str(SCRIPT)], input=json.dumps(job), capture_output=True, text=True, check=True)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "avr.js"
+        path.write_text(texts(), encoding="utf-8")
+        result = subprocess.run(["node", str(path)], input=json.dumps(job), capture_output=True, text=True, check=True)
     return dict(json.loads(result.stdout))
 
 
 def in_chromium(job: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Play a job in Chromium."""
     page = folder / "avr.html"
-    page.write_text(f"<!doctype html><title>avr</title><script>{SCRIPT.read_text(encoding='utf-8')}</script>")
+    page.write_text(
+        f"<!doctype html><title>avr</title><meta charset=utf-8><script>{texts()}</script>", encoding="utf-8"
+    )
     with chromium() as driver:
         driver.get(page.as_uri())
         return dict(driver.execute_script("return play(arguments[0])", job))

@@ -21,6 +21,7 @@ from amulett_gym.cli import main
 from amulett_gym.fleet import load_fleet
 from amulett_gym.laws.parametric import tuned_vector
 from amulett_gym.live.core.data import device_data
+from amulett_gym.live.core.hex import FIRMWARE
 from amulett_gym.live.page import build_page
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.layout import CONTROLS, LOOPS
@@ -148,7 +149,7 @@ def test_the_forearm_is_pushed_with_mouse_and_finger(page, kind):
 
 
 @needs_browser
-@pytest.mark.parametrize("loop", CONTROLS)
+@pytest.mark.parametrize("loop", (*CONTROLS, FIRMWARE))
 def test_every_loop_can_be_played(page, loop):
     page.run("app.choose({ loop: arguments[0] })", loop)
     assert page.run("return app.settings.loop") == loop

@@ -1,7 +1,7 @@
 """The firmware as a loop of the page: the hex file of ``amulett export eq6``, which avr8js runs in the browser.
 
-``python -m amulett_gym.live.core.hex`` exports and compiles it anew, with `avr-gcc`. The file is part of the package, so
-that only who changes the firmware needs the compiler.
+``python -m amulett_gym.live.core.hex`` exports and compiles it anew, with `avr-gcc`. The file is part of the package,
+so that only who changes the firmware needs the compiler.
 """
 
 from __future__ import annotations
