@@ -48,36 +48,38 @@ Amulett.chip = (() => {
       ended = byte === 0;
     };
 
-    const sleeps = () => program[cpu.pc] === SLEEP && cpu.nextInterrupt < 0;
-    /** Nothing is left to do until the next period: all that the chip knows is then in its memory. */
-    const rests = () => sleeps() && cpu.nextClockEvent?.callback === period.end && !cpu.nextClockEvent.next;
-
-    /** Run until a condition holds, at most for a time [s]; while the chip sleeps, time jumps to the next event. */
+    /**
+     * Run for a time [s], or until a zero was sent, or until nothing is left to do before the next period: all that the chip
+     * knows is then in its memory. While it sleeps, time jumps to the next event.
+     * @param {number} seconds @param {"time" | "zero" | "rest"} until @returns {boolean} whether it rests, if that was wanted
+     */
     function run(seconds, until) {
-      const end = cpu.cycles + Math.round(seconds * FREQUENCY);
-      while (cpu.cycles < end && !until()) {
-        if (sleeps()) {
-          const next = cpu.nextClockEvent ? Math.min(cpu.nextClockEvent.cycles, end) : end;
+      const end = cpu.cycles + Math.round(seconds * FREQUENCY), zero = until === "zero", rest = until === "rest";
+      while (cpu.cycles < end && !(zero && ended)) {
+        if (program[cpu.pc] === SLEEP && cpu.nextInterrupt < 0) {
+          const event = cpu.nextClockEvent;
+          if (rest && event?.callback === period.end && !event.next) return true;
+          const next = event ? Math.min(event.cycles, end) : end;
           if (next > cpu.cycles) cpu.cycles = next;
         }
         avrInstruction(cpu);
         cpu.tick();
       }
+      return false;
     }
 
     function settle() {
-      run(ANSWER, rests);
-      if (!rests()) throw new AmulettError("the firmware does not rest after its answer; restart");
+      if (!run(ANSWER, "rest")) throw new AmulettError("the firmware does not rest after its answer; restart");
     }
 
-    run(BOOT, () => false);
+    run(BOOT, "time");
     settle();
 
     /** Send bytes, and run until the chip has answered them, up to a zero, and rests again. @param {Iterable<number>} bytes */
     function exchange(bytes) {
       [waiting, sent, ended] = [[...bytes], [], false];
       deliver();
-      run(ANSWER, () => ended);
+      run(ANSWER, "zero");
       settle();
       return sent;
     }

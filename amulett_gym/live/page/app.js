@@ -375,7 +375,7 @@ Live.app = (() => {
       panel.showInputs(mine);
       Live.strips.write(run.samples);
       write(byId("clock"), `${run.time.toFixed(2)} s`);
-      write(byId("pace"), playing && lag > 0.5 ? "slower than real time: this computer cannot keep up" : "");
+      write(byId("pace"), playing && lag > 0.5 ? "slower than real time" : "");
       const bar = byId("time");
       bar.max = String(Math.max(run.end, 1));
       bar.value = String(run.tick);

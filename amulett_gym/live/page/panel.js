@@ -45,7 +45,8 @@ Live.panel = (() => {
       task.fill(data.tasks, settings.task);
       device.fill(data.devices, settings.device);
       loop.fill(data.loops.map((each) => ({ ...each, why: chosen.unfit[each.id] || "" })), settings.loop);
-      law.fill(data.laws, settings.law.name);
+      if (app.run.ownLaw) law.fill([{ id: "", title: "eq. 6, compiled into the firmware" }], "");
+      else law.fill(data.laws, settings.law.name);
       law.input.disabled = app.run.ownLaw;
       const described = [data.tasks.find((each) => each.id === settings.task), chosen, data.loops.find((each) => each.id === settings.loop), ...(app.run.ownLaw ? [] : [app.law()])];
       byId("choice-note").replaceChildren(...described.flatMap((each, k) => (each.description ? [
