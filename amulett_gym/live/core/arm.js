@@ -17,15 +17,15 @@ Amulett.arm = (() => {
    * Make an arm.
    * @param {any} core @param {{device: any, loop?: string, law?: any, scenario?: any,
    *   seed?: number | bigint | string, agentPeriod?: number, actionDelay?: number, observationNoise?: number,
-   *   tensionRange?: number[] | null, note?: (bytes: number[], answer: number[]) => void}} options
-   *   `note`: see firmware.js; `scenario`: the content of a scenario file; `seed`: key of the sensor noise if the scenario has no `noise_seed`;
+   *   tensionRange?: number[] | null}} options
+   *   `scenario`: the content of a scenario file; `seed`: key of the sensor noise if the scenario has no `noise_seed`;
    *   the others are keywords of the environment
    */
   function make(core, options) {
     const { layout } = core, { records, constants } = layout, wasm = core.instance();
-    const allowed = ["device", "loop", "law", "scenario", "seed", "agentPeriod", "actionDelay", "observationNoise", "tensionRange", "note"];
+    const allowed = ["device", "loop", "law", "scenario", "seed", "agentPeriod", "actionDelay", "observationNoise", "tensionRange"];
     for (const key of Object.keys(options)) oneOf("option of an arm", key, allowed);
-    const { scenario: given = {}, seed = 0, agentPeriod = 0.02, actionDelay = 0, observationNoise = 0, tensionRange = null, note } = options;
+    const { scenario: given = {}, seed = 0, agentPeriod = 0.02, actionDelay = 0, observationNoise = 0, tensionRange = null } = options;
     const device = checkDevice(layout, options.device), loop = oneOf("loop", options.loop ?? "decentralized", [...layout.loops, layout.firmware.loop]);
     const onChip = loop === layout.firmware.loop;
     const at = (name) => record(wasm.memory.buffer, wasm[`${name}_at`](), records[name]);
@@ -58,7 +58,7 @@ Amulett.arm = (() => {
     /** Start the firmware where the episode begins: `begin_of` of firmware/recording.py. */
     function beginFirmware() {
       if (!core.hex) throw new AmulettError("the loop 'firmware' needs the hex file; give its text to Amulett.load");
-      const found = Amulett.firmware.make(core.hex, note), both = (name) => [state.get(`${name}_biceps`), state.get(`${name}_triceps`)];
+      const found = Amulett.firmware.make(core.hex), both = (name) => [state.get(`${name}_biceps`), state.get(`${name}_triceps`)];
       const springs = new Float64Array(wasm.memory.buffer, wasm.read_springs(), constants.READINGS).slice(3, 5), biases = ["biceps", "triceps"].map((name) => scene.get(`slider_bias_${name}`));
       const single = (...names) => names.map((name) => state.get(name));
       found.start([
@@ -213,7 +213,7 @@ Amulett.arm = (() => {
 
     /** The whole moment as bytes, for `restore` of an arm with the same device, loop and scenario. */
     function snapshot() {
-      const head = { magic: MAGIC, version: 1, identity, law: law.spec, remembered: law.state(), phase, wanted, push: wasm.pushed(), known };
+      const head = { magic: MAGIC, version: 1, identity, law: law.spec, remembered: law.state(), phase, wanted, push: wasm.pushed(), known: firmware && known };
       const text = new TextEncoder().encode(JSON.stringify(head)), size = new Uint8Array(4);
       new DataView(size.buffer).setUint32(0, text.length, true);
       return new Uint8Array([...size, ...text, ...state.bytes, ...scene.bytes, ...memory, ...(firmware ? firmware.snapshot() : [])]);
@@ -234,10 +234,12 @@ Amulett.arm = (() => {
       checkRecords(states, scenes, wrong);
       number("the snapshot's push", head.push, -100, 100);
       number("the snapshot's tension", head.wanted, -1e6, 1e6);
-      number("the snapshot's begin of a move [s]", head.known?.start, -1e6, 1e6);
-      number("the snapshot's jump [rad]", head.known.jump, -1e6, 1e6);
       const chip = copy.subarray(third + memory.length);
-      if (firmware && !firmware.fits(chip)) wrong("is damaged: its chip is not at rest");
+      if (firmware) {
+        number("the snapshot's begin of a move [s]", head.known?.start, -1e6, 1e6);
+        number("the snapshot's jump [rad]", head.known.jump, -1e6, 1e6);
+        if (!firmware.fits(chip)) wrong("is damaged: its chip is not at rest");
+      }
       const found = lawOf(head.law);
       number("the snapshot's phase", head.phase, 0, found.ticks - 1);
       found.law.remember(head.remembered);
@@ -245,8 +247,10 @@ Amulett.arm = (() => {
       state.bytes.set(states.bytes);
       scene.bytes.set(scenes.bytes);
       memory.set(copy.subarray(third, third + memory.length));
-      if (firmware) firmware.restore(chip);
-      known = head.known;
+      if (firmware) {
+        firmware.restore(chip);
+        known = head.known;
+      }
       [phase, wanted] = [Math.floor(head.phase), head.wanted];
       wasm.push(head.push);
       wasm.choose(chosen, onPath());

@@ -46,19 +46,14 @@ Amulett.firmware = (() => {
     return frame.length >= 2 && crc(frame) === low + 256 * high ? Uint8Array.from(frame) : null;
   }
 
-  /**
-   * Start the firmware.
-   * @param {string} hex
-   * @param {(bytes: number[], answer: number[]) => void} [note] is told what is said, for tests
-   */
-  function make(hex, note = () => {}) {
+  /** Start the firmware. @param {string} hex */
+  function make(hex) {
     const chip = Amulett.chip.make(hex);
     let sequence = 0;
 
     function ask(kind, content) {
       sequence = (sequence + 1) % 256;
-      const request = frameOf(kind, sequence, content), answer = chip.exchange(request), frame = contentOf(answer);
-      note(request, answer);
+      const frame = contentOf(chip.exchange(frameOf(kind, sequence, content)));
       if (!frame || frame[0] !== (REPLY | kind) || frame[1] !== sequence) throw new AmulettError("the firmware does not answer as it should; restart");
       return new DataView(frame.buffer, 2);
     }
