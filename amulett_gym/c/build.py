@@ -21,7 +21,9 @@ COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
 
 Blocks = NDArray[np.void]
-Advance = Callable[..., None]
+Advance = Callable[
+    [Blocks, NDArray[np.int64], Blocks, Blocks, layout.Paths | None, layout.Loop | None, bool | None, int, int], None
+]
 """Called as `kernel.advance` is."""
 
 

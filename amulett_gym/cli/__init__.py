@@ -135,7 +135,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     It is 0 for success, 1 if a check failed or training diverged, 2 for wrong input, 130 if interrupted, and 141 if the
     reader of the output is gone.
     """
-    if argv is None:  # the process ends with it: the search for garbage at its end, up to a second, would be in vain
+    if argv is None:  # the process ends with it, and would first search for garbage, up to a second
         atexit.register(gc.freeze)
     try:
         return _run(argv)

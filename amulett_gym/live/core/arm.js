@@ -53,7 +53,7 @@ Amulett.arm = (() => {
     const problem = START[wasm.begin()];
     if (problem) throw new AmulettError(problem);
     const firmware = onChip ? beginFirmware() : null;
-    let known = { start: state.get("step_start"), jump: 0 }; // of the setpoint's moves: what the firmware was told
+    let known = { start: state.get("step_start"), jump: 0 }; // of the setpoint's moves, as the firmware has them
 
     /** Start the firmware where the episode begins: `begin_of` of firmware/recording.py. */
     function beginFirmware() {

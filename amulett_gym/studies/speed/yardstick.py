@@ -87,8 +87,7 @@ def check(
     scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
     ticks = round(START / simulation.control_period)
     devices = simulation.parameters, simulation.which
-    others = simulation.paths, simulation.loop, simulation.extended
-    advance(*devices, scenarios, states, *others, num_devices, ticks)
+    advance(*devices, scenarios, states, simulation.paths, simulation.loop, simulation.extended, num_devices, ticks)
     simulation.advance(ticks)
     largest = deviations(simulation.states, states)
     field = max(largest, key=lambda name: largest[name])
@@ -144,14 +143,13 @@ def race(
         for name, advance in contestants.items():
             scenarios, states = aligned(simulation.scenarios), aligned(simulation.states)
             devices = simulation.parameters, simulation.which
-            others = simulation.paths, simulation.loop, simulation.extended
-            arrays = *devices, scenarios, states, *others, num_devices
+            arrays = *devices, scenarios, states, simulation.paths, simulation.loop, simulation.extended, num_devices
             rates[name].append(_rate(advance, arrays, ticks, seconds))
     ratios = {name: [r / c for r, c in zip(found, rates[reference], strict=True)] for name, found in rates.items()}
     return {name: Speed(_spread(rates[name]), _spread(ratios[name])) for name in contestants}
 
 
-def _rate(advance: Advance, arrays: tuple[Any, ...], ticks: int, seconds: float) -> float:
+def _rate(advance: Advance, arrays: tuple[Any, Any, Any, Any, Any, Any, Any, int], ticks: int, seconds: float) -> float:
     advance(*arrays, 1)  # warm the caches
     done, start = 0, time.perf_counter()
     while True:
