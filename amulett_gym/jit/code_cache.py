@@ -31,6 +31,7 @@ import llvmlite
 import numba
 import platformdirs
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.runtime.nrt import rtsys
 
 PACKAGE = Path(__file__).parent.parent
 NAME = "amulett-gym"
@@ -113,11 +114,18 @@ class CodeCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of a function, in our folder and forgiving."""
 
     _impl_class = _Files
+    _load = FunctionCache._load_overload
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code for a signature; None if there is none to be used."""
+        """Return the code for a signature; None if there is none to be used.
+
+        Compiled code needs numba's run time only. numba would first import all that it can compile, and look up its
+        types: a quarter of a second, which is left to the first compilation.
+        """
+        rtsys.initialize(target_context)
         try:
-            code = super().load_overload(sig, target_context)
+            with self._guard_against_spurious_io_errors():
+                code = self._load(sig, target_context)
         except Exception:  # a damaged file raises anything; without its index it is written anew
             with suppress(OSError):
                 self.flush()

@@ -72,7 +72,8 @@ ours = [module for name, module in sys.modules.items() if name.startswith("amule
 functions = [f for module in ours for f in vars(module).values() if hasattr(f, "py_func")]
 compiled = sum(sum(f.stats.cache_misses.values()) for f in functions)
 loaded = sum(sum(f.stats.cache_hits.values()) for f in functions)
-heavy = [name for name in ("matplotlib", "pygame", "torch", "stable_baselines3", "jinja2") if name in sys.modules]
+known = "matplotlib", "pygame", "torch", "stable_baselines3", "jinja2", "scipy.interpolate", "scipy.optimize"
+heavy = [name for name in (*known, "numba.typed.typeddict") if name in sys.modules]
 print(json.dumps({"observation": observation.tolist(), "compiled": compiled, "loaded": loaded, "heavy": heavy}))
 """
 
