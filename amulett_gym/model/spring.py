@@ -23,10 +23,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
+from amulett_gym.model import cubics
 from amulett_gym.profile import Spring
 
 CELLS = 256
@@ -146,9 +146,9 @@ def build_tables(spring: Spring) -> SpringTables:
     start = [0.0] if curve.deflection_m[0] > 0.0 else []
     measured, measured_force, measured_spring = (np.array(start + column) for column in columns)
     deflection = np.linspace(0.0, measured[-1], CELLS + 1)
-    force, spring_deflection = PchipInterpolator(measured, measured_force), PchipInterpolator(measured, measured_spring)
-    tables = _tables(deflection, force(deflection), spring_deflection(deflection))
-    slope, slider = (float(measured[-1] * law.derivative()(measured[-1])) for law in (force, spring_deflection))
+    laws = tuple(cubics.monotone(measured, values) for values in (measured_force, measured_spring))
+    tables = _tables(deflection, *(cubics.value(measured, law, deflection) for law in laws))
+    slope, slider = (float(measured[-1] * cubics.slope(measured, law, measured[-1:])[0]) for law in laws)
     return replace(tables, beyond=_continuation(spring, tables, Continuation(slope=slope, slider=slider)))
 
 
@@ -194,8 +194,8 @@ def _tables(
     tables = SpringTables(
         force=forces,
         spring_deflection=_coefficients(spring_deflection),
-        estimated_force=_coefficients(PchipInterpolator(root, force)(uniform_root)),
-        estimated_slope=_coefficients(PchipInterpolator(root, slope)(uniform_root)),
+        estimated_force=_coefficients(cubics.value(root, cubics.monotone(root, force), uniform_root)),
+        estimated_slope=_coefficients(cubics.value(root, cubics.monotone(root, slope), uniform_root)),
         max_deflection=float(deflection[-1]),
         max_spring_deflection=float(spring_deflection[-1]),
     )
@@ -302,5 +302,4 @@ def estimate_force(table: NDArray[np.float64], spring_deflection: float, max_spr
 
 def _coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return PCHIP coefficients (constant term first) over cells of width 1."""
-    pchip = PchipInterpolator(np.arange(values.size, dtype=float), values)
-    return np.ascontiguousarray(pchip.c[::-1].T)
+    return cubics.monotone(np.arange(values.size, dtype=float), values)

@@ -31,8 +31,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, PPoly
 
+from amulett_gym.model import cubics
 from amulett_gym.model.spring import CELLS, Continuation, SpringTables, build_tables
 from amulett_gym.profile import Profile
 
@@ -95,11 +95,9 @@ class _Springs:
 
     def __init__(self, tables: SpringTables) -> None:
         self.law, self.range = tables.beyond, tables.max_deflection
-        knots = np.linspace(0.0, 1.0, CELLS + 1)
-        scales = float(CELLS) ** np.arange(3, -1, -1)[:, None]
-        self._force = PPoly(tables.force.T[::-1] * scales, knots)
-        self._slider = PPoly(tables.spring_deflection.T[::-1] * scales, knots)
-        self._slope, self._slider_slope = self._force.derivative(), self._slider.derivative()
+        self._knots = np.linspace(0.0, 1.0, CELLS + 1)
+        scales = float(CELLS) ** np.arange(4)
+        self._force, self._slider = tables.force * scales, tables.spring_deflection * scales
 
     def deflection(self, string: Values, stiffness: float, end: float) -> Values:
         """Return the deflection up to `end` at that of a string [m] with a structure [N/m], by bisection."""
@@ -115,11 +113,12 @@ class _Springs:
         law, further = self.law, np.maximum(x, 1.0)
         rise = further * (1.0 - law.free_length / np.hypot(law.width, further))
         rise -= 1.0 - law.free_length / np.hypot(law.width, 1.0)
-        return np.asarray(self._force(np.minimum(x, 1.0)) + law.slope * rise)
+        return cubics.value(self._knots, self._force, np.minimum(x, 1.0)) + law.slope * rise
 
     def slope(self, x: Values) -> Values:
         """Return the slope of the force [N]; at the end of the tables, theirs."""
-        return np.where(x > 1.0, self.slope_beyond(x), self._slope(np.minimum(x, 1.0)))
+        slope = cubics.slope(self._knots, self._force, np.minimum(x, 1.0))
+        return np.where(x > 1.0, self.slope_beyond(x), slope)
 
     def slope_beyond(self, x: Values) -> Values:
         """Return the slope of the force from the tables' end on [N]."""
@@ -129,11 +128,12 @@ class _Springs:
     def slider(self, x: Values) -> Values:
         """Return the linear spring's deflection [m]."""
         rise = np.hypot(self.law.width, np.maximum(x, 1.0)) - np.hypot(self.law.width, 1.0)
-        return np.asarray(self._slider(np.minimum(x, 1.0)) + self.law.slider * rise)
+        return cubics.value(self._knots, self._slider, np.minimum(x, 1.0)) + self.law.slider * rise
 
     def slider_slope(self, x: Values) -> Values:
         """Return the slope of the linear spring's deflection [m]; at the end of the tables, theirs."""
-        return np.where(x > 1.0, self.slider_slope_beyond(x), self._slider_slope(np.minimum(x, 1.0)))
+        slope = cubics.slope(self._knots, self._slider, np.minimum(x, 1.0))
+        return np.where(x > 1.0, self.slider_slope_beyond(x), slope)
 
     def slider_slope_beyond(self, x: Values) -> Values:
         """Return the slope of the linear spring's deflection from the tables' end on [m]."""
@@ -143,5 +143,4 @@ class _Springs:
 
 def _hermite(values: Values, slopes: Values) -> Values:
     """Return cubic coefficients (constant term first) by values and their slopes over the whole range."""
-    cubic = CubicHermiteSpline(np.arange(CELLS + 1.0), values, slopes / CELLS)
-    return np.ascontiguousarray(cubic.c[::-1].T)
+    return cubics.through(np.arange(CELLS + 1.0), values, slopes / CELLS)
