@@ -16,9 +16,10 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -34,7 +35,7 @@ from amulett_gym.workers.report import listening
 T = TypeVar("T")
 
 _BETWEEN = 1.0
-"""Longest time between two reports of progress [s]."""
+"""Time between two reports of progress, between two copies of a call's files, and between two readings [s]."""
 
 _AHEAD = 2
 """Tasks submitted for each processor of the cluster: the next one waits where the one before it ends."""
@@ -55,18 +56,22 @@ _PATIENCE = 10.0
 """Time without a processor for any call after which a note says so [s]."""
 
 _SHARE = 10
-"""Time between two copies of a call's files, in multiples of the time that one takes."""
+"""Least time between two copies of a call's files, in multiples of the time that one takes."""
+
+_Kept = tuple[dict[str, bytes], list[str]]
+"""Contents of new or changed files, and names of those that are gone."""
+
+_runs = count()  # numbers of `_make_all` in this process
 
 
 @dataclass(frozen=True)
 class _Done(Generic[T]):
-    """What a task returns: the result or the error of its call, its last files, and units not yet reported."""
+    """What a task returns: the result or the error of its call, its last files, and all its units."""
 
     result: T | None
     error: Exception | None
     host: str
-    files: dict[str, bytes]
-    removed: list[str]
+    kept: _Kept
     units: int
 
 
@@ -77,8 +82,10 @@ class _Task:
     name: str
     number: int
     lock: ExitStack
-    open: int = 0
-    """Units that are reported but not kept: they are done again if the task is lost."""
+    units: int = 0
+    """Units that are reported."""
+    kept: int = 0
+    """Units that are kept; the others are done again if the task is lost."""
 
 
 def on_cluster(
@@ -138,19 +145,35 @@ def _knock(address: str) -> None:
                 raise OSError("a program that is not Ray listens there")
 
 
+@cache
+def _mailbox(ray: Any, job: str, node: str) -> Any:
+    """Return the actor that holds reports until this process reads them: one for each connection, on its node."""
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    class Mailbox:  # in this function, so that Ray sends its code, and its process imports nothing else
+        def __init__(self) -> None:
+            self.reports: dict[int, list[Any]] = {}
+
+        def put(self, run: int, report: Any) -> None:
+            self.reports.setdefault(run, []).append(report)
+
+        def take(self, run: int) -> list[Any]:
+            return self.reports.pop(run, [])
+
+    place = NodeAffinitySchedulingStrategy(node, soft=False)
+    return ray.remote(num_cpus=0, scheduling_strategy=place)(Mailbox).remote()
+
+
 def _make_all(
     ray: Any, calls: Mapping[str, Call[T]], number: int | None, watch: Callable[[int], object]
 ) -> Generator[tuple[str, T]]:
-    from ray.util.queue import Queue
-    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-    here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)
-    reports = Queue(actor_options={"num_cpus": 0, "scheduling_strategy": here})
+    here, run = ray.get_runtime_context(), next(_runs)
+    mailbox = _mailbox(ray, here.get_job_id(), here.get_node_id())
     task = ray.remote(num_cpus=1, max_retries=0)(_make)
     wanted = _software()
     todo, losses, submitted = list(calls)[::-1], Counter[str](), 0
     made: dict[Any, _Task] = {}
-    limit, looked = 0, -float("inf")
+    limit, looked, read = 0, -float("inf"), time.monotonic()
     waits_since: float | None = time.monotonic()  # None: a call has begun
     failure: Exception | None = None
     lost_cluster = (ray.exceptions.RayError, ConnectionError)
@@ -167,37 +190,44 @@ def _make_all(
             files = contents(call.folder, stamps(call.folder, call.files))
         try:
             options = task.options(name=f"amulett: {name}")
-            ref = options.remote(call, submitted, files, reports, wanted, waits_since is not None)
+            ref = options.remote(call, submitted, files, (mailbox, run), wanted, waits_since is not None)
         except Exception as error:  # arguments that cannot be pickled
             lock.close()
             raise named(error, name) from error
         made[ref] = _Task(name, submitted, lock)
 
+    def submit_more() -> None:
+        nonlocal limit, looked
+        if time.monotonic() - looked > _LOOK:  # nodes come and go
+            limit, looked = number or _AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1), time.monotonic()
+        while todo and len(made) < limit:
+            submit()
+
     def read_reports() -> None:
-        nonlocal waits_since
+        nonlocal read, waits_since
+        read = time.monotonic()
         running = {task.number: task for task in made.values()}
-        for source, units, kept in reports.get_nowait_batch(reports.qsize()):
+        for source, units, kept in ray.get(mailbox.take.remote(run)):
             waits_since = None
-            if (task := running.get(source)) is None:  # lost
+            if (task := running.get(source)) is None:  # ended
                 continue
-            watch(units)
-            task.open += units
+            watch(units - task.units)
+            task.units = units
             if kept is not None:
-                task.open = 0
+                task.kept = units
                 if any(kept):
                     _write(calls[task.name], *kept)
                     losses[task.name] = 0
 
     try:
-        while todo or made:
-            if time.monotonic() - looked > _LOOK:  # nodes come and go
-                limit, looked = number or _AHEAD * max(int(ray.cluster_resources().get("CPU", 1)), 1), time.monotonic()
-            while todo and len(made) < limit:
-                submit()
+        submit_more()
+        while made:
             done, _ = ray.wait(list(made), num_returns=1, timeout=_BETWEEN)
             if done:
+                waits_since = None
                 done, _ = ray.wait(list(made), num_returns=len(made), timeout=0)
-            read_reports()
+            if time.monotonic() - read > _BETWEEN or any(calls[made[ref].name].folder for ref in done):
+                read_reports()  # of a call that ends: what it has kept comes before its last files
             if waits_since is not None and time.monotonic() - waits_since > _PATIENCE:
                 waits_since = None if _says_that_it_waits(ray) else time.monotonic()
             finished: list[tuple[str, T]] = []
@@ -206,24 +236,27 @@ def _make_all(
                 with ended.lock:
                     outcome = _outcome(ray, ref, ended.name)
                     if isinstance(outcome, str):
-                        watch(-ended.open)
+                        watch(ended.kept - ended.units)
                         losses[ended.name] += 1
                         todo.append(ended.name)
                         if losses[ended.name] > MOST_LOST:
                             failure = lost(ended.name, outcome)
                         continue
-                    _write(calls[ended.name], outcome.files, outcome.removed)
-                watch(outcome.units)
+                    _write(calls[ended.name], *outcome.kept)
+                watch(outcome.units - ended.units)
                 if outcome.error is not None:
                     failure = named(outcome.error, f"{ended.name}, on {outcome.host}")
                 else:
                     finished.append((ended.name, outcome.result))  # type: ignore[arg-type]
+            if failure is None:
+                submit_more()  # first: the workers go on while these results are used
             yield from finished
             if failure is not None:
                 raise failure
     except lost_cluster as error:
         if error is failure:  # a call's own
             raise
+        _mailbox.cache_clear()
         raise AmulettError(
             f"the Ray cluster was lost: {_short(error)}. What is finished is kept: run the same command again when the "
             "cluster is back"
@@ -234,7 +267,7 @@ def _make_all(
         with suppress(*lost_cluster):
             for ref in made:
                 ray.cancel(ref, force=True)
-            reports.shutdown(force=True)
+            mailbox.take.remote(run)  # nothing reads it any more
 
 
 def _says_that_it_waits(ray: Any) -> bool:
@@ -288,16 +321,14 @@ def _software() -> dict[str, str]:
 
 
 def _make(
-    call: Call[T], number: int, files: dict[str, bytes], reports: Any, wanted: dict[str, str], first: bool
+    call: Call[T], number: int, files: dict[str, bytes], reader: tuple[Any, int], wanted: dict[str, str], first: bool
 ) -> _Done[T]:
     """Make a call on a worker; its files are in a temporary folder. The first calls report that they have begun."""
-    host = socket.gethostname()
-    if first:
-        reports.put((number, 0, None))
-    with call_folder() as place:
-        folder = None if call.folder is None else place
-        messenger = _Messenger(number, folder, call.files, reports)
+    with nullcontext() if call.folder is None else call_folder() as folder:
+        messenger = _Messenger(number, folder, call.files, reader)
         result, failure = None, None
+        if first:
+            messenger.send(None)
         try:
             messenger.receive(files)
             if other := differences(wanted, _software()):
@@ -306,14 +337,14 @@ def _make(
                 result = call.make(folder)
         except Exception as error:
             failure = _portable(error)
-        return _Done(result, failure, host, *messenger.changes(), messenger.units)
+        return _Done(result, failure, socket.gethostname(), messenger.changes(), messenger.units)
 
 
 class _Messenger:
-    """Sends a task's reports: progress once a second, files at most for a part of the time."""
+    """Sends a task's reports: progress once a second, files not more often and at most for a part of the time."""
 
-    def __init__(self, number: int, folder: Path | None, names: tuple[str, ...], reports: Any) -> None:
-        self._number, self._folder, self._names, self._reports = number, folder, names, reports
+    def __init__(self, number: int, folder: Path | None, names: tuple[str, ...], reader: tuple[Any, int]) -> None:
+        self._number, self._folder, self._names, self._reader = number, folder, names, reader
         self._sent, self._next_copy = time.monotonic(), 0.0
         self.units = 0
         self._known: Stamps = {}
@@ -327,16 +358,16 @@ class _Messenger:
     def advance(self, units: int) -> None:
         self.units += units
         if time.monotonic() - self._sent >= _BETWEEN:
-            self._send(None)
+            self.send(None)
 
     def keep(self) -> None:
         begun = time.monotonic()
         if self._folder is not None and begun >= self._next_copy:
-            self._send(self.changes())
+            self.send(self.changes())
             now = time.monotonic()
-            self._next_copy = now + _SHARE * (now - begun)
+            self._next_copy = now + max(_BETWEEN, _SHARE * (now - begun))
 
-    def changes(self) -> tuple[dict[str, bytes], list[str]]:
+    def changes(self) -> _Kept:
         """Return the contents of the files that are new or changed since the last time, and those that are gone."""
         if self._folder is None:
             return {}, []
@@ -345,9 +376,13 @@ class _Messenger:
         new = [name for name, stamp in now.items() if before.get(name) != stamp]
         return contents(self._folder, new), [name for name in before if name not in now]
 
-    def _send(self, kept: tuple[dict[str, bytes], list[str]] | None) -> None:
-        self._reports.put((self._number, self.units, kept))
-        self.units, self._sent = 0, time.monotonic()
+    def send(self, kept: _Kept | None) -> None:
+        """Send all units until now, and files if the call has kept them; return when the mailbox has both."""
+        import ray
+
+        mailbox, run = self._reader
+        ray.get(mailbox.put.remote(run, (self._number, self.units, kept)))
+        self._sent = time.monotonic()
 
 
 def _portable(error: Exception) -> Exception:

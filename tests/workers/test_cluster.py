@@ -94,7 +94,7 @@ def _count_on(folder, end, killed_at, note):
     """Count on from the number in the folder, which is kept; this process is killed once at each of some numbers."""
     from amulett_gym.workers import cluster as engine
 
-    engine._SHARE = 0  # in this worker: files are copied each time, however long that takes
+    engine._BETWEEN = engine._SHARE = 0  # in this worker: files are copied each time, however long that takes
     path = folder / "number"
     for number in range(int(path.read_text()) if path.exists() else 0, end):
         with note.open("a") as file:
