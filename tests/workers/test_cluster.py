@@ -164,6 +164,54 @@ def _wait_there(note, number):
     return number
 
 
+@pytest.mark.parametrize(("number", "together"), [(1, 1), (None, 2)])
+def test_no_more_calls_run_at_a_time_than_the_number_given(cluster, number, together):
+    calls = {f"of {k}": Call(_times) for k in range(10)}
+    times = sorted(time for _, times in results(calls, Workers(number, cluster.address)) for time in times)
+    running, most = 0, 0
+    for _, change in times:
+        running += change
+        most = max(most, running)
+    assert most == together
+
+
+def _times():
+    begun = time.time()
+    time.sleep(0.3)
+    return (begun, 1), (time.time(), -1)
+
+
+def test_the_next_call_begins_while_a_result_is_used(cluster, tmp_path):
+    calls = {f"of {k}": Call(Path.touch, (tmp_path / str(k),)) for k in range(3)}
+    with contextlib.closing(results(calls, Workers(1, cluster.address))) as finished:
+        next(finished)
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+
+
+def test_files_are_copied_at_most_once_a_second(workers, tmp_path):
+    found = dict(results({"often": Call(_keep_often, (), tmp_path / "often")}, workers))
+    assert found["often"] in (2, 3)  # at once, and in the two seconds after that
+    assert (tmp_path / "often" / "number").read_text() == "last"
+
+
+def _keep_often(folder):
+    """Keep the folder every 10 ms, and return how often it was copied."""
+    from amulett_gym.workers import cluster as engine
+
+    copies, changes = [], engine._Messenger.changes
+    engine._Messenger.changes = lambda self: copies.append(changes(self)) or copies[-1]
+    try:
+        end = time.monotonic() + 2.5
+        while time.monotonic() < end:
+            (folder / "number").write_text(str(time.monotonic()))
+            report.keep()
+            time.sleep(0.01)
+        (folder / "number").write_text("last")
+        return len(copies)
+    finally:
+        engine._Messenger.changes = changes
+
+
 def test_a_law_is_tuned_alike_on_a_cluster(workers, tmp_path):
     recipe = Recipe("eq6-tuned", seeds=(1, 2), population=6, generations=((2, 3), (3, 2)), validation=3)
     here = tune_all(tmp_path / "here", [recipe])
