@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 from amulett_agents.adapter import SB3VecEnv, make_sb3_env
-from amulett_gym import DRIVES_ID, WORN_ID
+from amulett_gym import DRIVES_ID, ENV_IDS, WORN_ID
 from amulett_gym.envs.settings import NO_LIMIT
 from amulett_gym.errors import AmulettError
 from amulett_gym.laws.actor import beyond_setpoint, follow
@@ -163,8 +163,7 @@ def recipe_view(venv: VecEnv, follow_time: float = 0.05, features: bool = True) 
     AmulettError
         If the environment is another one, or `follow_time` is below 0.
     """
-    if not venv.has_attr("env_id"):
-        raise AmulettError(f"recipe_view is for AMULETT environments, not {venv}")
+    _refuse_others(venv, "recipe_view")
     env_id, settings = venv.get_attr("env_id")[0], venv.get_attr("settings")[0]
     if env_id == DRIVES_ID:
         raise AmulettError(f"recipe_view is not for {DRIVES_ID}: train with configs/drives.yaml")
@@ -192,8 +191,7 @@ def native_view(venv: VecEnv) -> VecEnv:
     AmulettError
         If its environments are others than AMULETT's.
     """
-    if not venv.has_attr("env_id"):
-        raise AmulettError(f"native_view is for AMULETT environments, not {venv}")
+    _refuse_others(venv, "native_view")
     env_id, settings = venv.get_attr("env_id")[0], venv.get_attr("settings")[0]
     if settings.render_mode == "human":
         return venv
@@ -202,6 +200,18 @@ def native_view(venv: VecEnv) -> VecEnv:
     devices._seeds = list(venv._seeds)
     venv.close()
     return devices
+
+
+def _refuse_others(venv: VecEnv, view: str) -> None:
+    """Raise an AmulettError that names the environment if a view is not for it."""
+    if not isinstance(venv, VecEnv):
+        raise AmulettError(
+            f"{view} takes a VecEnv of Stable-Baselines3, not a {type(venv).__name__}: make one with make_sb3_env"
+        )
+    if not venv.has_attr("env_id"):
+        spec = venv.get_attr("spec")[0] if venv.has_attr("spec") else None
+        name = "an environment without an id" if spec is None else f"'{spec.id}'"
+        raise AmulettError(f"{view} is for AMULETT environments such as {ENV_IDS[1]}, not for {name}")
 
 
 class ScaledRewards(VecEnvWrapper):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.settings import describe
 
 _NAMESPACE = ENV_IDS[0].partition("/")[0] + "/"
+
+_MISSPELT = 0.85
+"""Likeness from which a key is a misspelt one. No argument of SB3's and its contrib's algorithms has more than 0.8."""
 
 
 class Hyperparameters(BaseModel):
@@ -39,16 +43,17 @@ def parse_zoo_file(content: Mapping[str, Any], path: Path) -> dict[str, Hyperpar
     Raises
     ------
     AmulettError
-        If an AMULETT environment of that name does not exist, an entry lacks a key that rl_zoo3 needs, or a keyword of
-        the environment is wrong.
+        If an AMULETT environment of that name does not exist, an entry lacks a key that rl_zoo3 needs or misspells one,
+        or a keyword of the environment is wrong.
     """
     found = {}
     for name, entry in content.items():
         where = f"'{name}' in '{path}'"
         if str(name).startswith(_NAMESPACE) and name not in ENV_IDS:
-            raise unknown("environment", str(name), ENV_IDS)
+            raise AmulettError(f"'{path}': {unknown('environment', str(name), ENV_IDS)}")
         if not isinstance(entry, Mapping):
             raise AmulettError(f"{where} has to be a mapping of hyper-parameters, not {entry!r}")
+        _check_spelling(entry, where)
         try:
             found[str(name)] = Hyperparameters.model_validate(dict(entry))
         except ValidationError as error:
@@ -56,6 +61,14 @@ def parse_zoo_file(content: Mapping[str, Any], path: Path) -> dict[str, Hyperpar
         if name in ENV_IDS:
             _check_keywords(str(name), found[str(name)].env_kwargs, f"{where}: env_kwargs")
     return found
+
+
+def _check_spelling(entry: Mapping[str, Any], where: str) -> None:
+    """Raise an AmulettError for a key that is so near to one of rl_zoo3's that no algorithm has such an argument."""
+    known = list(Hyperparameters.model_fields)
+    for key in map(str, entry):
+        if key not in known and (near := get_close_matches(key.lower(), known, 1, _MISSPELT)):
+            raise AmulettError(f"{where}: unknown key '{key}'; did you mean '{near[0]}'?")
 
 
 def _check_keywords(name: str, keywords: Mapping[str, Any], what: str) -> None:

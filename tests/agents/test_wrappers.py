@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
+from gymnasium.envs.classic_control import PendulumEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.vec_env import DummyVecEnv, unwrap_vec_wrapper
@@ -170,5 +171,10 @@ def test_native_leaves_windows_and_refuses_other_environments():
     window = make_vec_env(ENV_IDS[0], 1, env_kwargs={"render_mode": "human"})
     assert native_view(window) is window
     window.close()
-    with pytest.raises(AmulettError, match="native_view is for AMULETT environments, not <"):
-        native_view(make_vec_env("Pendulum-v1", 2))
+    for view in (native_view, recipe_view):
+        with pytest.raises(AmulettError, match=f"^{view.__name__} is for .*Tension-v0, not for 'Pendulum-v1'$"):
+            view(make_vec_env("Pendulum-v1", 2))
+        with pytest.raises(AmulettError, match="not for an environment without an id$"):
+            view(DummyVecEnv([PendulumEnv]))
+        with pytest.raises(AmulettError, match=f"^{view.__name__} takes a VecEnv .*, not a PendulumEnv: make one with"):
+            view(PendulumEnv())

@@ -122,7 +122,13 @@ def test_the_folder_of_a_training_run_is_valid_with_its_recipe_and_best_bundle(t
         ("mine.yaml", "{name: mine, base: testbed, plnt: {}}", "unknown key 'plnt'; did you mean 'plant'"),
         ("mine.yaml", "{ppo: {gama: 0.9}}", "unknown key 'ppo.gama'; did you mean 'gamma'"),
         ("mine.json", '{"move": []}', "unknown key 'move'; did you mean 'moves'"),
-        ("mine.yml", "{Amulett/Tensio-v0: {policy: MlpPolicy}}", "did you mean 'Amulett/Tension-v0'"),
+        ("mine.yml", "{Amulett/Tensio-v0: {policy: MlpPolicy}}", r"/mine\.yml': unknown .* mean 'Amulett/Tension-v0'"),
+        (
+            "mine.yml",
+            "{Amulett/Tension-v0: {policy: MlpPolicy, n_timestep: 1000}}",
+            r"'Amulett/Tension-v0' in '.*/mine\.yml': unknown key 'n_timestep'; did you mean 'n_timesteps'\?",
+        ),
+        ("mine.yml", "{Amulett/Tension-v0: {policy: A, n_timesteps: 1, N_env: 4}}", "'N_env'; did you mean 'n_envs'"),
         ("mine.yml", "{Amulett/Tension-v0: {policy: MlpPolicy}}", "n_timesteps"),
         ("mine.yml", "{Amulett/Tension-v0: {policy: MlpPolicy, n_timesteps: 0}}", "'n_timesteps' is 0"),
         (
