@@ -6,6 +6,7 @@ import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
@@ -24,7 +25,7 @@ from amulett_gym.jit.compiled import compiled_for
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
-from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING
+from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Paths
 from amulett_gym.simulation.random import keys_from_seeds
 from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import draw_devices, episode_keys, families_of, sample
@@ -37,6 +38,8 @@ Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
+ALL = slice(None)
+"""All blocks."""
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
@@ -78,6 +81,7 @@ class Episodes:
         (*map(TERM_KEY.format, TERMS), *transition.READINGS, *transition.METRICS), 0.0
     )
     report_size: ClassVar[int] = transition.REPORT_SIZE
+    _compiled_step: ClassVar[Callable[..., None]] = staticmethod(transition.step)
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
@@ -115,7 +119,8 @@ class Episodes:
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
-        self._codes: dict[bool, Callable[..., None]] = {}
+        self._steps: list[Callable[..., None]] = []
+        self._steps_paths: Paths | None = None
 
     @property
     def agent_period(self) -> float:
@@ -258,6 +263,8 @@ class Episodes:
 
     def _sampled(self, devices: NDArray[np.int64], keys: Keys) -> Drawn:
         """Return what the episodes' keys draw, for each device's own profile."""
+        if len(self.profiles) == 1:
+            return self._draw(0, keys)
         which = self.simulation.which[devices // LANES]
         kinds = np.unique(which)
         if kinds.size == 1:
@@ -336,19 +343,21 @@ class Episodes:
         AmulettError
             If an action is NaN.
         """
-        num_devices = self.simulation.num_devices
-        actions = np.array(actions, dtype=np.float64, order="C")  # a copy: strided and read-only ones are other types
-        observations = np.empty((num_devices, self.observation_size), dtype=np.float32)
-        report = np.empty((num_devices, self.report_size))
+        actions = actions.astype(np.float64)  # a copy: strided and read-only ones are other types
         if (first := transition.first_nan(actions)) >= 0:
             raise AmulettError(f"the action of device {first // self.action_size} is NaN; allowed is [-1, 1]")
-        others, actions = self._split(actions)
+        count = self.started.size
+        observations = np.empty((count, self.observation_size), dtype=np.float32)
+        report = np.empty((count, self.report_size))
+        given = *self._split(actions), observations, report
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
-        if len(self._shares) == 1:
-            self._step(self._arrays, self._memory(), others, actions, observations, report)
+        if not self._steps or self._steps_paths is not self.simulation.paths:
+            self._bind_steps(given)
+        if len(self._steps) == 1:
+            self._steps[0](*given)
         else:
-            self._step_in_threads(others, actions, observations, report)
+            self._step_in_threads(given)
         if own is not None:
             costs = {name: total - before[name] for name, total in self._costs().items()}
             costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
@@ -377,11 +386,9 @@ class Episodes:
         means, tensions = actions.reshape(-1, self.action_size).T.copy()
         return means, tensions
 
-    def _memory(self, blocks: slice | None = None) -> tuple[Any, ...]:
-        """Return what the simulation of some blocks (None: all) needs besides `Arrays`: paths, loop, extended."""
+    def _memory(self, blocks: slice = ALL) -> tuple[Any, ...]:
+        """Return what the simulation of some blocks needs besides `Arrays`: paths, loop, extended."""
         paths, loop, extended = self.simulation.paths, self.simulation.loop, self.simulation.extended
-        if blocks is None:
-            return paths, loop, extended
         return paths and (paths[0], paths[1][blocks]), loop and (loop[0], loop[1][blocks]), extended
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
@@ -392,26 +399,29 @@ class Episodes:
         costs = read("position_ise"), efforts, read("tension_ise"), read("contact_ise")
         return {name: unit * cost for (name, unit), cost in zip(_REWARDED.items(), costs, strict=True)}
 
-    def _step(
-        self,
-        arrays: Arrays,
-        memory: tuple[Any, ...],
-        others: NDArray[np.floating[Any]] | None,
-        actions: NDArray[np.floating[Any]],
-        observations: Observations,
-        report: Report,
-    ) -> None:
-        """Take one agent step with the devices of some blocks; arguments as of `_memory` and `_split`."""
-        self._call(transition.step, *arrays, *memory, others, actions, observations, report)
-        if self.privileged:
+    def _bind_steps(self, given: tuple[Any, ...]) -> None:
+        """Keep the compiled step of each share of the blocks, with all its arguments but those `given`.
+
+        They stay the same from step to step, except the paths: a reset may bring new ones.
+        """
+        self._steps = [self._bound_step(blocks, given) for blocks in self._shares]
+        self._steps_paths = self.simulation.paths
+
+    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., None]:
+        parameters, settings, which, scenarios, states = self._arrays
+        arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
+        same = *arrays, *self._memory(blocks)
+        step = partial(compiled_for(self._compiled_step, (*same, *given)), *same)
+        if not self.privileged:
+            return step
+
+        def step_and_observe(
+            others: NDArray[Any] | None, actions: NDArray[Any], observations: Observations, report: Report
+        ) -> None:
+            step(others, actions, observations, report)
             self._observe_privileged(arrays, np.arange(len(observations)), observations)
 
-    def _call(self, step: Callable[..., None], *arguments: Any) -> None:
-        """Call a compiled `step`, always the same; of its arguments' types, only that of the paths changes, if any."""
-        some = self.simulation.paths is not None
-        if (code := self._codes.get(some)) is None:
-            code = self._codes[some] = compiled_for(step, arguments)
-        code(*arguments)
+        return step_and_observe
 
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
         """Fill the observations of devices."""
@@ -426,28 +436,20 @@ class Episodes:
         if self.names is not None:
             observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
 
-    def _step_in_threads(
-        self,
-        others: NDArray[np.floating[Any]] | None,
-        actions: NDArray[np.floating[Any]],
-        observations: Observations,
-        report: Report,
-    ) -> None:
+    def _step_in_threads(self, given: tuple[Any, ...]) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
-        parameters, settings, which, scenarios, states = self._arrays
 
-        def step(blocks: slice) -> None:
+        def step(share: int) -> None:
+            blocks = self._shares[share]
             rows = slice(blocks.start * LANES, blocks.stop * LANES)
-            arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
-            other = None if others is None else others[rows]
-            self._step(arrays, self._memory(blocks), other, actions[rows], observations[rows], report[rows])
+            self._steps[share](*(array if array is None else array[rows] for array in given))
 
         if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
             self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
             self._pool_process = os.getpid()
-        running = [self._pool.submit(step, blocks) for blocks in self._shares[1:]]
+        running = [self._pool.submit(step, share) for share in range(1, len(self._shares))]
         try:
-            step(self._shares[0])
+            step(0)
         finally:
             wait(running)  # even after an error, no thread writes to the states any more
         for each in running:
@@ -460,7 +462,7 @@ class Episodes:
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_codes": {}}
+        return {**self.__dict__, "_pool": None, "_steps": [], "_steps_paths": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""
@@ -521,6 +523,8 @@ class Episodes:
 
         What nothing needs is not measured: with a fleet, a device's prices are found when it begins an episode.
         """
+        if not np.isnan(self._constants["prices"][:, families, 0]).any():
+            return
         settings = self.settings
         for own in np.unique(which):
             table = self._constants["prices"][own]

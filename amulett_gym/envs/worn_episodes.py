@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition, worn_transition
-from amulett_gym.envs.episodes import Arrays, Drawn, Episodes, Keys, Observations, Report
+from amulett_gym.envs.episodes import ALL, Drawn, Episodes, Keys, Observations, Report
 from amulett_gym.envs.reward import TERM_KEY
 from amulett_gym.envs.worn_reward import WORN_TERMS, worn_prices
 from amulett_gym.envs.worn_settings import WornSettings
@@ -42,6 +42,7 @@ class WornEpisodes(Episodes):
         0.0,
     )
     report_size = worn_transition.REPORT_SIZE
+    _compiled_step = staticmethod(worn_transition.step)
 
     def __init__(self, num_devices: int, settings: WornSettings, threads: int = 1) -> None:
         super().__init__(num_devices, settings, threads)
@@ -96,28 +97,15 @@ class WornEpisodes(Episodes):
         tensions, assistances = actions.reshape(-1, 2).T.copy()
         return assistances, tensions
 
-    def _memory(self, blocks: slice | None = None) -> tuple[Any, ...]:
+    def _memory(self, blocks: slice = ALL) -> tuple[Any, ...]:
         fittings, persons, states = self.simulation.worn
-        if blocks is not None:
-            persons, states = persons[blocks], states[blocks]
-        return *super()._memory(blocks), (fittings, persons, states)
+        return *super()._memory(blocks), (fittings, persons[blocks], states[blocks])
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         worn, read = self.simulation.read_worn, self.simulation.read
         drives = read("effort_biceps") + read("effort_triceps")
         costs = worn("effort"), worn("tracking_ise"), worn("moving_cuff_ise"), drives
         return {name: unit * cost for (name, unit), cost in zip(_REWARDED.items(), costs, strict=True)}
-
-    def _step(
-        self,
-        arrays: Arrays,
-        memory: tuple[Any, ...],
-        others: NDArray[np.floating[Any]] | None,
-        actions: NDArray[np.floating[Any]],
-        observations: Observations,
-        report: Report,
-    ) -> None:
-        self._call(worn_transition.step, *arrays, *memory, others, actions, observations, report)
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and assistances begin their ramps; see `Episodes.begin_ramps`."""

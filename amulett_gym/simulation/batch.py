@@ -91,6 +91,7 @@ class Simulation:
         if control in (*LOOPS, DRIVES):
             gains = joined((pack_loop(each, control) for each in self.profiles), layout.LOOP_PARAMETERS)
             self.loop = gains, zeros(num_blocks, layout.LOOP_BLOCK)
+        self._springs = [_spring(parameters) for parameters in self.parameters]
 
     @property
     def profile(self) -> Profile:
@@ -343,9 +344,7 @@ class Simulation:
         # Forces of the profile's springs at the same deflection.
         weakest = np.minimum(scenarios["spring_biceps_factor"], scenarios["spring_triceps_factor"])
         most, least = np.maximum(agonist, tension) / weakest, np.minimum(agonist, tension)
-        kinds, places = np.unique(which, return_inverse=True)
-        limits = np.array([max_force(self.parameters[kind]) for kind in kinds])
-        limit = limits[places]
+        limit = own("max_force")
         if (most > limit).any() or (least < 0).any():
             worst = int(np.argmax(np.maximum(most - limit, -least)))
             force = most[worst] if most[worst] > limit[worst] else least[worst]
@@ -356,11 +355,9 @@ class Simulation:
         stretch = own("position_only_offset") * own("drive_radius")
         if tension_loop:
             stretch = np.empty(len(scenarios))
-            for place, kind in enumerate(kinds):
-                p, rows = self.parameters[kind], places == place
-                forces = np.append(p["force_table"][:, 0], look_up(p["force_table"], 1.0))
-                table = np.linspace(0.0, 1.0 / p["inverse_max_deflection"], forces.size)
-                stretch[rows] = np.interp(most[rows], forces, table)
+            for kind in np.unique(which):
+                rows = which == kind
+                stretch[rows] = np.interp(most[rows], *self._springs[kind])
         smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
         turn = (np.abs(angle) * own("joint_radius") + stretch) / (smallest * own("drive_radius"))
         limit = own("command_limit")
@@ -370,6 +367,12 @@ class Simulation:
                 f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
                 f"command_limit_deg is {np.degrees(limit[worst]):.1f}"
             )
+
+
+def _spring(parameters: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return forces [N] of a profile's springs and the deflections [m] at which they give them, of a record."""
+    forces = np.append(parameters["force_table"][:, 0], look_up(parameters["force_table"], 1.0))
+    return forces, np.linspace(0.0, 1.0 / parameters["inverse_max_deflection"], forces.size)
 
 
 def max_force(parameters: Any) -> float:
