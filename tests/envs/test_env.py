@@ -414,6 +414,15 @@ def test_law_inside_the_loop_is_no_policy():
         amulett_gym.load_policy("eq6", gym.make(SCALING))
 
 
+@pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
+def test_steps_and_pictures_before_reset_are_refused_without_a_wrapper_for_it(env_id):
+    env = gym.make(env_id, render_mode="rgb_array")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(env.action_space.sample())
+    with pytest.raises(gym.error.ResetNeeded):
+        env.render()
+
+
 def test_steps_before_reset_and_wrong_shapes_are_refused():
     vector = gym.make_vec(SCALING, num_envs=2)
     with pytest.raises(gym.error.ResetNeeded):
