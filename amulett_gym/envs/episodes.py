@@ -523,7 +523,7 @@ class Episodes:
 
         What nothing needs is not measured: with a fleet, a device's prices are found when it begins an episode.
         """
-        if not np.isnan(self._constants["prices"][:, families, 0]).any():
+        if not np.isnan(self._constants["prices"][:, np.asarray(families), 0]).any():
             return
         settings = self.settings
         for own in np.unique(which):
