@@ -248,9 +248,11 @@ def _make_all(
                     failure = named(outcome.error, f"{ended.name}, on {outcome.host}")
                 else:
                     finished.append((ended.name, outcome.result))  # type: ignore[arg-type]
-            if failure is None:
-                submit_more()  # first: the workers go on while these results are used
-            yield from finished
+            try:
+                if failure is None:
+                    submit_more()  # first: the workers go on while these results are used
+            finally:
+                yield from finished
             if failure is not None:
                 raise failure
     except lost_cluster as error:

@@ -353,6 +353,10 @@ def test_what_cannot_be_sent_names_its_call(workers):
     with pytest.raises(TypeError) as caught:
         dict(results({"locked": Call(len, (threading.Lock(),))}, workers))
     assert "amulett: in locked" in caught.value.__notes__
+    found = results({"good": Call(len, ("abc",)), "locked": Call(len, (threading.Lock(),))}, Workers(1, workers.ray))
+    assert next(found) == ("good", 3)  # what is finished comes first
+    with pytest.raises(TypeError):
+        next(found)
 
 
 def test_progress_takes_back_what_a_lost_worker_did_not_keep(workers, tmp_path):
