@@ -408,6 +408,7 @@ class Episodes:
         self._steps_paths = self.simulation.paths
 
     def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., None]:
+        """Return what takes one agent step with the devices of some blocks, as a function of what is `given`."""
         parameters, settings, which, scenarios, states = self._arrays
         arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
         same = *arrays, *self._memory(blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.envs import transition
-from amulett_gym.envs.episodes import Arrays, Episodes, Observations
+from amulett_gym.envs.episodes import Episodes, Observations
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.single import TensionEnv
 from amulett_gym.errors import AmulettError
@@ -60,18 +61,15 @@ class FirmwareEpisodes(Episodes):
         self._reader, self.report_of_board = Reader(self.simulation), None
         return observations
 
+    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., None]:
+        return self._step
+
     def _step(
-        self,
-        arrays: Arrays,
-        memory: tuple[Any, ...],
-        others: NDArray[np.floating[Any]] | None,
-        actions: NDArray[np.floating[Any]],
-        observations: Observations,
-        report: NDArray[np.float64],
+        self, others: None, actions: NDArray[Any], observations: Observations, report: NDArray[np.float64]
     ) -> None:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
-        parameters, constants, _, scenarios, states = arrays
-        _, loop, _ = memory
+        parameters, constants, _, scenarios, states = self._arrays
+        loop = self.simulation.loop
         open_step(constants, states, report)
         for _ in range(int(constants["ticks"][0])):
             if states["failure"][0, 0] != RUNNING:
@@ -79,7 +77,7 @@ class FirmwareEpisodes(Episodes):
             self.tick()
         if loop is not None and self.settings.control in BY_STIFFNESS:
             set_stiffness(parameters, loop[0], states)
-        transition.observe_devices(*arrays, _DEVICE, observations)
+        transition.observe_devices(*self._arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)
 
     def _compile(self) -> None:
