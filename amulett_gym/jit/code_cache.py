@@ -23,7 +23,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -78,10 +78,13 @@ def cache_folder() -> Path | None:
     return next((place / name for place in _places() if _take(place / name)), None)
 
 
-def keep_code(function: Any) -> None:
-    """Let a function that numba compiles keep its code; one of a file not in `SOURCES` is compiled in each process."""
+def keep_code(function: Any, suffix: str = "") -> None:
+    """Let a function that numba compiles keep its code; one of a file not in `SOURCES` is compiled in each process.
+
+    `suffix` distinguishes the files of the same function, compiled with other options.
+    """
     if cache_folder() is not None and Path(function.py_func.__code__.co_filename) in sources():
-        function._cache = CodeCache(function.py_func)
+        function._cache = CodeCache(function.py_func, suffix)
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
@@ -109,12 +112,19 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
 class _Files(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
+    def __init__(self, function: Callable[..., Any], suffix: str) -> None:
+        super().__init__(function)
+        self._filename_base += suffix
+
 
 class CodeCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of a function, in our folder and forgiving."""
 
-    _impl_class = _Files
     _load = FunctionCache._load_overload
+
+    def __init__(self, function: Callable[..., Any], suffix: str = "") -> None:
+        self._impl_class = partial(_Files, suffix=suffix)
+        super().__init__(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature; None if there is none to be used.

@@ -22,9 +22,18 @@ try:
     from amulett_gym.jit.code_cache import keep_code
 except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
 
-    def keep_code(function: Any) -> None:
+    def keep_code(function: Any, suffix: str = "") -> None:
         """Keep the code where numba does."""
         function.enable_caching()
+
+
+try:
+    from amulett_gym.jit.twin import with_twin
+except (ImportError, AttributeError):  # another numba: then all of it takes longer to compile
+
+    def with_twin(function: Any) -> Any:
+        """Return the function as it is."""
+        return function
 
 
 watch_compilation()
@@ -112,6 +121,6 @@ def _compiled(function: F, **options: bool | str) -> F:
     if numba.config.DISABLE_JIT:  # Python runs it; like compiled code, it does not warn of an overflow
         return np.errstate(all="ignore")(function)
     # The functions are not called from C: without the wrappers for it, all of them compile a little sooner.
-    dispatcher = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function)
+    dispatcher = with_twin(numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options)(function))
     keep_code(dispatcher)
     return dispatcher

@@ -1,4 +1,4 @@
-"""The equations without the compiler: Python runs them, and comes to the same."""
+"""Compiled functions: what Python and other compiled code call, and the equations without the compiler."""
 
 from __future__ import annotations
 
@@ -35,3 +35,37 @@ def test_an_environment_steps_without_the_compiler():
     found, expected = played(NUMBA_DISABLE_JIT="1"), played()
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-7)
+
+
+CALLS = """
+import json
+import numpy as np
+from amulett_gym.jit.compiled import compiled
+from amulett_gym.model.spring import look_up
+
+table = np.arange(16.0).reshape(4, 4)
+table.flags.writeable = False
+
+@compiled
+def twice(position):
+    return 2.0 * look_up(table, position)
+
+called = twice(0.3)
+(code,) = look_up.twin.inspect_llvm().values()
+loaded = sum(look_up.twin.stats.cache_hits.values())
+print(json.dumps([called, look_up(table, 0.3), look_up.py_func(table, 0.3), code.count("@_ZN7cpython"), loaded]))
+"""
+
+
+def test_what_compiled_code_has_called_is_called_from_python_afterwards(tmp_path):
+    """Fresh, and with code from the cache: numba's wrapper for Python is only in the code for Python."""
+    for times_loaded in (0, 1):
+        done = subprocess.run(
+            [sys.executable, "-c", CALLS],
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        called, ours, python, wrappers, loaded = json.loads(done.stdout)
+        assert (called, ours, wrappers, loaded) == (2.0 * python, python, 0, times_loaded)
