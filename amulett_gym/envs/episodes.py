@@ -415,27 +415,26 @@ class Episodes:
         step = partial(compiled_for(self._compiled_step, (*same, *given)), *same)
         if not self.privileged:
             return step
+        observe = partial(_observe_privileged, arrays, self._bare_inertia, self._seen_devices)
 
         def step_and_observe(
             others: NDArray[Any] | None, actions: NDArray[Any], observations: Observations, report: Report
         ) -> None:
             step(others, actions, observations, report)
-            self._observe_privileged(arrays, np.arange(len(observations)), observations)
+            observe(np.arange(len(observations)), observations)
 
         return step_and_observe
+
+    @property
+    def _seen_devices(self) -> NDArray[np.float32] | None:
+        """`described`, if privileged observations have it: those of a fleet."""
+        return None if self.names is None else self.described
 
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
         """Fill the observations of devices."""
         transition.observe_devices(*self._arrays, devices, observations)
         if self.privileged:  # compiled only if needed
-            self._observe_privileged(self._arrays, devices, observations)
-
-    def _observe_privileged(self, arrays: Arrays, devices: NDArray[np.int64], observations: Observations) -> None:
-        parameters, _, which, scenarios, states = arrays
-        first = len(transition.OBSERVATIONS)
-        observe_privileged(parameters, which, self._bare_inertia, scenarios, states, devices, first, observations)
-        if self.names is not None:
-            observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
+            _observe_privileged(self._arrays, self._bare_inertia, self._seen_devices, devices, observations)
 
     def _step_in_threads(self, given: tuple[Any, ...]) -> None:
         """Let each thread, this one among them, step the devices of its share of the blocks."""
@@ -560,6 +559,21 @@ class Episodes:
         for device, row in zip(devices.tolist(), rows, strict=True):
             self._set_prices(self.simulation.which[device // LANES], row["family"])
         return found, [pack_path(scenario) for scenario in loaded]
+
+
+def _observe_privileged(
+    arrays: Arrays,
+    bare_inertia: NDArray[np.float64],
+    described: NDArray[np.float32] | None,
+    devices: NDArray[np.int64],
+    observations: Observations,
+) -> None:
+    """Fill the privileged entries of the observations of some blocks' devices; `described` is None without a fleet."""
+    parameters, _, which, scenarios, states = arrays
+    first = len(transition.OBSERVATIONS)
+    observe_privileged(parameters, which, bare_inertia, scenarios, states, devices, first, observations)
+    if described is not None:
+        observations[:, first + len(PRIVILEGED) :] = described[which[devices // LANES]]
 
 
 def checked_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:

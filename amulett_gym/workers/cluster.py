@@ -233,16 +233,20 @@ def _make_all(
             finished: list[tuple[str, T]] = []
             for ref in done:
                 ended = made.pop(ref)
-                with ended.lock:
-                    outcome = _outcome(ray, ref, ended.name)
-                    if isinstance(outcome, str):
-                        watch(ended.kept - ended.units)
-                        losses[ended.name] += 1
-                        todo.append(ended.name)
-                        if losses[ended.name] > MOST_LOST:
-                            failure = lost(ended.name, outcome)
-                        continue
-                    _write(calls[ended.name], *outcome.kept)
+                try:
+                    with ended.lock:
+                        outcome = _outcome(ray, ref, ended.name)
+                        if isinstance(outcome, str):
+                            watch(ended.kept - ended.units)
+                            losses[ended.name] += 1
+                            todo.append(ended.name)
+                            if losses[ended.name] > MOST_LOST:
+                                failure = lost(ended.name, outcome)
+                            continue
+                        _write(calls[ended.name], *outcome.kept)
+                except (AmulettError, OSError) as error:  # raised after the results of calls that ended with this one
+                    failure = error
+                    continue
                 watch(outcome.units - ended.units)
                 if outcome.error is not None:
                     failure = named(outcome.error, f"{ended.name}, on {outcome.host}")

@@ -415,12 +415,19 @@ def test_law_inside_the_loop_is_no_policy():
 
 
 @pytest.mark.parametrize("env_id", amulett_gym.ENV_IDS)
-def test_steps_and_pictures_before_reset_are_refused_without_a_wrapper_for_it(env_id):
+def test_steps_and_pictures_before_reset_are_refused(env_id):
     env = gym.make(env_id, render_mode="rgb_array")
-    with pytest.raises(gym.error.ResetNeeded):
+    for refused in (env, env.unwrapped):
+        with pytest.raises(gym.error.ResetNeeded):
+            refused.step(env.action_space.sample())
+        with pytest.raises(gym.error.ResetNeeded):
+            refused.render()
+    other = gym.make(env_id)
+    other.reset(seed=0)
+    env.unwrapped.set_state(other.unwrapped.get_state())
+    with pytest.raises(gym.error.ResetNeeded):  # the time limit's wrapper does not know the episode
         env.step(env.action_space.sample())
-    with pytest.raises(gym.error.ResetNeeded):
-        env.render()
+    env.unwrapped.step(env.action_space.sample())
 
 
 def test_steps_before_reset_and_wrong_shapes_are_refused():
