@@ -219,6 +219,26 @@ def _make_all(
                     _write(calls[task.name], *kept)
                     losses[task.name] = 0
 
+    def end(ref: Any) -> list[tuple[str, T]]:
+        """Keep what a task returned; return its call's name and result, nothing if it is lost or its call failed."""
+        nonlocal failure
+        ended = made.pop(ref)
+        with ended.lock:
+            outcome = _outcome(ray, ref, ended.name)
+            if isinstance(outcome, str):
+                watch(ended.kept - ended.units)
+                losses[ended.name] += 1
+                todo.append(ended.name)
+                if losses[ended.name] > MOST_LOST:
+                    failure = lost(ended.name, outcome)
+                return []
+            _write(calls[ended.name], *outcome.kept)
+        watch(outcome.units - ended.units)
+        if outcome.error is not None:
+            failure = named(outcome.error, f"{ended.name}, on {outcome.host}")
+            return []
+        return [(ended.name, outcome.result)]  # type: ignore[list-item]
+
     try:
         submit_more()
         while made:
@@ -232,26 +252,12 @@ def _make_all(
                 waits_since = None if _says_that_it_waits(ray) else time.monotonic()
             finished: list[tuple[str, T]] = []
             for ref in done:
-                ended = made.pop(ref)
                 try:
-                    with ended.lock:
-                        outcome = _outcome(ray, ref, ended.name)
-                        if isinstance(outcome, str):
-                            watch(ended.kept - ended.units)
-                            losses[ended.name] += 1
-                            todo.append(ended.name)
-                            if losses[ended.name] > MOST_LOST:
-                                failure = lost(ended.name, outcome)
-                            continue
-                        _write(calls[ended.name], *outcome.kept)
+                    finished += end(ref)
+                except lost_cluster:
+                    raise
                 except (AmulettError, OSError) as error:  # raised after the results of calls that ended with this one
                     failure = error
-                    continue
-                watch(outcome.units - ended.units)
-                if outcome.error is not None:
-                    failure = named(outcome.error, f"{ended.name}, on {outcome.host}")
-                else:
-                    finished.append((ended.name, outcome.result))  # type: ignore[arg-type]
             try:
                 if failure is None:
                     submit_more()  # first: the workers go on while these results are used

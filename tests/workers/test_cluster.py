@@ -359,6 +359,30 @@ def test_what_cannot_be_sent_names_its_call(workers):
         next(found)
 
 
+def test_results_come_before_the_error_of_one_that_ended_with_them(workers, tmp_path):
+    go, marks = tmp_path / "go", [tmp_path / "bad", tmp_path / "good"]
+    calls = {
+        "first": Call(len, ("abc",)),
+        "bad": Call(_make_after, (go, marks[0], _make_unreadable)),
+        "good": Call(_make_after, (go, marks[1], int)),
+    }
+    with contextlib.closing(results(calls, workers)) as found:
+        assert next(found) == ("first", 3)
+        go.touch()
+        wait_until(lambda: all(mark.exists() for mark in marks))
+        time.sleep(2.0)  # both results arrive while the first one is used
+        assert next(found) == ("good", 0)
+        with pytest.raises(AmulettError, match="^bad: its result cannot be read here"):
+            next(found)
+
+
+def _make_after(go, mark, make):
+    while not go.exists():
+        time.sleep(0.05)
+    mark.touch()
+    return make()
+
+
 def test_progress_takes_back_what_a_lost_worker_did_not_keep(workers, tmp_path):
     units = []
     assert dict(results({"lost": Call(_end_once, (tmp_path / "mark",))}, workers, units.append)) == {"lost": None}
