@@ -91,7 +91,6 @@ class Simulation:
         if control in (*LOOPS, DRIVES):
             gains = joined((pack_loop(each, control) for each in self.profiles), layout.LOOP_PARAMETERS)
             self.loop = gains, zeros(num_blocks, layout.LOOP_BLOCK)
-        self._springs = [_spring(parameters) for parameters in self.parameters]
 
     @property
     def profile(self) -> Profile:
@@ -357,7 +356,7 @@ class Simulation:
             stretch = np.empty(len(scenarios))
             for kind in np.unique(which):
                 rows = which == kind
-                stretch[rows] = np.interp(most[rows], *self._springs[kind])
+                stretch[rows] = np.interp(most[rows], *_spring(self.parameters[kind]))
         smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
         turn = (np.abs(angle) * own("joint_radius") + stretch) / (smallest * own("drive_radius"))
         limit = own("command_limit")
