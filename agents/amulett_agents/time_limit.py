@@ -1,4 +1,4 @@
-"""Bootstrap values at time limits, for all devices at once."""
+"""Bootstrap values at time limits, for all episodes of a rollout at once."""
 
 from __future__ import annotations
 
@@ -14,21 +14,42 @@ from stable_baselines3.common.callbacks import BaseCallback
 class ValuesAtTimeLimits(BaseCallback):
     """Adds the critic's discounted value to the last reward of an episode that the time limit ended.
 
-    SB3's rollouts do this one device after the other, which is slow where episodes end together. Here the mark
+    SB3's rollouts do this one device after the other, which is slow where episodes end together. The critic stays the
+    same within a rollout, so this does it once, in the rollout's last step; before, rewards lack the values. The mark
     ``TimeLimit.truncated`` is removed, so that SB3 does not add the value again. For PPO only: SAC needs the marks.
     """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._places: list[tuple[int, int]] = []
+        self._last: list[NDArray[np.float32]] = []
+
+    def _on_rollout_start(self) -> None:
+        self._forget()
 
     def _on_step(self) -> bool:
         assert isinstance(self.model, PPO)
         infos: list[dict[str, Any]] = self.locals["infos"]
-        rewards: NDArray[np.float32] = self.locals["rewards"]
-        ended = np.flatnonzero(self.locals["dones"]).tolist()
-        truncated = [device for device in ended if infos[device].get("TimeLimit.truncated", False)]
-        if truncated:
-            last = np.stack([infos[device]["terminal_observation"] for device in truncated])
-            with torch.no_grad():
-                values = self.model.policy.predict_values(torch.as_tensor(last, device=self.model.device))
-            rewards[truncated] += self.model.gamma * values.numpy(force=True)[:, 0]
-            for device in truncated:
+        step: int = self.locals["n_steps"]
+        for device in np.flatnonzero(self.locals["dones"]).tolist():
+            if infos[device].get("TimeLimit.truncated", False):
                 infos[device]["TimeLimit.truncated"] = False
+                self._places.append((step, device))
+                self._last.append(infos[device]["terminal_observation"])
+        if step == self.model.n_steps - 1 and self._places:
+            self._add_values(self.model, self.locals["rewards"])
+            self._forget()
         return True
+
+    def _add_values(self, model: PPO, rewards: NDArray[np.float32]) -> None:
+        """Add the values to the rewards of the rollout, whose last step's `rewards` are not in the buffer yet."""
+        with torch.no_grad():
+            values = model.policy.predict_values(torch.as_tensor(np.stack(self._last), device=model.device))
+        added = model.gamma * values.numpy(force=True)[:, 0]
+        steps, devices = np.array(self._places).T
+        model.rollout_buffer.rewards[steps, devices] += added  # in its last row for nothing: SB3 sets that one next
+        now = steps == model.n_steps - 1
+        rewards[devices[now]] += added[now]
+
+    def _forget(self) -> None:
+        self._places, self._last = [], []

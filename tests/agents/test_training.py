@@ -145,6 +145,34 @@ def test_what_is_beyond_the_time_limit_is_added_once_and_as_sb3_adds_it(limit):
     np.testing.assert_allclose(ours.seen, theirs.seen, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("staggered", [True, False])
+def test_what_is_beyond_the_time_limit_is_added_in_each_step_of_a_rollout(staggered):
+    config = load_train_config(None, [*SMALL, "env.max_episode_steps=4", f"staggered={str(staggered).lower()}"])
+    rollout = config.num_envs * config.ppo.n_steps
+    theirs, ours = Rewards(), Rewards()
+    make_model(config).learn(rollout, callback=[theirs])
+    make_model(config).learn(rollout, callback=[ValuesAtTimeLimits(), ours])
+    np.testing.assert_allclose(ours.seen, theirs.seen, rtol=1e-6, atol=1e-6)
+
+
+class BreaksOff(BaseCallback):
+    """Ends a rollout in its next-to-last step."""
+
+    def _on_step(self):
+        return self.n_calls < self.model.n_steps - 1
+
+
+def test_a_rollout_that_was_broken_off_leaves_nothing_to_the_next_one():
+    config = load_train_config(None, [*SMALL, "env.max_episode_steps=4"])
+    same, seen = ValuesAtTimeLimits(), []
+    for before, after in ((same, same), (ValuesAtTimeLimits(), ValuesAtTimeLimits())):
+        model, rewards = make_model(config), Rewards()
+        model.learn(512, callback=[before, BreaksOff()])
+        model.learn(512, callback=[after, rewards])
+        seen.append(rewards.seen)
+    assert np.array_equal(*seen)
+
+
 def test_the_adapter_sums_rewards_and_their_terms_over_the_episode():
     plain = make_sb3_env(num_envs=4, max_episode_steps=30)
     monitored = VecMonitor(make_sb3_env(num_envs=4, max_episode_steps=30))
