@@ -25,9 +25,9 @@ from amulett_gym.jit.compiled import compiled_for
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
-from amulett_gym.simulation.layout import DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Paths
+from amulett_gym.simulation.layout import BY_STIFFNESS, DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Paths
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
+from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack, pack_path, unpack
 from amulett_gym.tasks.suites import draw_devices, episode_keys, families_of, sample
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
@@ -81,7 +81,7 @@ class Episodes:
         (*map(TERM_KEY.format, TERMS), *transition.READINGS, *transition.METRICS), 0.0
     )
     report_size: ClassVar[int] = transition.REPORT_SIZE
-    _compiled_step: ClassVar[Callable[..., None]] = staticmethod(transition.step)
+    _compiled_step: ClassVar[Callable[..., int]] = staticmethod(transition.step)
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
@@ -89,6 +89,7 @@ class Episodes:
         hidden = len(PRIVILEGED) + (0 if settings.fleet is None else len(FLEET_PRIVILEGED))
         self.observation_size = len(transition.OBSERVATIONS) + (hidden if settings.privileged else 0)
         self.action_size = 2 if settings.control == DRIVES else 1
+        self.by_stiffness = settings.control in BY_STIFFNESS
         self.simulation = self._make_simulation(num_devices)
         self._constants = np.zeros(len(self.profiles), dtype=transition.SETTINGS)
         self._constants["ticks"] = [settings.ticks(profile) for profile in self.profiles]
@@ -112,6 +113,7 @@ class Episodes:
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
         self._max_forces = [max_force(parameters) for parameters in simulation.parameters]
+        self._blanks = [empty_rows(1, profile) for profile in self.profiles]
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
@@ -119,7 +121,7 @@ class Episodes:
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
-        self._steps: list[Callable[..., None]] = []
+        self._steps: list[Callable[..., int]] = []
         self._steps_paths: Paths | None = None
 
     @property
@@ -173,6 +175,8 @@ class Episodes:
         seeded = seeds != _NO_SEED
         new = ~seeded & ~self.started[devices]
         self._episodes[devices] += np.uint64(1)
+        if not (seeded | new).any():
+            return
         self._episodes[devices[seeded | new]] = 0
         self._keys[devices[seeded]] = keys_from_seeds(seeds[seeded])
         self._keys[devices[new]] = generator.integers(0, 2**64, size=np.count_nonzero(new), dtype=np.uint64)
@@ -279,7 +283,8 @@ class Episodes:
     def _draw(self, kind: int, keys: Keys) -> Drawn:
         """Return the scenarios that keys draw for a profile."""
         settings = self.settings
-        return (sample(settings.suite, keys, self.profiles[kind], self._max_forces[kind], settings.split),)
+        blank = self._blanks[kind]
+        return (sample(settings.suite, keys, self.profiles[kind], self._max_forces[kind], settings.split, blank),)
 
     def _wanted(
         self, devices: NDArray[np.int64], names: Sequence[str | None] | None, scenarios: Sequence[Scenario]
@@ -343,27 +348,30 @@ class Episodes:
         AmulettError
             If an action is NaN.
         """
-        actions = actions.astype(np.float64)  # a copy: strided and read-only ones are other types
-        if (first := transition.first_nan(actions)) >= 0:
-            raise AmulettError(f"the action of device {first // self.action_size} is NaN; allowed is [-1, 1]")
-        count = self.started.size
-        observations = np.empty((count, self.observation_size), dtype=np.float32)
-        report = np.empty((count, self.report_size))
+        observations = np.empty((self.started.size, self.observation_size), dtype=np.float32)
+        report = np.empty((self.started.size, self.report_size))
+        copied = actions.astype(np.float64)  # strided and read-only arrays are other types
+        self.step_into(copied, observations, report)
+        return observations, report
+
+    def step_into(self, actions: NDArray[np.float64], observations: Observations, report: Report) -> None:
+        """Take one agent step as :meth:`step` does, with actions that are contiguous, into arrays of the caller."""
         given = *self._split(actions), observations, report
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
         if not self._steps or self._steps_paths is not self.simulation.paths:
             self._bind_steps(given)
         if len(self._steps) == 1:
-            self._steps[0](*given)
-        else:
+            wrong = self._steps[0](*given)
+        elif (wrong := transition.first_nan(*given[:2])) < 0:  # before any share is stepped
             self._step_in_threads(given)
+        if wrong >= 0:
+            raise AmulettError(f"the action of device {wrong} is NaN; allowed is [-1, 1]")
         if own is not None:
             costs = {name: total - before[name] for name, total in self._costs().items()}
             costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
             terms = np.ascontiguousarray(report[:, transition.FIRST_TERM : transition.FIRST_READING].T)
             report[:, 0] = own_reward(own, costs, dict(zip(self.terms, terms, strict=True)))
-        return observations, report
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
@@ -407,8 +415,11 @@ class Episodes:
         self._steps = [self._bound_step(blocks, given) for blocks in self._shares]
         self._steps_paths = self.simulation.paths
 
-    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., None]:
-        """Return what takes one agent step with the devices of some blocks, as a function of what is `given`."""
+    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., int]:
+        """Return what takes one agent step with the devices of some blocks, as a function of what is `given`.
+
+        It returns the first of them with an action that is NaN, or `transition.ALL_NUMBERS`.
+        """
         parameters, settings, which, scenarios, states = self._arrays
         arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
         same = *arrays, *self._memory(blocks)
@@ -419,9 +430,10 @@ class Episodes:
 
         def step_and_observe(
             others: NDArray[Any] | None, actions: NDArray[Any], observations: Observations, report: Report
-        ) -> None:
-            step(others, actions, observations, report)
+        ) -> int:
+            wrong = step(others, actions, observations, report)
             observe(np.arange(len(observations)), observations)
+            return wrong
 
         return step_and_observe
 

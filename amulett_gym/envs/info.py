@@ -28,12 +28,10 @@ def info_of(episodes: Episodes, report: Report) -> dict[str, Any]:
         Of one device.
     report : ndarray, shape (1, report_size)
     """
-    values = iter(report.tolist()[0])
-    next(values)  # the reward
     info: dict[str, Any] = episodes.entries.copy()  # faster than a dict that grows
-    info.update(zip(episodes.entries, values, strict=True))
+    info.update(zip(episodes.entries, report[0, FIRST_TERM:].tolist()))  # noqa: B905, strict takes time
     info["failure"] = int(info["failure"])
-    if episodes.settings.control not in BY_STIFFNESS:
+    if not episodes.by_stiffness:
         del info[_BY_STIFFNESS]
     if episodes.names is not None:
         info["device"] = int(episodes.simulation.which[0])

@@ -55,6 +55,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.render_mode = settings.render_mode
         self.metadata = {**self.metadata, "render_fps": frame_rate(settings)}
         self._renderer: Any = None
+        self._report = np.empty((1, self.episodes.report_size))  # of the last step: nobody else gets it
 
     def _make_episodes(self, settings: Settings) -> Episodes:
         return Episodes(1, settings)
@@ -123,14 +124,15 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(action)
+        actions = np.array(action, dtype=np.float64)
         if actions.shape != self._action_shape:
             raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
-        observations, report = self.episodes.step(actions)
-        info = self._info(report)
+        observations = np.empty((1, self.episodes.observation_size), dtype=np.float32)
+        self.episodes.step_into(actions, observations, self._report)
+        info = self._info(self._report)
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(report[0, 0]), info["failure"] != RUNNING, False, info
+        return observations[0], self._report.item(0), info["failure"] != RUNNING, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the present state: an array (height, width, 3) for `rgb_array`, a window for `human`."""

@@ -111,6 +111,9 @@ FIRST_METRIC = FIRST_READING + len(READINGS)
 REPORT_SIZE = FIRST_METRIC + len(METRICS)
 """Length of a report: reward, its terms, readings, metrics, in this order."""
 
+ALL_NUMBERS = -1
+"""Instead of a device: no action is NaN."""
+
 _NOISE_STREAM = np.uint64(0x0B5E)
 _DEG = 180.0 / math.pi
 
@@ -121,8 +124,12 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, means, actions,
 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
     tension; `means` those for the mean drive angle, or None: then the code for these is not
-    compiled. `paths`, `loop` and `extended` are as of `kernel.advance`.
+    compiled. `paths`, `loop` and `extended` are as of `kernel.advance`. If an action is NaN, nothing happens but that
+    its device is returned (see `first_nan`).
     """
+    wrong = first_nan(means, actions)
+    if wrong >= 0:
+        return wrong
     num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
     for block in range(s_blocks.shape[0]):
@@ -132,6 +139,7 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, means, actions,
         m = motion[0]
         others = m, paths, loop, extended
         step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
+    return ALL_NUMBERS
 
 
 @compiled_in_place
@@ -157,12 +165,15 @@ def step_block(p, e, c, s, others, own, block, first, end, means, actions, obser
 
 
 @compiled
-def first_nan(actions):
-    """Return the index of the first action that is NaN, or -1: in one call, where numpy needs several."""
-    for k in range(actions.size):
-        if math.isnan(actions[k]):
-            return k
-    return -1
+def first_nan(others, actions):
+    """Return the first device that has a NaN among its actions, or `ALL_NUMBERS`; `others` as the step's, or None."""
+    for device in range(actions.size):
+        if math.isnan(actions[device]):
+            return device
+        if others is not None:  # noqa: SIM102, numba drops a branch only if it asks for nothing else
+            if math.isnan(others[device]):
+                return device
+    return ALL_NUMBERS
 
 
 @compiled

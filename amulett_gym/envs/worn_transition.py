@@ -8,7 +8,17 @@ import numpy as np
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.action import compiled_tension_of
-from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, begin_ramp, charge, end_ramp, observe, write_report
+from amulett_gym.envs.transition import (
+    ALL_NUMBERS,
+    FIRST_READING,
+    FIRST_TERM,
+    begin_ramp,
+    charge,
+    end_ramp,
+    first_nan,
+    observe,
+    write_report,
+)
 from amulett_gym.jit.compiled import compiled, compiled_in_place
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
@@ -54,6 +64,9 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistanc
 
     `actions` are those for the tension, `assistances` those for the assistance; else as `transition.step`.
     """
+    wrong = first_nan(assistances, actions)
+    if wrong >= 0:
+        return wrong
     num_devices = actions.shape[0]
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
     for block in range(s_blocks.shape[0]):
@@ -62,6 +75,7 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistanc
         ends = first, min(first + LANES, num_devices)
         others = motion[0], motion_of_arm[0], paths, loop, extended, worn
         step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
+    return ALL_NUMBERS
 
 
 @compiled_in_place

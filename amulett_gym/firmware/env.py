@@ -61,13 +61,15 @@ class FirmwareEpisodes(Episodes):
         self._reader, self.report_of_board = Reader(self.simulation), None
         return observations
 
-    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., None]:
+    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., int]:
         return self._step
 
     def _step(
         self, others: None, actions: NDArray[Any], observations: Observations, report: NDArray[np.float64]
-    ) -> None:
+    ) -> int:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
+        if (wrong := transition.first_nan(others, actions)) >= 0:
+            return int(wrong)
         parameters, constants, _, scenarios, states = self._arrays
         loop = self.simulation.loop
         open_step(constants, states, report)
@@ -79,6 +81,7 @@ class FirmwareEpisodes(Episodes):
             set_stiffness(parameters, loop[0], states)
         transition.observe_devices(*self._arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)
+        return transition.ALL_NUMBERS
 
     def _compile(self) -> None:
         """Take a step without the firmware, so that nothing is compiled in an episode: a real board would time out."""

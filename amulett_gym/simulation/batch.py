@@ -328,6 +328,11 @@ class Simulation:
         def own(name: str) -> NDArray[np.float64]:
             return np.asarray(self.parameters[name][which])
 
+        def turn(stretch: NDArray[np.float64]) -> NDArray[np.float64]:
+            smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
+            turned: NDArray[np.float64] = np.abs(angle) * own("joint_radius") + stretch
+            return turned / (smallest * own("drive_radius"))
+
         angle, tension = scenarios["initial_angle"], scenarios["initial_tension"]
         side = scenarios["obstacle_side"]
         depth = np.maximum(side * (angle - scenarios["obstacle_angle"]), 0.0)
@@ -351,19 +356,22 @@ class Simulation:
                 f"scenario {worst} starts with a string force of {force:.2f} N (its tension and the load of weight "
                 f"and contact at {np.degrees(angle[worst]):.1f} deg); the springs give 0 to {limit[worst]:.2f} N"
             )
-        stretch = own("position_only_offset") * own("drive_radius")
+        limit = own("command_limit")
         if tension_loop:
+            # No string stretches its spring beyond the table: where that fits, the tables need no search.
+            if (turn(1.0 / own("inverse_max_deflection")) <= limit).all():
+                return
             stretch = np.empty(len(scenarios))
             for kind in np.unique(which):
                 rows = which == kind
                 stretch[rows] = np.interp(most[rows], *_spring(self.parameters[kind]))
-        smallest = np.minimum(scenarios["pulley_biceps_factor"], scenarios["pulley_triceps_factor"])
-        turn = (np.abs(angle) * own("joint_radius") + stretch) / (smallest * own("drive_radius"))
-        limit = own("command_limit")
-        if (turn > limit).any():
-            worst = int(np.argmax(turn - limit))
+        else:
+            stretch = own("position_only_offset") * own("drive_radius")
+        turned = turn(stretch)
+        if (turned > limit).any():
+            worst = int(np.argmax(turned - limit))
             raise AmulettError(
-                f"scenario {worst} may start with a drive turned by {np.degrees(turn[worst]):.1f} deg; the profile's "
+                f"scenario {worst} may start with a drive turned by {np.degrees(turned[worst]):.1f} deg; the profile's "
                 f"command_limit_deg is {np.degrees(limit[worst]):.1f}"
             )
 

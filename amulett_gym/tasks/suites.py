@@ -69,7 +69,12 @@ Rows = NDArray[np.void]
 
 
 def sample(
-    suite: str, keys: NDArray[np.uint64], profile: Profile, max_force: float | None = None, split: str = "train"
+    suite: str,
+    keys: NDArray[np.uint64],
+    profile: Profile,
+    max_force: float | None = None,
+    split: str = "train",
+    blank: Rows | None = None,
 ) -> Rows:
     """Return one scenario for each key.
 
@@ -86,6 +91,8 @@ def sample(
         that stall allow less.
     split : str
         ``"shifted"`` draws from outside the ranges that all other splits share.
+    blank : ndarray of `simulation.layout.SCENARIO`, shape (1,), optional
+        ``empty_rows(1, profile)``, if already made.
 
     Returns
     -------
@@ -98,7 +105,7 @@ def sample(
     """
     check_names(suite, split)
     max_force = reachable_force(profile, max_force, _STRONGEST)
-    rows = np.repeat(empty_rows(1, profile), keys.size)
+    rows = np.repeat(empty_rows(1, profile) if blank is None else blank, keys.size)
     rows["measure_from"] = START
     draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS)
     radius = profile.plant.joint_pulley_radius

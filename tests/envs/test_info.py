@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 import amulett_gym
 from amulett_gym import FAILURES
+from amulett_gym.envs.transition import FIRST_TERM
 from amulett_gym.evaluation.metrics import or_nan
 
 SCALING, TENSION, DRIVES, WORN = amulett_gym.ENV_IDS
@@ -36,6 +37,8 @@ def types(info):
 @anywhere
 def test_each_step_and_reset_has_the_same_keys_with_finite_numbers_of_the_same_type(env_id, keywords):
     env = gym.make(env_id, max_episode_steps=40, **keywords)
+    episodes = env.unwrapped.episodes
+    assert len(episodes.entries) == episodes.report_size - FIRST_TERM  # a name for each
     _, first = env.reset(seed=0)
     wanted = dict.fromkeys(first, float) | {"failure": int} | ({"device": int} if "fleet" in keywords else {})
     infos = [first]
