@@ -19,17 +19,18 @@ from amulett_gym.simulation.layout import BY_STIFFNESS
 _BY_STIFFNESS = "stiffness_setpoint"
 
 
-def info_of(episodes: Episodes, report: Report) -> dict[str, Any]:
+def info_of(episodes: Episodes, values: list[float]) -> dict[str, Any]:
     """Return the info of a single device.
 
     Parameters
     ----------
     episodes : Episodes
         Of one device.
-    report : ndarray, shape (1, report_size)
+    values : list of float
+        Its report without the reward.
     """
     info: dict[str, Any] = episodes.entries.copy()  # faster than a dict that grows
-    info.update(zip(episodes.entries, report[0, FIRST_TERM:].tolist()))  # noqa: B905, strict takes time
+    info.update(zip(episodes.entries, values))  # noqa: B905, being strict takes time
     info["failure"] = int(info["failure"])
     if not episodes.by_stiffness:
         del info[_BY_STIFFNESS]

@@ -15,6 +15,7 @@ from amulett_gym import DRIVES_ID, ENV_IDS
 from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
 from amulett_gym.envs.info import info_of
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
+from amulett_gym.envs.transition import FIRST_TERM
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import RUNNING
@@ -22,6 +23,8 @@ from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario", "device")
 _DEVICE = np.zeros(1, dtype=np.int64)
+_FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
+"""numpy finds them sooner than by their classes: they are needed in each step."""
 
 
 class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -105,7 +108,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._renderer.clear()
         if self.render_mode == "human":
             self.render()
-        return observation, self._info(self.episodes.report())
+        return observation, self._info(self.episodes.report().tolist()[0][FIRST_TERM:])
 
     def step(self, action: NDArray[np.floating[Any]]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Hold an action of the space's shape for one agent period; values beyond [-1, 1] are clipped.
@@ -124,15 +127,17 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.array(action, dtype=np.float64)
+        actions = np.asarray(action).astype(_FLOAT64)
         if actions.shape != self._action_shape:
             raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
-        observations = np.empty((1, self.episodes.observation_size), dtype=np.float32)
+        observations = np.empty((1, self.episodes.observation_size), dtype=_FLOAT32)
         self.episodes.step_into(actions, observations, self._report)
-        info = self._info(self._report)
+        values = self._report.tolist()[0]
+        reward = values.pop(0)
+        info = self._info(values)
         if self.render_mode == "human":
             self.render()
-        return observations[0], self._report.item(0), info["failure"] != RUNNING, False, info
+        return observations[0], reward, info["failure"] != RUNNING, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the present state: an array (height, width, 3) for `rgb_array`, a window for `human`."""
@@ -184,8 +189,8 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
 
-    def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
-        return info_of(self.episodes, report)
+    def _info(self, values: list[float]) -> dict[str, Any]:
+        return info_of(self.episodes, values)
 
 
 class ScalingEnv(TensionEnv):

@@ -201,9 +201,9 @@ class HardwareEnv(TensionEnv):
         """Raise an AmulettError: a firmware's memory is not known."""
         self.get_state()
 
-    def _info(self, report: NDArray[np.float64]) -> dict[str, Any]:
+    def _info(self, values: list[float]) -> dict[str, Any]:
         board = self.episodes.report_of_board or Report((0.0, 0.0), 0.0, 1, 0)  # at a reset there was no tick yet
-        return super()._info(report) | {f"board_{name}": getattr(board, name) for name in _TOLD}
+        return super()._info(values) | {f"board_{name}": getattr(board, name) for name in _TOLD}
 
 
 def _count(value: float, resolution: float) -> float:
