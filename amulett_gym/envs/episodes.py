@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import operator
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition
+from amulett_gym.envs.crew import Crew
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
@@ -40,6 +39,8 @@ Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
 ALL = slice(None)
 """All blocks."""
+SHARES = 4
+"""Shares of the blocks for each of several threads: the one whose core is free takes more of them."""
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
@@ -117,10 +118,12 @@ class Episodes:
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
-        ends = np.linspace(0, simulation.states.size, min(threads, simulation.states.size) + 1).astype(int)
+        count = simulation.states.size
+        self._helpers = min(threads, count) - 1
+        shares = min(SHARES * threads, count) if self._helpers else 1
+        ends = np.linspace(0, count, shares + 1).astype(int)
         self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
-        self._pool: ThreadPoolExecutor | None = None
-        self._pool_process = 0
+        self._crew: Crew | None = None
         self._steps: list[Callable[..., int]] = []
         self._steps_paths: Paths | None = None
 
@@ -449,32 +452,29 @@ class Episodes:
             _observe_privileged(self._arrays, self._bare_inertia, self._seen_devices, devices, observations)
 
     def _step_in_threads(self, given: tuple[Any, ...]) -> None:
-        """Let each thread, this one among them, step the devices of its share of the blocks."""
+        """Let each thread, this one among them, step the devices of one share of the blocks after the other."""
+        turns = iter(range(len(self._shares)))  # common to all threads, each of which takes the next
 
-        def step(share: int) -> None:
-            blocks = self._shares[share]
-            rows = slice(blocks.start * LANES, blocks.stop * LANES)
-            self._steps[share](*(array if array is None else array[rows] for array in given))
+        def step() -> None:
+            for share in turns:
+                blocks = self._shares[share]
+                rows = slice(blocks.start * LANES, blocks.stop * LANES)
+                self._steps[share](*(array if array is None else array[rows] for array in given))
 
-        if self._pool is None or self._pool_process != os.getpid():  # a forked process inherits no threads
-            self._pool = ThreadPoolExecutor(len(self._shares) - 1, "amulett-gym")
-            self._pool_process = os.getpid()
-        running = [self._pool.submit(step, share) for share in range(1, len(self._shares))]
-        try:
-            step(0)
-        finally:
-            wait(running)  # even after an error, no thread writes to the states any more
-        for each in running:
-            each.result()
+        crew, self._crew = self._crew, None  # after an error, the next step takes new threads
+        if crew is None or not crew.is_here:
+            crew = Crew(self._helpers)
+        crew.share(step)
+        self._crew = crew
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        if self._crew is not None:
+            self._crew.dismiss()
+            self._crew = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_steps": [], "_steps_paths": None}
+        return {**self.__dict__, "_crew": None, "_steps": [], "_steps_paths": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""

@@ -76,6 +76,22 @@ def test_close_ends_the_threads():
     assert not ours() - before
 
 
+def test_a_step_after_an_error_takes_new_threads():
+    vector = gym.make_vec(SCALING, num_envs=3 * LANES, threads=2)
+    play(vector, 2, seed=0)
+    episodes = vector.unwrapped.episodes
+
+    def fail(*given):
+        raise ValueError("no")
+
+    steps, episodes._steps = episodes._steps, [fail] * 3
+    with pytest.raises(ValueError, match="no"):
+        vector.step(np.zeros((3 * LANES, 1)))
+    episodes._steps = steps
+    alone = gym.make_vec(SCALING, num_envs=3 * LANES)
+    assert_same(play(alone, 3, seed=1), play(vector, 3, seed=1))
+
+
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
 def test_a_wrong_number_of_threads_is_refused(threads):
     with pytest.raises(AmulettError, match="'threads' is"):
