@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -39,8 +40,6 @@ Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
 ALL = slice(None)
 """All blocks."""
-SHARES = 4
-"""Shares of the blocks for each of several threads: the one whose core is free takes more of them."""
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
@@ -118,11 +117,8 @@ class Episodes:
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
-        count = simulation.states.size
-        self._helpers = min(threads, count) - 1
-        shares = min(SHARES * threads, count) if self._helpers else 1
-        ends = np.linspace(0, count, shares + 1).astype(int)
-        self._shares = [slice(*pair) for pair in pairwise(ends.tolist())]
+        self._helpers = min(threads, simulation.states.size) - 1
+        self._shares = _shares(simulation.states.size, 1 + self._helpers)
         self._crew: Crew | None = None
         self._steps: list[Callable[..., int]] = []
         self._steps_paths: Paths | None = None
@@ -571,6 +567,20 @@ class Episodes:
         for device, row in zip(devices.tolist(), rows, strict=True):
             self._set_prices(self.simulation.which[device // LANES], row["family"])
         return found, [pack_path(scenario) for scenario in loaded]
+
+
+def _shares(blocks: int, threads: int) -> list[slice]:
+    """Return the shares of the blocks that threads take in turn.
+
+    They become smaller, so that threads end nearly together, though one starts late or its core is busy.
+    """
+    if threads == 1:
+        return [slice(0, blocks)]
+    least, ends = math.ceil(blocks / (16 * threads)), [0]
+    while ends[-1] < blocks:
+        left = blocks - ends[-1]
+        ends.append(ends[-1] + min(max(round(left / (1.5 * threads)), least), left))
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def _observe_privileged(

@@ -36,7 +36,7 @@ def assert_same(ours, theirs):
             np.testing.assert_array_equal(values, others)
 
 
-@pytest.mark.parametrize("devices", [1, LANES - 1, LANES + 1, 5 * LANES + 3])
+@pytest.mark.parametrize("devices", [1, LANES - 1, LANES + 1, 5 * LANES + 3, 67 * LANES + 1])
 @pytest.mark.parametrize("threads", [2, 3, 8])
 def test_any_number_of_threads_gives_the_same_bits(devices, threads):
     keywords = {"num_envs": devices, "max_episode_steps": 30}
@@ -84,7 +84,7 @@ def test_a_step_after_an_error_takes_new_threads():
     def fail(*given):
         raise ValueError("no")
 
-    steps, episodes._steps = episodes._steps, [fail] * 3
+    steps, episodes._steps = episodes._steps, [fail] * len(episodes._steps)
     with pytest.raises(ValueError, match="no"):
         vector.step(np.zeros((3 * LANES, 1)))
     episodes._steps = steps
