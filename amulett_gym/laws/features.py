@@ -90,8 +90,19 @@ def features(observations: Values, tension_range: tuple[float, float], worn: boo
     worn : bool
         Whether the observations are those of `Amulett/Worn-v0`; the features are then `WORN_FEATURES`.
     """
-    found = _columns(observations, tension_range) | (cuff_features(observations) if worn else {})
-    return np.stack(list(found.values()), axis=1)
+    found = _found(observations, tension_range, worn)
+    return _fill(np.empty((len(observations), len(found)), dtype=observations.dtype), found)
+
+
+def _found(observations: Values, tension_range: tuple[float, float], worn: bool) -> dict[str, Values]:
+    return _columns(observations, tension_range) | (cuff_features(observations) if worn else {})
+
+
+def _fill(rows: Values, found: dict[str, Values]) -> Values:
+    """Write features, which are columns, into an array; return it."""
+    for place, column in enumerate(found.values()):
+        rows[:, place] = column
+    return rows
 
 
 def with_features(
@@ -112,8 +123,16 @@ def with_features(
     worn : bool
         Whether the observations are those of `Amulett/Worn-v0`: 16 entries instead of 13.
     """
+    if tension_range is None and remembered is None:
+        return observations
     known = len(WORN_OBSERVATIONS if worn else OBSERVATIONS)
-    found = [] if tension_range is None else [features(observations, tension_range, worn)]
+    found = {} if tension_range is None else _found(observations, tension_range, worn)
+    means = known + len(found)  # where they begin
+    told = means + (0 if remembered is None else remembered.shape[1])
+    # each part is written to its place at once: with thousands of devices, copies take as long as the features
+    inputs = np.empty((len(observations), told + observations.shape[1] - known), dtype=observations.dtype)
+    inputs[:, :known], inputs[:, told:] = observations[:, :known], observations[:, known:]
+    _fill(inputs[:, known:means], found)
     if remembered is not None:
-        found.append(remembered.astype(observations.dtype))
-    return np.concatenate([observations[:, :known], *found, observations[:, known:]], axis=1) if found else observations
+        inputs[:, means:told] = remembered
+    return inputs
