@@ -78,13 +78,14 @@ def cache_folder() -> Path | None:
     return next((place / name for place in _places() if _take(place / name)), None)
 
 
-def keep_code(function: Any, suffix: str = "") -> None:
+def keep_code(function: Any, suffix: str = "", context: Callable[[Any], Any] | None = None) -> None:
     """Let a function that numba compiles keep its code; one of a file not in `SOURCES` is compiled in each process.
 
-    `suffix` distinguishes the files of the same function, compiled with other options.
+    `suffix` distinguishes the files of the same function, compiled with other options. `context` returns, of numba's
+    target context, the one into which the code is loaded.
     """
     if cache_folder() is not None and Path(function.py_func.__code__.co_filename) in sources():
-        function._cache = CodeCache(function.py_func, suffix)
+        function._cache = CodeCache(function.py_func, suffix, context)
 
 
 class _Locator(_CacheLocator):  # type: ignore[misc]
@@ -112,9 +113,14 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
 class _Files(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes = (_Locator,)
 
-    def __init__(self, function: Callable[..., Any], suffix: str) -> None:
+    def __init__(self, function: Callable[..., Any], suffix: str, context: Callable[[Any], Any] | None) -> None:
         super().__init__(function)
         self._filename_base += suffix
+        self._context = context
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        """Return the code from what a file holds."""
+        return super().rebuild(self._context(target_context) if self._context else target_context, payload)
 
 
 class CodeCache(FunctionCache):  # type: ignore[misc]
@@ -122,8 +128,10 @@ class CodeCache(FunctionCache):  # type: ignore[misc]
 
     _load = FunctionCache._load_overload
 
-    def __init__(self, function: Callable[..., Any], suffix: str = "") -> None:
-        self._impl_class = partial(_Files, suffix=suffix)
+    def __init__(
+        self, function: Callable[..., Any], suffix: str = "", context: Callable[[Any], Any] | None = None
+    ) -> None:
+        self._impl_class = partial(_Files, suffix=suffix, context=context)
         super().__init__(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -22,7 +22,7 @@ try:
     from amulett_gym.jit.code_cache import keep_code
 except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
 
-    def keep_code(function: Any, suffix: str = "") -> None:
+    def keep_code(function: Any, suffix: str = "", context: Callable[[Any], Any] | None = None) -> None:
         """Keep the code where numba does."""
         function.enable_caching()
 

@@ -3,6 +3,8 @@
 Most functions are only called by other compiled code, but numba makes the wrapper for all of them: a quarter of the
 time of a first step. Code without it would crash where Python calls it. So Python keeps calling the function itself,
 which is compiled at that call, and compiled code gets the twin.
+
+Nor has a twin machine code of its own (see :mod:`amulett_gym.jit.linked`).
 """
 
 from __future__ import annotations
@@ -15,6 +17,14 @@ from numba.core.registry import CPUDispatcher
 
 from amulett_gym.jit.code_cache import keep_code
 
+try:
+    from amulett_gym.jit.linked import LinkedCompiler, linking
+except (ImportError, AttributeError):  # another numba: then twins have machine code
+    _COMPILER: dict[str, Any] = {}
+    _CONTEXT: dict[str, Any] = {}
+else:
+    _COMPILER, _CONTEXT = {"pipeline_class": LinkedCompiler}, {"context": linking}
+
 
 def with_twin(function: Any) -> Any:
     """Return a function that numba compiles as one with a twin; `function` itself is no longer needed."""
@@ -24,9 +34,16 @@ def with_twin(function: Any) -> Any:
 class _WithTwin(CPUDispatcher):  # type: ignore[misc]
     @cached_property
     def twin(self) -> Any:
-        twin = CPUDispatcher(self.py_func, targetoptions={**self.targetoptions, "no_cpython_wrapper": True})
-        keep_code(twin, "-twin")
+        options = {**self.targetoptions, "no_cpython_wrapper": True}
+        twin = CPUDispatcher(self.py_func, targetoptions=options, **_COMPILER)
+        keep_code(twin, "-twin", **_CONTEXT)
         return twin
+
+    def add_overload(self, cres: Any) -> None:
+        """Add compiled code; called by numba, which sets the Python objects that it uses only if the cache had it."""
+        super().add_overload(cres)
+        for environment in cres._find_referenced_environments():
+            cres.library.codegen.set_env(environment.env_name, environment)
 
     @property
     def _numba_type_(self) -> Any:

@@ -52,13 +52,17 @@ def twice(position):
 
 called = twice(0.3)
 (code,) = look_up.twin.inspect_llvm().values()
+(result,) = look_up.twin.overloads.values()
+addresses = [result.library.get_pointer_to_function(result.fndesc.llvm_func_name)]
+addresses += [result.codegen._engine.get_function_address(result.fndesc.llvm_func_name)]
 loaded = sum(look_up.twin.stats.cache_hits.values())
-print(json.dumps([called, look_up(table, 0.3), look_up.py_func(table, 0.3), code.count("@_ZN7cpython"), loaded]))
+values = look_up(table, 0.3), look_up.py_func(table, 0.3)
+print(json.dumps([called, *values, code.count("@_ZN7cpython"), addresses, loaded]))
 """
 
 
 def test_what_compiled_code_has_called_is_called_from_python_afterwards(tmp_path):
-    """Fresh, and with code from the cache: numba's wrapper for Python is only in the code for Python."""
+    """Fresh, and with code from the cache: numba's wrapper, and machine code, are only in the code for Python."""
     for times_loaded in (0, 1):
         done = subprocess.run(
             [sys.executable, "-c", CALLS],
@@ -67,5 +71,33 @@ def test_what_compiled_code_has_called_is_called_from_python_afterwards(tmp_path
             text=True,
             check=True,
         )
-        called, ours, python, wrappers, loaded = json.loads(done.stdout)
-        assert (called, ours, wrappers, loaded) == (2.0 * python, python, 0, times_loaded)
+        called, ours, python, wrappers, addresses, loaded = json.loads(done.stdout)
+        assert (called, ours, wrappers, addresses) == (2.0 * python, python, 0, [0, 0])
+        assert loaded == times_loaded
+
+
+OBJECTS = """
+from amulett_gym.jit.compiled import compiled
+
+@compiled
+def show(number):
+    print("shown", (number, number))
+    if number > 1:
+        raise ValueError("too large", number)
+
+@compiled
+def show_all(numbers):
+    for number in numbers:
+        show(number)
+
+try:
+    show_all((1, 2))
+except ValueError as error:
+    print(error.args)
+"""
+
+
+def test_code_that_is_only_linked_finds_its_python_objects():
+    command = [sys.executable, "-c", OBJECTS]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.splitlines() == ["shown (1, 1)", "shown (2, 2)", "('too large', 2)"]
