@@ -449,7 +449,7 @@ class Episodes:
 
     def _step_in_threads(self, given: tuple[Any, ...]) -> None:
         """Let each thread, this one among them, step the devices of one share of the blocks after the other."""
-        turns = iter(range(len(self._shares)))  # common to all threads, each of which takes the next
+        turns = iter(range(len(self._shares)))  # of all threads; with the GIL, none is taken twice
 
         def step() -> None:
             for share in turns:
