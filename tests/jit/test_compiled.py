@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
 import sys
 
 import numpy as np
+import pytest
+from numba.core.errors import TypingError
+from numba.core.event import Listener, install_listener
+
+from amulett_gym.jit.compiled import compiled
 
 STEPS = """
 import json, gymnasium as gym, numpy as np, amulett_gym
@@ -101,3 +107,37 @@ def test_code_that_is_only_linked_finds_its_python_objects():
     command = [sys.executable, "-c", OBJECTS]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.splitlines() == ["shown (1, 1)", "shown (2, 2)", "('too large', 2)"]
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_a_compilation_leaves_the_search_for_cycles_as_it_was(collects):
+    seen = []
+
+    @compiled
+    def twice(number):
+        return 2 * number
+
+    before = gc.isenabled()
+    (gc.enable if collects else gc.disable)()
+    try:
+        with install_listener("numba:compile", Watch(seen)):
+            assert twice(3) == 6
+        with pytest.raises(TypingError):
+            twice({})
+        assert gc.isenabled() == collects
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert not any(seen) and seen
+
+
+class Watch(Listener):
+    """Records whether Python looks for cycles when a compilation starts."""
+
+    def __init__(self, seen: list[bool]) -> None:
+        self.seen = seen
+
+    def on_start(self, event):
+        self.seen.append(gc.isenabled())
+
+    def on_end(self, event):
+        pass
