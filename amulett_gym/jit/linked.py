@@ -6,6 +6,7 @@ function once more: another tenth of the time of a first step.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 from numba.core.codegen import AOTCodeLibrary, JITCPUCodegen
@@ -21,12 +22,24 @@ class LinkedCompiler(Compiler):  # type: ignore[misc]
     def compile_extra(self, func: Any) -> Any:
         """Compile a function into a library of ours; called by numba."""
         self.state.library = _Codegen(self.state.targetctx.codegen()).create_library(func.__qualname__)
+        self.state.args = _Types(self.state.args)
         return super().compile_extra(func)
 
 
 def linking(context: Any) -> Any:
     """Return numba's target context as one that loads code only to link it."""
     return context.subtarget(_internal_codegen=_Codegen(context.codegen()))
+
+
+class _Types(tuple[Any, ...]):
+    """The types of a function's arguments, whose text is made once: numba asks for it in each pass."""
+
+    def __str__(self) -> str:
+        return self._text
+
+    @cached_property
+    def _text(self) -> str:
+        return super().__str__()
 
 
 class _Library(AOTCodeLibrary):  # type: ignore[misc]
