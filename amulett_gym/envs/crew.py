@@ -6,7 +6,8 @@ import os
 import threading
 import weakref
 from collections.abc import Callable
-from queue import SimpleQueue
+from contextlib import suppress
+from queue import Empty, SimpleQueue
 
 _Calls = SimpleQueue[Callable[[], object] | None]
 _Ends = SimpleQueue[BaseException | None]
@@ -42,16 +43,22 @@ class Crew:
         return self._process == os.getpid()
 
     def share(self, work: Callable[[], object]) -> None:
-        """Call `work` in this thread and as often as there are others; raise the first error once all are done.
+        """Call `work` in this thread and in others; raise the first error once all are done.
 
-        After any error, such as Ctrl-C while this waits, the crew must not be used again.
+        A thread that has not begun when this one is done, as its core is busy, is not waited for. After any error,
+        such as Ctrl-C while this waits, the crew must not be used again.
         """
+        begun = len(self._threads)
         for _ in self._threads:
             self._calls.put(work)
         try:
             work()
         finally:
-            errors = [self._ends.get() for _ in self._threads]  # even after an error, none works on
+            with suppress(Empty):
+                while True:
+                    self._calls.get_nowait()
+                    begun -= 1
+            errors = [self._ends.get() for _ in range(begun)]  # even after an error, none works on
         for error in errors:
             if error is not None:
                 raise error

@@ -47,6 +47,15 @@ def test_an_error_is_raised_once_no_thread_works_any_more(fails):
     assert done == [True]
 
 
+def test_a_thread_that_has_not_begun_is_not_waited_for():
+    crew, busy, calls = Crew(1), threading.Event(), []
+    crew._calls.put(busy.wait)
+    assert waited_for(crew._calls.empty)
+    crew.share(lambda: calls.append(threading.current_thread()))
+    assert calls == [threading.current_thread()]
+    busy.set()
+
+
 def test_threads_end_with_their_crew():
     crew = Crew(2)
     crew.share(int)
