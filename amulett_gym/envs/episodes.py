@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition
-from amulett_gym.envs.crew import Crew
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
+from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled_for
 from amulett_gym.model.plant import inertia
@@ -119,7 +119,7 @@ class Episodes:
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
         self._helpers = min(threads, simulation.states.size) - 1
         self._shares = _shares(simulation.states.size, 1 + self._helpers)
-        self._crew: Crew | None = None
+        self._pool: ThreadPool | None = None
         self._steps: list[Callable[..., int]] = []
         self._steps_paths: Paths | None = None
 
@@ -457,20 +457,20 @@ class Episodes:
                 rows = slice(blocks.start * LANES, blocks.stop * LANES)
                 self._steps[share](*(array if array is None else array[rows] for array in given))
 
-        crew, self._crew = self._crew, None  # after an error, the next step takes new threads
-        if crew is None or not crew.is_here:
-            crew = Crew(self._helpers)
-        crew.share(step)
-        self._crew = crew
+        pool, self._pool = self._pool, None  # after an error, the next step takes new threads
+        if pool is None or not pool.is_here:
+            pool = ThreadPool(self._helpers)
+        pool.run(step)
+        self._pool = pool
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
-        if self._crew is not None:
-            self._crew.dismiss()
-            self._crew = None
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_crew": None, "_steps": [], "_steps_paths": None}
+        return {**self.__dict__, "_pool": None, "_steps": [], "_steps_paths": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""

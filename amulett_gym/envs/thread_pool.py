@@ -1,4 +1,4 @@
-"""Threads that share work with the one that has it."""
+"""Threads that work together with the one that calls them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ _Calls = SimpleQueue[Callable[[], object] | None]
 _Ends = SimpleQueue[BaseException | None]
 
 
-class Crew:
-    """Threads that wait for work, until they are dismissed or nobody has the crew any more.
+class ThreadPool:
+    """Threads that wait for work, until the pool is closed or nobody refers to it any more.
 
     A `ThreadPoolExecutor` takes twice as long to begin and end work, which counts where that lasts a millisecond.
 
     Parameters
     ----------
     size : int
-        Threads besides the one that has work.
+        Threads besides the one that calls.
     """
 
     def __init__(self, size: int) -> None:
         self._calls: _Calls = SimpleQueue()
         self._ends: _Ends = SimpleQueue()
-        self._finalizer = weakref.finalize(self, _dismiss, self._calls, size)
+        self._finalizer = weakref.finalize(self, _end, self._calls, size)
         # Daemons, so that waiting ones do not hold up the process's end.
         self._threads = [
             threading.Thread(target=_serve, args=(self._calls, self._ends), name=f"amulett-gym_{index}", daemon=True)
@@ -42,11 +42,11 @@ class Crew:
         """Whether the threads are in this process: a forked one inherits none."""
         return self._process == os.getpid()
 
-    def share(self, work: Callable[[], object]) -> None:
+    def run(self, work: Callable[[], object]) -> None:
         """Call `work` in this thread and in others; raise the first error once all are done.
 
         A thread that has not begun when this one is done, as its core is busy, is not waited for. After any error,
-        such as Ctrl-C while this waits, the crew must not be used again.
+        such as Ctrl-C while this waits, the pool must not be used again.
         """
         begun = len(self._threads)
         for _ in self._threads:
@@ -63,7 +63,7 @@ class Crew:
             if error is not None:
                 raise error
 
-    def dismiss(self) -> None:
+    def close(self) -> None:
         """End the threads."""
         self._finalizer()
         for thread in self._threads:
@@ -71,7 +71,7 @@ class Crew:
 
 
 def _serve(calls: _Calls, ends: _Ends) -> None:
-    """Do a thread's work. It knows the queues alone, not the crew, which can thus be collected."""
+    """Do a thread's work. It knows the queues alone, not the pool, which can thus be collected."""
     while (work := calls.get()) is not None:
         error = None
         try:
@@ -82,6 +82,6 @@ def _serve(calls: _Calls, ends: _Ends) -> None:
         ends.put(error)
 
 
-def _dismiss(calls: _Calls, size: int) -> None:
+def _end(calls: _Calls, size: int) -> None:
     for _ in range(size):
         calls.put(None)

@@ -1,4 +1,4 @@
-"""A crew's threads do work together, hand errors on, and end with the crew or the process."""
+"""A pool's threads work together, pass errors on, and end with the pool or the process."""
 
 import gc
 import subprocess
@@ -9,7 +9,7 @@ import weakref
 
 import pytest
 
-from amulett_gym.envs.crew import Crew
+from amulett_gym.envs.thread_pool import ThreadPool
 
 DEADLINE = 30.0
 """What is given to what takes a millisecond on a free machine [s]."""
@@ -23,11 +23,11 @@ def waited_for(condition):
 
 
 def test_all_threads_work_at_the_same_time():
-    crew = Crew(2)
+    pool = ThreadPool(2)
     meeting = threading.Barrier(3, timeout=DEADLINE)
     for _ in range(3):
-        crew.share(meeting.wait)
-    crew.dismiss()
+        pool.run(meeting.wait)
+    pool.close()
 
 
 @pytest.mark.parametrize("fails", ["here", "elsewhere"])
@@ -43,24 +43,24 @@ def test_an_error_is_raised_once_no_thread_works_any_more(fails):
         done.append(True)
 
     with pytest.raises(ValueError, match="no"):
-        Crew(1).share(work)
+        ThreadPool(1).run(work)
     assert done == [True]
 
 
 def test_a_thread_that_has_not_begun_is_not_waited_for():
-    crew, busy, calls = Crew(1), threading.Event(), []
-    crew._calls.put(busy.wait)
-    assert waited_for(crew._calls.empty)
-    crew.share(lambda: calls.append(threading.current_thread()))
+    pool, busy, calls = ThreadPool(1), threading.Event(), []
+    pool._calls.put(busy.wait)
+    assert waited_for(pool._calls.empty)
+    pool.run(lambda: calls.append(threading.current_thread()))
     assert calls == [threading.current_thread()]
     busy.set()
 
 
-def test_threads_end_with_their_crew():
-    crew = Crew(2)
-    crew.share(int)
-    threads = crew._threads
-    del crew
+def test_threads_end_with_their_pool():
+    pool = ThreadPool(2)
+    pool.run(int)
+    threads = pool._threads
+    del pool
     gc.collect()
     assert waited_for(lambda: not any(thread.is_alive() for thread in threads))
 
@@ -69,15 +69,15 @@ def test_threads_keep_nothing_of_finished_work():
     class Big:
         pass
 
-    crew, big = Crew(1), Big()
+    pool, big = ThreadPool(1), Big()
     kept = weakref.ref(big)
-    crew.share(lambda big=big: big)
+    pool.run(lambda big=big: big)
     del big
     assert waited_for(lambda: kept() is None)
-    crew.dismiss()
+    pool.close()
 
 
 def test_waiting_threads_do_not_hold_up_the_end_of_the_process():
-    script = "from amulett_gym.envs.crew import Crew; crew = Crew(3); crew.share(int)"
+    script = "from amulett_gym.envs.thread_pool import ThreadPool; pool = ThreadPool(3); pool.run(int)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=10 * DEADLINE)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
