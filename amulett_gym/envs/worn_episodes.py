@@ -82,7 +82,8 @@ class WornEpisodes(Episodes):
 
     def _draw(self, kind: int, keys: Keys) -> Drawn:
         settings = self.settings
-        return sample_worn(settings.suite, keys, self.profiles[kind], settings.split, self._max_forces[kind])
+        force, blank = self._max_forces[kind], self._blanks[kind]
+        return sample_worn(settings.suite, keys, self.profiles[kind], settings.split, force, blank)
 
     def _pack(self, scenario: Scenario, profile: Profile) -> Drawn:
         return pack_worn(scenario, profile)

@@ -54,7 +54,12 @@ People = dict[str, Numbers]
 
 
 def sample_worn(
-    suite: str, keys: NDArray[np.uint64], profile: Profile, split: str = "train", max_force: float | None = None
+    suite: str,
+    keys: NDArray[np.uint64],
+    profile: Profile,
+    split: str = "train",
+    max_force: float | None = None,
+    blank: Rows | None = None,
 ) -> tuple[Rows, Rows]:
     """Return one scenario and its wearer for each key.
 
@@ -71,6 +76,8 @@ def sample_worn(
         ``"shifted"`` draws from outside the ranges that all other splits share.
     max_force : float, optional
         Force at the end of the springs' table [N], if already known.
+    blank : ndarray of `simulation.layout.SCENARIO`, shape (1,), optional
+        ``empty_rows(1, profile)``, if already made.
 
     Returns
     -------
@@ -90,7 +97,7 @@ def sample_worn(
     max_force = reachable_force(profile, max_force)
     shifted = split == "shifted"
     radius = profile.plant.joint_pulley_radius
-    rows = np.repeat(empty_rows(1, profile), keys.size)
+    rows = np.repeat(empty_rows(1, profile) if blank is None else blank, keys.size)
     rows["measure_from"] = START
     rows["orientation"] = _HORIZONTAL
     rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
