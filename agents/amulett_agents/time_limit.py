@@ -25,7 +25,7 @@ class ValuesAtTimeLimits(BaseCallback):
         self._last: list[NDArray[np.float32]] = []
 
     def _on_rollout_start(self) -> None:
-        self._forget()
+        self._places, self._last = [], []  # those of a rollout that was broken off, too
 
     def _on_step(self) -> bool:
         assert isinstance(self.model, PPO)
@@ -38,7 +38,6 @@ class ValuesAtTimeLimits(BaseCallback):
                 self._last.append(infos[device]["terminal_observation"])
         if step == self.model.n_steps - 1 and self._places:
             self._add_values(self.model, self.locals["rewards"])
-            self._forget()
         return True
 
     def _add_values(self, model: PPO, rewards: NDArray[np.float32]) -> None:
@@ -47,9 +46,6 @@ class ValuesAtTimeLimits(BaseCallback):
             values = model.policy.predict_values(torch.as_tensor(np.stack(self._last), device=model.device))
         added = model.gamma * values.numpy(force=True)[:, 0]
         steps, devices = np.array(self._places).T
-        model.rollout_buffer.rewards[steps, devices] += added  # in its last row for nothing: SB3 sets that one next
+        model.rollout_buffer.rewards[steps, devices] += added  # SB3 overwrites the last row next
         now = steps == model.n_steps - 1
         rewards[devices[now]] += added[now]
-
-    def _forget(self) -> None:
-        self._places, self._last = [], []
