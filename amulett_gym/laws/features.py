@@ -128,11 +128,11 @@ def with_features(
     known = len(WORN_OBSERVATIONS if worn else OBSERVATIONS)
     found = {} if tension_range is None else _found(observations, tension_range, worn)
     means = known + len(found)  # where they begin
-    told = means + (0 if remembered is None else remembered.shape[1])
-    # each part is written to its place at once: with thousands of devices, copies take as long as the features
-    inputs = np.empty((len(observations), told + observations.shape[1] - known), dtype=observations.dtype)
-    inputs[:, :known], inputs[:, told:] = observations[:, :known], observations[:, known:]
+    privileged = means + (0 if remembered is None else remembered.shape[1])
+    # Each part is written to its place at once: with thousands of devices, copies take as long as the features
+    inputs = np.empty((len(observations), privileged + observations.shape[1] - known), dtype=observations.dtype)
+    inputs[:, :known], inputs[:, privileged:] = observations[:, :known], observations[:, known:]
     _fill(inputs[:, known:means], found)
     if remembered is not None:
-        inputs[:, means:told] = remembered
+        inputs[:, means:privileged] = remembered
     return inputs

@@ -166,8 +166,9 @@ class Simulation:
             path is missing.
         """
         devices = np.arange(self.num_devices) if devices is None else devices
-        self._check_posture(scenarios, self.which[devices // LANES])
-        self._check_stall(scenarios, self.which[devices // LANES])
+        which = self.which[devices // LANES]
+        self._check_posture(scenarios, which)
+        self._check_stall(scenarios, which)
         lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
         if ((lengths > 0) != (scenarios["move_count"] == layout.ON_PATH)).any():
             raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")

@@ -453,7 +453,7 @@ def test_an_arm_that_failed_is_not_called_the_cheaper_one(page):
     found = state(page)
     assert found["mine"]["failed"] or found["twin"]["failed"]
     page.find("#step").click()
-    page.wait("return document.getElementById('verdict').textContent.endsWith('failed')")
+    assert page.wait("return document.getElementById('verdict').textContent.endsWith('failed')")
     times = read_table(page.run("return app.table()"))["time_s"]
     assert times == sorted(set(times)) and len(times) == page.run("return run.tick") + 1
 
