@@ -17,8 +17,9 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
 from amulett_gym.envs.episodes import checked_options
-from amulett_gym.envs.reward import TERM_KEY
+from amulett_gym.envs.info import info_of
 from amulett_gym.envs.single import RESET_OPTIONS
+from amulett_gym.envs.transition import FIRST_TERM
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.errors import AmulettError, unknown
 
@@ -95,8 +96,10 @@ class SB3VecEnv(VecEnv):
             )
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros(venv.action_space.shape or (), dtype=np.float32)
-        self._terms: dict[str, NDArray[np.float64]] = {}
-        self._returns, self._lengths = np.zeros(venv.num_envs), np.zeros(venv.num_envs, dtype=np.int64)
+        # Sums over the episodes so far, in the order of a report: the reward, then its terms
+        self._sums = np.zeros((1 + len(venv.episodes.terms), venv.num_envs))
+        self._lengths = np.zeros(venv.num_envs, dtype=np.int64)
+        self._begun = False
         self._empty_infos: list[dict[str, Any]] = [{} for _ in range(venv.num_envs)]
         self._started = time.monotonic()
         super().__init__(venv.num_envs, venv.single_observation_space, venv.single_action_space)
@@ -104,10 +107,9 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> NDArray[np.float32]:
         """Start an episode with all devices; return the observations, shape (num_envs, 13)."""
         seeds = None if self._seeds[0] is None else [int(seed) for seed in self._seeds if seed is not None]
-        observations, info = self.venv.reset(seed=seeds, options=self._common_options())
-        self._terms = {name: np.zeros(self.num_envs) for name in self.venv.episodes.terms}
-        self._returns[:], self._lengths[:] = 0.0, 0
-        self.reset_infos = pick(info, np.arange(self.num_envs))
+        observations, _ = self.venv.reset(seed=seeds, options=self._common_options())
+        self._sums[:], self._lengths[:], self._begun = 0.0, 0, True
+        self.reset_infos = self._infos(np.arange(self.num_envs), self.venv.episodes.report())
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -124,25 +126,23 @@ class SB3VecEnv(VecEnv):
         gymnasium.error.ResetNeeded
             If there was no `reset` of the adapter itself yet.
         """
-        if not self._terms:
+        if not self._begun:
             raise gym.error.ResetNeeded("call reset() before step()")
-        observations, rewards, terminated, truncated, info = self.venv.step(self._actions)
-        for name, total in self._terms.items():
-            total += info[TERM_KEY.format(name)]
-        self._returns += rewards
+        observations, report, terminated, truncated, _ = self.venv._step(self._actions)
+        self._sums += report.T[: len(self._sums)]
         self._lengths += 1
         dones = terminated | truncated
         if any(self._empty_infos):  # a dict that a caller wrote to is left to the caller
             self._empty_infos = [{} for _ in range(self.num_envs)]
         infos = self._empty_infos.copy()  # reused: making thousands of dicts would take most of the time
-        if dones.any():
-            finished = np.flatnonzero(dones)
-            for device, ending in zip(finished.tolist(), self._endings(finished, info), strict=True):
+        finished = np.flatnonzero(dones)
+        if finished.size:
+            for device, ending in zip(finished.tolist(), self._endings(finished, report), strict=True):
                 ending["terminal_observation"] = observations[device].copy()
                 ending["TimeLimit.truncated"] = bool(truncated[device] and not terminated[device])
                 infos[device] = ending
             observations[finished] = self._begin(finished)
-        return observations, rewards.astype(np.float32), dones, infos
+        return observations, report[:, 0].astype(np.float32), dones, infos
 
     def stagger(
         self, action: float | NDArray[np.float32], steps: int, watch: Callable[[], object] = int
@@ -174,20 +174,21 @@ class SB3VecEnv(VecEnv):
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes with the sums for their infos; AmulettError if there was no reset yet."""
-        if not self._terms:
+        if not self._begun:
             raise AmulettError("call reset() before get_state(): there is no episode yet")
+        returns, *terms = self._sums.copy()
         return {
             "venv": self.venv.get_state(),
-            "returns": self._returns.copy(),
+            "returns": returns,
             "lengths": self._lengths.copy(),
-            "terms": {name: total.copy() for name, total in self._terms.items()},
+            "terms": dict(zip(self.venv.episodes.terms, terms, strict=True)),
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a snapshot taken by `get_state` from an adapter of the same environment."""
         self.venv.set_state(state["venv"])
-        self._returns[...], self._lengths[...] = state["returns"], state["lengths"]
-        self._terms = {name: total.copy() for name, total in state["terms"].items()}
+        terms = (state["terms"][name] for name in self.venv.episodes.terms)
+        self._sums[:], self._lengths[:], self._begun = [state["returns"], *terms], state["lengths"], True
 
     def close(self) -> None:
         """Close the environment."""
@@ -234,21 +235,26 @@ class SB3VecEnv(VecEnv):
 
     def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
         """Start the next episode of some devices; return their observations."""
-        for total in (self._returns, self._lengths, *self._terms.values()):
-            total[devices] = 0
-        observations, info = self.venv.next_episodes(devices)
-        for device, beginning in zip(devices.tolist(), pick(info, np.arange(devices.size)), strict=True):
+        self._sums[:, devices], self._lengths[devices] = 0.0, 0
+        observations, report = self.venv._next_episodes(devices)
+        for device, beginning in zip(devices.tolist(), self._infos(devices, report), strict=True):
             self.reset_infos[device] = beginning
         return observations
 
-    def _endings(self, finished: NDArray[np.int64], info: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return the infos of finished devices."""
+    def _endings(self, finished: NDArray[np.int64], report: NDArray[np.float64]) -> list[dict[str, Any]]:
+        """Return the infos of finished devices, from the report of all."""
         seconds = round(time.monotonic() - self._started, 6)
-        episode = {"r": self._returns, "l": self._lengths}
-        summed = pick({"episode": episode, "episode_terms": self._terms}, finished)
-        for sums in summed:
-            sums["episode"]["t"] = seconds
-        return [last | sums for last, sums in zip(pick(info, finished), summed, strict=True)]
+        infos = self._infos(finished, report[finished])
+        sums, lengths = self._sums[:, finished].T.tolist(), self._lengths[finished].tolist()
+        for info, (total, *terms), length in zip(infos, sums, lengths, strict=True):
+            info["episode"] = {"r": total, "l": length, "t": seconds}
+            info["episode_terms"] = dict(zip(self.venv.episodes.terms, terms, strict=True))
+        return infos
+
+    def _infos(self, devices: NDArray[np.int64], report: NDArray[np.float64]) -> list[dict[str, Any]]:
+        """Return the single environment's info of some devices, from their report."""
+        rows = zip(devices.tolist(), report[:, FIRST_TERM:].tolist(), strict=True)
+        return [info_of(self.venv.episodes, row, device) for device, row in rows]
 
     def _common_options(self) -> dict[str, Any] | None:
         """Return the options given by SB3's `set_options`, in the vector environment's form."""
@@ -267,10 +273,3 @@ def _single_spec(spec: EnvSpec | None) -> EnvSpec | None:
     kwargs = {key: value for key, value in spec.kwargs.items() if key not in _OF_VECTORS}
     steps = kwargs.pop("max_episode_steps", spec.max_episode_steps)
     return replace(gym.spec(spec.id), kwargs=kwargs, max_episode_steps=steps)
-
-
-def pick(info: dict[str, Any], devices: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Return the given devices' infos, in the single environment's form, from a vector environment's info."""
-    keys = [key for key in info if not key.startswith("_")]  # without the masks
-    columns = [pick(info[key], devices) if isinstance(info[key], dict) else info[key][devices].tolist() for key in keys]
-    return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]

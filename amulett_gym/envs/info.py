@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.episodes import Episodes, Report
 from amulett_gym.envs.transition import FIRST_TERM
-from amulett_gym.simulation.layout import BY_STIFFNESS
+from amulett_gym.simulation.layout import BY_STIFFNESS, LANES
 
 _BY_STIFFNESS = "stiffness_setpoint"
 
 
-def info_of(episodes: Episodes, values: list[float]) -> dict[str, Any]:
+def info_of(episodes: Episodes, values: list[float], device: int = 0) -> dict[str, Any]:
     """Return the info of a single device.
 
     Parameters
     ----------
     episodes : Episodes
-        Of one device.
     values : list of float
-        Its report without the reward.
+        The device's report without the reward.
+    device : int
     """
     info: dict[str, Any] = episodes.entries.copy()  # faster than a dict that grows
     info.update(zip(episodes.entries, values))  # noqa: B905, being strict takes time
@@ -35,7 +35,7 @@ def info_of(episodes: Episodes, values: list[float]) -> dict[str, Any]:
     if not episodes.by_stiffness:
         del info[_BY_STIFFNESS]
     if episodes.names is not None:
-        info["device"] = int(episodes.simulation.which[0])
+        info["device"] = int(episodes.simulation.which[device // LANES])
     return info
 
 

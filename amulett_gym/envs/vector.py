@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -15,11 +15,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
+from amulett_gym.envs.episodes import Episodes, Report, checked_options, device_seeds
 from amulett_gym.envs.info import final_of, infos_of, of_some
 from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of
-from amulett_gym.envs.transition import FIRST_READING
+from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.layout import RUNNING
@@ -160,32 +160,8 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         gymnasium.error.ResetNeeded
             If there was no reset yet; in the mode DISABLED, if a device's episode has ended.
         """
-        if not self.episodes.started.all():
-            raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(actions)
-        wanted = self.num_envs, self.episodes.action_size
-        if actions.shape != wanted:
-            raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
-        again = np.flatnonzero(self._ended)
-        if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
-            raise gym.error.ResetNeeded(
-                f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
-                "call reset(options={'reset_mask': terminated | truncated}) before step()"
-            )
-        observations, report = self.episodes.step(actions.reshape(-1))
-        if again.size:
-            observations[again], report[again] = self._next_episodes(again)
-        terminated = report[:, FIRST_READING] != RUNNING
-        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
-        rewards, ended, final = report[:, 0].copy(), terminated | truncated, {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            again = np.flatnonzero(ended)
-            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
-            observations[again], report[again] = self._next_episodes(again)
-            ended = np.zeros_like(ended)
-        self._ended = ended
-        self._collect(np.arange(self.num_envs))
-        return observations, rewards, terminated, truncated, infos_of(self.episodes, report) | final
+        observations, report, terminated, truncated, final = self._step(actions)
+        return observations, report[:, 0].copy(), terminated, truncated, infos_of(self.episodes, report) | final
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start the next episode of some devices; unlike a reset by a mask, this ignores all others.
@@ -218,7 +194,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         if not self.episodes.started[devices].all():
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
         observations, report = self._next_episodes(devices)
-        self._ended[devices] = False
         return observations, infos_of(self.episodes, report, devices)
 
     def render(self) -> tuple[Any, ...] | None:
@@ -258,9 +233,45 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderers": []}
 
-    def _next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    def _step(
+        self, actions: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float32], Report, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Take a step as :meth:`step` does, which makes rewards and info of the report and the info's final entries.
+
+        The adapter for Stable-Baselines3 needs the infos of a few devices only.
+        """
+        if not self.episodes.started.all():
+            raise gym.error.ResetNeeded("call reset() before step()")
+        actions = np.asarray(actions)
+        wanted = self.num_envs, self.episodes.action_size
+        if actions.shape != wanted:
+            raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
+        again = np.flatnonzero(self._ended)
+        if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise gym.error.ResetNeeded(
+                f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
+                "call reset(options={'reset_mask': terminated | truncated}) before step()"
+            )
+        observations, report = self.episodes.step(actions.reshape(-1))
+        if again.size:
+            observations[again], report[again] = self._next_episodes(again)
+        terminated = report[:, FIRST_READING] != RUNNING
+        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
+        self._ended = terminated | truncated
+        final = {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            again = np.flatnonzero(self._ended)
+            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
+            observations[again], following = self._next_episodes(again)
+            report[again, FIRST_TERM:] = following[:, FIRST_TERM:]  # the reward stays that of the last step
+        self._collect(range(self.num_envs))
+        return observations, report, terminated, truncated, final
+
+    def _next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], Report]:
+        """Start the next episode of devices, as :meth:`next_episodes` does; return observations and report."""
         self.episodes.next_episode(devices)
         observations = self.episodes.start(devices)
+        self._ended[devices] = False
         self._begin_pictures(devices)
         return observations, self.episodes.report(devices)
 
@@ -282,7 +293,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             for device in devices if pictures else ():
                 pictures[device].clear()
 
-    def _collect(self, devices: NDArray[np.int64]) -> None:
+    def _collect(self, devices: Iterable[int]) -> None:
         """In the mode ``"rgb_array_list"``, draw devices for the next `render`."""
         for device in devices if self._collects else ():
             self._frames[device].append(self._draw(device))
