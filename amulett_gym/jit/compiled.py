@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, TypeVar
 
 # Intel's vector library, if numba finds it, rounds an exp in a SIMD lane otherwise than one alone.
@@ -23,8 +24,9 @@ try:
 except (ImportError, AttributeError):  # numba has rearranged its cache: then its own has to do
 
     def keep_code(function: Any, suffix: str = "", context: Callable[[Any], Any] | None = None) -> None:
-        """Keep the code where numba does."""
-        function.enable_caching()
+        """Keep the code where numba does, if that has a place for it."""
+        with suppress(RuntimeError):
+            function.enable_caching()
 
 
 try:

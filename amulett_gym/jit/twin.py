@@ -17,6 +17,7 @@ from typing import Any
 
 from numba.core import types
 from numba.core.registry import CPUDispatcher
+from numba.core.types.misc import unliteral
 
 from amulett_gym.jit.code_cache import keep_code
 
@@ -38,7 +39,7 @@ class _WithTwin(CPUDispatcher):  # type: ignore[misc]
     @cached_property
     def twin(self) -> Any:
         options = {**self.targetoptions, "no_cpython_wrapper": True}
-        twin = CPUDispatcher(self.py_func, targetoptions=options, **_COMPILER)
+        twin = _Twin(self.py_func, targetoptions=options, **_COMPILER)
         keep_code(twin, "-twin", **_CONTEXT)
         return twin
 
@@ -57,6 +58,16 @@ class _WithTwin(CPUDispatcher):  # type: ignore[misc]
     def _numba_type_(self) -> Any:
         """What compiled code that names this function calls; numba asks for it."""
         return types.Dispatcher(self.twin)
+
+
+class _Twin(CPUDispatcher):  # type: ignore[misc]
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return how a call is compiled, one code for all numbers of a type; called by numba.
+
+        numba would compile a function once more for each number that a call has as a literal.
+        """
+        named = {name: unliteral(own) for name, own in kws.items()}
+        return super().get_call_template(tuple(map(unliteral, args)), named)
 
 
 @contextmanager

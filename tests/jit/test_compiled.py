@@ -109,6 +109,43 @@ def test_code_that_is_only_linked_finds_its_python_objects():
     assert done.stdout.splitlines() == ["shown (1, 1)", "shown (2, 2)", "('too large', 2)"]
 
 
+OTHER_NUMBA = """
+import sys
+sys.modules["amulett_gym.jit.{module}"] = None  # cannot be imported
+import numpy as np
+from amulett_gym.jit.compiled import compiled
+from amulett_gym.model.spring import look_up
+
+@compiled
+def twice(table, position):
+    return 2.0 * look_up(table, position)
+
+table = np.arange(16.0).reshape(4, 4)
+print(twice(table, 0.3), 2.0 * look_up.py_func(table, 0.3))
+"""
+
+
+@pytest.mark.parametrize("module", ["code_cache", "twin", "linked"])
+def test_functions_compile_where_numba_lacks_what_one_of_our_modules_needs(module):
+    command = [sys.executable, "-c", OTHER_NUMBA.format(module=module)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    ours, python = done.stdout.split()
+    assert ours == python
+
+
+def test_a_function_is_compiled_once_for_all_literal_numbers():
+    @compiled
+    def power(base, exponent):
+        return base**exponent
+
+    @compiled
+    def powers(base):
+        return power(base, 2) + power(base, 3) + power(exponent=4, base=base)
+
+    assert powers(2.0) == 28.0
+    assert len(power.twin.overloads) == 1
+
+
 @pytest.mark.parametrize("collects", [True, False])
 def test_a_compilation_leaves_the_search_for_cycles_as_it_was(collects):
     seen = []
