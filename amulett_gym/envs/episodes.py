@@ -215,12 +215,12 @@ class Episodes:
                 self.simulation.which[...] = which
             if self.names is not None:
                 self._assign(devices, self._wanted(devices, names, loaded))
+                self._set_prices(self.simulation.which[devices // LANES], self._families)
             elif names is not None:
                 raise AmulettError(
                     "the option 'device' chooses a device of a fleet; make the environment with fleet=..."
                 )
             keys = episode_keys(self._keys[devices], self._episodes[devices], self.settings.split)
-            self._set_prices(self.simulation.which[devices // LANES], self._families)
             if devices.size:
                 self._reset(devices, keys, loaded)
         except AmulettError:

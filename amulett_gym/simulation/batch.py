@@ -169,12 +169,12 @@ class Simulation:
         which = self.which[devices // LANES]
         self._check_posture(scenarios, which)
         self._check_stall(scenarios, which)
-        lengths = np.array([len(path) for path in paths]) if paths else np.zeros(len(scenarios), dtype=np.int64)
-        if ((lengths > 0) != (scenarios["move_count"] == layout.ON_PATH)).any():
+        has_path = np.array([path.size > 0 for path in paths]) if paths else False
+        if ((scenarios["move_count"] == layout.ON_PATH) != has_path).any():
             raise AmulettError("a scenario whose setpoint is a path has to be reset with it (paths=...)")
         self._keep_paths(devices, paths or [])
         block, lane = np.divmod(devices, LANES)
-        for own, new in zip(words(self.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
+        for own, new in zip(words(self.scenarios, LANES), words(scenarios, 1), strict=True):
             own[block, :, lane] = new[..., 0]
         words(self.states, LANES)[0][block, :, lane] = 0
         self._settle(devices)
@@ -280,6 +280,8 @@ class Simulation:
 
     def _keep_paths(self, devices: NDArray[np.int64], paths: Sequence[NDArray[np.void]]) -> None:
         """Set new paths of some devices, and keep those of the others."""
+        if self.paths is None and not paths:
+            return
         found = dict(zip(devices.tolist(), paths, strict=False))
         if self.paths is not None:
             others = np.setdiff1d(np.flatnonzero(self.paths[1]["count"]), devices).tolist()
@@ -305,12 +307,14 @@ class Simulation:
 
     def _check_stall(self, scenarios: NDArray[np.void], which: NDArray[np.int64]) -> None:
         """Refuse a start in which the strings load a drive with its stall torque, so that it does not rest."""
+        if self.extended is None:
+            return  # no drive stalls
         stall = self.parameters["stall_torque"][which]
         if np.isinf(stall).all():
             return
         # Each in a block of its own, which names its profile.
         blocks, states = (zeros(which.size, kind) for kind in (layout.SCENARIO_BLOCK, layout.STATE_BLOCK))
-        for own, new in zip(words(blocks, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
+        for own, new in zip(words(blocks, LANES), words(scenarios, 1), strict=True):
             own[:, :, 0] = new[..., 0]
         kernel.settle(self.parameters, which, blocks, states, None, None, self.extended, LANES * np.arange(which.size))
         for name in ("biceps", "triceps"):
@@ -339,18 +343,17 @@ class Simulation:
         depth = np.maximum(side * (angle - scenarios["obstacle_angle"]), 0.0)
         contact = side * scenarios["obstacle_stiffness"] * depth
         needed = (scenarios["static_torque"] * np.sin(angle) + contact) / own("joint_radius")
-        fixed = own("fixed_agonist")
-        biceps_is_agonist = np.where(fixed == 0, needed >= 0, fixed > 0)
         tension_loop = bool(self.parameters["tension_loop"][0])  # a batch has one loop
         if tension_loop:
-            agonist = tension + np.where(biceps_is_agonist, needed, -needed)
+            fixed = own("fixed_agonist")  # 0, or the sign of its torque: then its load may be negative
+            agonist = tension + np.where(fixed == 0, np.abs(needed), fixed * needed)
         else:
             agonist, tension = np.abs(needed), np.zeros_like(tension)
         # Forces of the profile's springs at the same deflection.
         weakest = np.minimum(scenarios["spring_biceps_factor"], scenarios["spring_triceps_factor"])
         most, least = np.maximum(agonist, tension) / weakest, np.minimum(agonist, tension)
         limit = own("max_force")
-        if (most > limit).any() or (least < 0).any():
+        if ((most > limit) | (least < 0)).any():
             worst = int(np.argmax(np.maximum(most - limit, -least)))
             force = most[worst] if most[worst] > limit[worst] else least[worst]
             raise AmulettError(

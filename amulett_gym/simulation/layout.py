@@ -279,11 +279,8 @@ def words(records: NDArray[np.void], lanes: int) -> list[NDArray[Any]]:
 
     A scenario's record and a lane of a block of scenarios hold the same words in the same order.
     """
-    raw = records.view(np.uint8).reshape(records.size, records.dtype.itemsize)
-    return [
-        raw[:, start:end].view(f"i{width}").reshape(records.size, (end - start) // (width * lanes), lanes)
-        for width, start, end in _sections(records.dtype)
-    ]
+    view = records.view(_of_words(records.dtype, lanes))
+    return [view[name] for name in view.dtype.names]
 
 
 def joined(records: Iterable[NDArray[np.void]], dtype: np.dtype[Any]) -> NDArray[np.void]:
@@ -303,14 +300,23 @@ def zeros(count: int, block: np.dtype[Any]) -> NDArray[np.void]:
 
 
 @cache
-def _sections(dtype: np.dtype[Any]) -> list[tuple[int, int, int]]:
-    """Return the widths of a record's fields [bytes], widest first, with the begin and end of each width's fields."""
-    sections: dict[int, tuple[int, int, int]] = {}
+def _of_words(dtype: np.dtype[Any], lanes: int) -> Any:
+    """Return a record of the same size whose fields hold all words of one width, widest first; shape (words, lanes)."""
+    sections: dict[int, tuple[int, int]] = {}  # begin and end of each width's fields
     for kind, offset, *_ in (dtype.fields or {}).values():
         width = kind.base.itemsize
-        start = sections[width][1] if width in sections else offset
-        sections[width] = width, start, offset + kind.itemsize
-    return list(sections.values())
+        start, _ = sections.get(width, (offset, offset))
+        sections[width] = start, offset + kind.itemsize
+    return np.dtype(
+        {
+            "names": [f"i{width}" for width in sections],
+            "formats": [
+                (f"i{width}", ((end - start) // (width * lanes), lanes)) for width, (start, end) in sections.items()
+            ],
+            "offsets": [start for start, _ in sections.values()],
+            "itemsize": dtype.itemsize,
+        }
+    )
 
 
 def pack_parameters(
@@ -490,14 +496,13 @@ def load_arm(rows: NDArray[np.void], profile: Profile) -> None:
     M_m is 0 in the horizontal plane. The damping fit holds for the bare arm; if the profile keeps the damping *torque*,
     a payload does not multiply it.
     """
-    masses: list[Numbers] = [item.mass for item in profile.plant.masses]
-    arms: list[Numbers] = [item.arm for item in profile.plant.masses]
-    bare = inertia(masses, arms)
-    masses.append(rows["payload_mass"])
-    arms.append(np.where(rows["payload_mass"] > 0, rows["payload_arm"], 0.0))
+    own_masses = [item.mass for item in profile.plant.masses]
+    own_arms = [item.arm for item in profile.plant.masses]
+    masses: list[Numbers] = [*own_masses, rows["payload_mass"]]
+    arms: list[Numbers] = [*own_arms, np.where(rows["payload_mass"] > 0, rows["payload_arm"], 0.0)]
     rows["inertia"] = inertia(masses, arms) * rows["inertia_factor"]
     rows["static_torque"] = np.where(is_vertical(rows, profile), static_torque(masses, arms), 0.0)
-    share = bare / rows["inertia"] if profile.damping.keeps == "torque" else 1.0
+    share = inertia(own_masses, own_arms) / rows["inertia"] if profile.damping.keeps == "torque" else 1.0
     rows["friction"] = rows["damping_factor"] * share
 
 

@@ -85,7 +85,8 @@ def normal(keys: NDArray[np.uint64], counters: NDArray[np.uint64], count: int) -
 def derive_keys(keys: NDArray[np.uint64], counters: NDArray[np.uint64] | int) -> NDArray[np.uint64]:
     """Return one new key for each key and counter, e.g. for a device's episodes and an episode's streams."""
     derived = np.empty_like(keys)
-    _derive(keys, np.full(keys.shape, counters, dtype=np.uint64), derived)
+    derived[...] = counters  # each is then replaced by its key
+    _derive(keys, derived, derived)
     return derived
 
 

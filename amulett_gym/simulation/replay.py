@@ -49,7 +49,7 @@ def start_in_balance(simulation: Simulation, scenarios: NDArray[np.void]) -> Non
 
 
 def _place(simulation: Simulation, scenarios: NDArray[np.void]) -> None:
-    for own, new in zip(words(simulation.scenarios, LANES), words(np.ascontiguousarray(scenarios), 1), strict=True):
+    for own, new in zip(words(simulation.scenarios, LANES), words(scenarios, 1), strict=True):
         own[...] = new.reshape(own.shape[0], LANES, own.shape[1]).transpose(0, 2, 1)
     words(simulation.states, LANES)[0][...] = 0
 

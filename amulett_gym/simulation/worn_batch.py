@@ -176,7 +176,7 @@ class WornSimulation(Simulation):
 
     def _put_wearers(self, devices: NDArray[np.int64], wearers: NDArray[np.void]) -> None:
         block, lane = np.divmod(devices, LANES)
-        for own, new in zip(words(self.worn[1], LANES), words(np.ascontiguousarray(wearers), 1), strict=True):
+        for own, new in zip(words(self.worn[1], LANES), words(wearers, 1), strict=True):
             own[block, :, lane] = new[..., 0]
 
     def get_state(self) -> dict[str, Any]:
