@@ -9,8 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 
-_Calls = SimpleQueue[Callable[[], object] | None]
-_Ends = SimpleQueue[BaseException | None]
+_Ends = list[BaseException | None]
+_Calls = SimpleQueue[tuple[Callable[[], object], _Ends] | None]
 
 
 class ThreadPool:
@@ -26,11 +26,11 @@ class ThreadPool:
 
     def __init__(self, size: int) -> None:
         self._calls: _Calls = SimpleQueue()
-        self._ends: _Ends = SimpleQueue()
+        self._wakes: SimpleQueue[None] = SimpleQueue()
         self._finalizer = weakref.finalize(self, _end, self._calls, size)
         # Daemons, so that waiting ones do not hold up the process's end.
         self._threads = [
-            threading.Thread(target=_serve, args=(self._calls, self._ends), name=f"amulett-gym_{index}", daemon=True)
+            threading.Thread(target=_serve, args=(self._calls, self._wakes), name=f"amulett-gym_{index}", daemon=True)
             for index in range(size)
         ]
         for thread in self._threads:
@@ -43,14 +43,17 @@ class ThreadPool:
         return self._process == os.getpid()
 
     def run(self, work: Callable[[], object]) -> None:
-        """Call `work` in this thread and in others; raise the first error once all are done.
+        """Call `work` in this thread and in others; raise the first error once none of them works any more.
 
-        A thread that has not begun when this one is done, as its core is busy, is not waited for. After any error,
-        such as Ctrl-C while this waits, the pool must not be used again.
+        A thread that has not begun when this one is done, as its core is busy, is not waited for. Ctrl-C does not end
+        the wait, but a second one does: then the pool must not be used again.
         """
+        ends: _Ends = []
         begun = len(self._threads)
+        while not self._wakes.empty():  # those that the work before did not need
+            self._wakes.get()
         for _ in self._threads:
-            self._calls.put(work)
+            self._calls.put((work, ends))
         try:
             work()
         finally:
@@ -58,10 +61,20 @@ class ThreadPool:
                 while True:
                     self._calls.get_nowait()
                     begun -= 1
-            errors = [self._ends.get() for _ in range(begun)]  # even after an error, none works on
-        for error in errors:
+            self._wait(ends, begun)
+        for error in ends:
             if error is not None:
                 raise error
+
+    def _wait(self, ends: _Ends, count: int) -> None:
+        """Wait until so many threads have ended their work."""
+        try:
+            while len(ends) < count:
+                self._wakes.get()
+        except KeyboardInterrupt:  # they work on what the caller uses next
+            while len(ends) < count:
+                self._wakes.get()
+            raise
 
     def close(self) -> None:
         """End the threads."""
@@ -70,16 +83,21 @@ class ThreadPool:
             thread.join()
 
 
-def _serve(calls: _Calls, ends: _Ends) -> None:
+def _serve(calls: _Calls, wakes: SimpleQueue[None]) -> None:
     """Do a thread's work. It knows the queues alone, not the pool, which can thus be collected."""
-    while (work := calls.get()) is not None:
-        error = None
-        try:
-            work()
-        except BaseException as caught:
-            error = caught
-        work = None  # or its arrays are kept until there is more
-        ends.put(error)
+    while (call := calls.get()) is not None:
+        _do(*call)
+        del call  # or its arrays are kept until there is more
+        wakes.put(None)
+
+
+def _do(work: Callable[[], object], ends: _Ends) -> None:
+    try:
+        work()
+    except BaseException as error:
+        ends.append(error)
+    else:
+        ends.append(None)
 
 
 def _end(calls: _Calls, size: int) -> None:

@@ -1,6 +1,7 @@
 """A pool's threads work together, pass errors on, and end with the pool or the process."""
 
 import gc
+import signal
 import subprocess
 import sys
 import threading
@@ -42,18 +43,46 @@ def test_an_error_is_raised_once_no_thread_works_any_more(fails):
         time.sleep(0.05)
         done.append(True)
 
+    pool = ThreadPool(1)
     with pytest.raises(ValueError, match="no"):
-        ThreadPool(1).run(work)
+        pool.run(work)
+    assert done == [True]
+    (thread,), kept = pool._threads, weakref.ref(pool)
+    del pool, work
+    gc.collect()
+    assert waited_for(lambda: kept() is None and not thread.is_alive())
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers")
+def test_an_interruption_is_raised_once_no_thread_works_any_more():
+    here, done = threading.current_thread(), []
+    both = threading.Barrier(2, timeout=DEADLINE)
+
+    def work():
+        both.wait()
+        if threading.current_thread() is not here:
+            time.sleep(0.5)
+            done.append(True)
+
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+        with pytest.raises(KeyboardInterrupt):
+            ThreadPool(1).run(work)
+    finally:
+        signal.signal(signal.SIGALRM, before)
     assert done == [True]
 
 
 def test_a_thread_that_has_not_begun_is_not_waited_for():
     pool, busy, calls = ThreadPool(1), threading.Event(), []
-    pool._calls.put(busy.wait)
+    pool._calls.put((busy.wait, []))
     assert waited_for(pool._calls.empty)
-    pool.run(lambda: calls.append(threading.current_thread()))
-    assert calls == [threading.current_thread()]
+    caller = threading.Thread(target=pool.run, args=(lambda: calls.append(threading.current_thread()),), daemon=True)
+    caller.start()
+    caller.join(DEADLINE)
     busy.set()
+    assert calls == [caller] and not caller.is_alive()
 
 
 def test_threads_end_with_their_pool():
@@ -69,9 +98,9 @@ def test_threads_keep_nothing_of_finished_work():
     class Big:
         pass
 
-    pool, big = ThreadPool(1), Big()
+    pool, big, both = ThreadPool(1), Big(), threading.Barrier(2, timeout=DEADLINE)
     kept = weakref.ref(big)
-    pool.run(lambda big=big: big)
+    pool.run(lambda big=big: both.wait())
     del big
     assert waited_for(lambda: kept() is None)
     pool.close()

@@ -76,7 +76,7 @@ def test_close_ends_the_threads():
     assert not ours() - before
 
 
-def test_a_step_after_an_error_takes_new_threads():
+def test_after_an_error_in_a_thread_an_environment_plays_as_before():
     vector = gym.make_vec(SCALING, num_envs=3 * LANES, threads=2)
     play(vector, 2, seed=0)
     episodes = vector.unwrapped.episodes
