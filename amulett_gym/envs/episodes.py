@@ -358,19 +358,28 @@ class Episodes:
         given = *self._split(actions), observations, report
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
-        if not self._steps or self._steps_paths is not self.simulation.paths:
-            self._bind_steps(given)
-        if len(self._steps) == 1:
-            wrong = self._steps[0](*given)
-        elif (wrong := transition.first_nan(*given[:2])) < 0:  # before any share is stepped
-            self._step_in_threads(given)
+        wrong = self._take(*given)
         if wrong >= 0:
             raise AmulettError(f"the action of device {wrong} is NaN; allowed is [-1, 1]")
         if own is not None:
             costs = {name: total - before[name] for name, total in self._costs().items()}
             costs["failure"] = (report[:, transition.FIRST_READING] != RUNNING).astype(np.float64)
-            terms = np.ascontiguousarray(report[:, transition.FIRST_TERM : transition.FIRST_READING].T)
+            terms = report[:, transition.FIRST_TERM : transition.FIRST_READING].T.copy()  # to be kept
             report[:, 0] = own_reward(own, costs, dict(zip(self.terms, terms, strict=True)))
+
+    def _take(self, *given: Any) -> int:
+        """Take one agent step with what `_split` returns, into observations and report.
+
+        Return the first device with an action that is NaN, before any is stepped, or `transition.ALL_NUMBERS`.
+        """
+        if not self._steps or self._steps_paths is not self.simulation.paths:
+            self._bind_steps(given)
+        if len(self._steps) == 1:
+            return self._steps[0](*given)
+        wrong: int = transition.first_nan(*given[:2])
+        if wrong < 0:
+            self._step_in_threads(given)
+        return wrong
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
@@ -415,10 +424,7 @@ class Episodes:
         self._steps_paths = self.simulation.paths
 
     def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., int]:
-        """Return what takes one agent step with the devices of some blocks, as a function of what is `given`.
-
-        It returns the first of them with an action that is NaN, or `transition.ALL_NUMBERS`.
-        """
+        """Return what takes one agent step with the devices of some blocks, and returns what `_take` does."""
         parameters, settings, which, scenarios, states = self._arrays
         arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
         same = *arrays, *self._memory(blocks)
@@ -431,7 +437,8 @@ class Episodes:
             others: NDArray[Any] | None, actions: NDArray[Any], observations: Observations, report: Report
         ) -> int:
             wrong = step(others, actions, observations, report)
-            observe(np.arange(len(observations)), observations)
+            if wrong < 0:
+                observe(np.arange(len(observations)), observations)
             return wrong
 
         return step_and_observe

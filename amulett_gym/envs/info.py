@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.envs.episodes import Episodes, Report
 from amulett_gym.envs.transition import FIRST_TERM
-from amulett_gym.simulation.layout import BY_STIFFNESS, LANES
+from amulett_gym.simulation.layout import LANES
 
 _BY_STIFFNESS = "stiffness_setpoint"
 
@@ -51,7 +51,7 @@ def infos_of(episodes: Episodes, report: Report, devices: NDArray[np.int64] | No
     """
     info: dict[str, Any] = dict(zip(episodes.entries, report.T[FIRST_TERM:], strict=True))
     info["failure"] = info["failure"].astype(np.int64)
-    if episodes.settings.control not in BY_STIFFNESS:
+    if not episodes.by_stiffness:
         del info[_BY_STIFFNESS]
     if episodes.names is not None:
         info["device"] = episodes.kinds_of(devices)

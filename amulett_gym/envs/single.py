@@ -127,11 +127,11 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         if not self.episodes.started[0]:
             raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(action).astype(_FLOAT64)
+        actions = np.asarray(action)
         if actions.shape != self._action_shape:
             raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
         observations = np.empty((1, self.episodes.observation_size), dtype=_FLOAT32)
-        self.episodes.step_into(actions, observations, self._report)
+        self.episodes.step_into(actions.astype(_FLOAT64), observations, self._report)
         values = self._report.tolist()[0]
         reward = values.pop(0)
         info = self._info(values)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.episodes import Episodes, Observations
@@ -20,7 +18,7 @@ from amulett_gym.firmware.lock_step import ALWAYS, close_step, command_device, m
 from amulett_gym.firmware.loops import FirmwareLoop, Sample, open_loop
 from amulett_gym.firmware.protocol import Report
 from amulett_gym.firmware.recording import Reader, begin_of
-from amulett_gym.simulation.layout import BY_STIFFNESS, MOTION_BLOCK, RUNNING
+from amulett_gym.simulation.layout import MOTION_BLOCK, RUNNING
 
 _DEVICE = np.zeros(1, dtype=np.int64)
 _TOLD = ("status", "mode", "reason", "cycles")
@@ -61,13 +59,9 @@ class FirmwareEpisodes(Episodes):
         self._reader, self.report_of_board = Reader(self.simulation), None
         return observations
 
-    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., int]:
-        return self._step
-
-    def _step(
-        self, others: None, actions: NDArray[Any], observations: Observations, report: NDArray[np.float64]
-    ) -> int:
+    def _take(self, *given: Any) -> int:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
+        others, actions, observations, report = given
         if (wrong := transition.first_nan(others, actions)) >= 0:
             return int(wrong)
         parameters, constants, _, scenarios, states = self._arrays
@@ -77,7 +71,7 @@ class FirmwareEpisodes(Episodes):
             if states["failure"][0, 0] != RUNNING:
                 break
             self.tick()
-        if loop is not None and self.settings.control in BY_STIFFNESS:
+        if loop is not None and self.by_stiffness:
             set_stiffness(parameters, loop[0], states)
         transition.observe_devices(*self._arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)

@@ -163,12 +163,12 @@ class BreaksOff(BaseCallback):
 
 
 def test_a_rollout_that_was_broken_off_leaves_nothing_to_the_next_one():
-    config = load_train_config(None, [*SMALL, "env.max_episode_steps=4"])
+    config = load_train_config(None, [*SMALL, "env.max_episode_steps=5"])
     same, seen = ValuesAtTimeLimits(), []
     for before, after in ((same, same), (ValuesAtTimeLimits(), ValuesAtTimeLimits())):
         model, rewards = make_model(config), Rewards()
         model.learn(512, callback=[before, BreaksOff()])
-        model.learn(512, callback=[after, rewards])
+        model.learn(512, callback=[after, rewards], reset_num_timesteps=False)  # at other times of the episodes
         seen.append(rewards.seen)
     assert np.array_equal(*seen)
 

@@ -253,7 +253,9 @@ def test_its_keywords_can_be_kept():
     )
 
 
-@pytest.mark.parametrize("wrong", [np.zeros(1), np.zeros(3), np.zeros((1, 2)), np.array([np.nan, 0.0])])
+@pytest.mark.parametrize(
+    "wrong", [np.zeros(1), np.zeros(3), np.zeros((1, 2)), np.array([np.nan, 0.0]), "left", {"tension": 1.0}]
+)
 def test_wrong_actions_are_refused(wrong):
     env = DrivesEnv()
     env.reset(seed=0)

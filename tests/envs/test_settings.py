@@ -239,6 +239,22 @@ def test_a_reward_function_gets_the_raw_costs_and_the_terms_of_the_default_rewar
     assert totals["position"] > 0 and totals["effort"] > 0
 
 
+@pytest.mark.parametrize("count", [None, 1])
+def test_a_reward_function_may_keep_the_terms(count):
+    kept, then = [], []
+
+    def keep(costs, terms):
+        kept.append(terms)
+        then.append({name: term.copy() for name, term in terms.items()})
+        return default(costs, terms)
+
+    env = gym.make(SCALING, reward_fn=keep) if count is None else gym.make_vec(SCALING, count, reward_fn=keep)
+    env.reset(seed=0)
+    for _ in range(60):
+        env.step(np.zeros(env.action_space.shape))
+    assert kept == then and len({float(terms["position"][0]) for terms in kept}) > 20
+
+
 def test_a_reward_function_sees_a_failure_and_an_episode_that_begins_in_the_middle():
     push = {"initial_angle_deg": 80.0, "pushes": [{"time": 0.1, "duration": 5.0, "torque": 20.0}]}
     env = gym.make(SCALING, reward_fn=lambda costs, terms: -costs["failure"])

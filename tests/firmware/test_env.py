@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import json
+import weakref
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -130,6 +132,19 @@ def test_the_simulation_is_made_once_and_no_board_is_left_by_a_wrong_keyword(fir
         with pytest.raises(AmulettError):
             HardwareEnv(firmware("eq6").folder, **wrong)
     assert len(opened) == 1
+
+
+def test_what_it_holds_is_freed_with_it(firmware):
+    env = HardwareEnv(firmware("eq6").folder)
+    env.reset(seed=0)
+    env.step(np.zeros(1, dtype=np.float32))
+    held = weakref.ref(env.episodes), weakref.ref(env.loop)
+    gc.disable()
+    try:
+        del env
+        assert [one() for one in held] == [None, None]
+    finally:
+        gc.enable()
 
 
 def test_the_info_has_the_boards_state(firmware):

@@ -196,7 +196,7 @@ class Trials:
         running = np.ones(scenarios.size, dtype=bool)
         for step in range(self.steps):
             actions = np.asarray(choose(step, observations), dtype=np.float32)
-            observed, report = episodes.step(actions[played].astype(np.float64))
+            observed, report = episodes.step(actions[played])
             observations, report = observed[lanes], report[lanes]
             np.negative(report[:, 0], out=costs[step], where=running)
             running &= report[:, FIRST_READING] == RUNNING
