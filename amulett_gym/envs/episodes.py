@@ -27,8 +27,8 @@ from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
 from amulett_gym.simulation.layout import BY_STIFFNESS, DRIVES, FAMILIES, LANES, MAX_MOVES, RUNNING, Paths
 from amulett_gym.simulation.random import keys_from_seeds
-from amulett_gym.tasks.scenario import Scenario, empty_rows, load_scenario, pack, pack_path, unpack
-from amulett_gym.tasks.suites import draw_devices, episode_keys, families_of, sample
+from amulett_gym.tasks.scenario import Scenario, load_scenario, pack, pack_path, unpack
+from amulett_gym.tasks.suites import Sampler, draw_devices, episode_keys, families_of
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
 """Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
@@ -112,8 +112,7 @@ class Episodes:
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
-        self._max_forces = [max_force(parameters) for parameters in simulation.parameters]
-        self._blanks = [empty_rows(1, profile) for profile in self.profiles]
+        self._samplers = [self._make_sampler(kind) for kind in range(len(self.profiles))]
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
@@ -279,11 +278,14 @@ class Episodes:
                 whole[own] = part
         return found
 
+    def _make_sampler(self, kind: int) -> Callable[[Keys], Any]:
+        """Return what draws scenarios for a profile."""
+        force = max_force(self.simulation.parameters[kind])
+        return Sampler(self.settings.suite, self.profiles[kind], self.settings.split, force)
+
     def _draw(self, kind: int, keys: Keys) -> Drawn:
         """Return the scenarios that keys draw for a profile."""
-        settings = self.settings
-        blank = self._blanks[kind]
-        return (sample(settings.suite, keys, self.profiles[kind], self._max_forces[kind], settings.split, blank),)
+        return (self._samplers[kind](keys),)
 
     def _wanted(
         self, devices: NDArray[np.int64], names: Sequence[str | None] | None, scenarios: Sequence[Scenario]

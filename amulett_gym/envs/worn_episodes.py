@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ from amulett_gym.envs.worn_reward import WORN_TERMS, worn_prices
 from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
+from amulett_gym.simulation.batch import max_force
 from amulett_gym.simulation.worn_batch import WornSimulation
-from amulett_gym.tasks.scenario import Scenario, pack_worn, unpack_worn
+from amulett_gym.tasks.scenario import Scenario, empty_rows, pack_worn, unpack_worn
 from amulett_gym.tasks.worn_suites import sample_worn
 
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
@@ -80,10 +83,13 @@ class WornEpisodes(Episodes):
                 found = worn_prices(self.profiles[own], self.settings.suite, self.settings.reward_weights)
                 self._constants["prices"][own] = found * list(_REWARDED.values())
 
+    def _make_sampler(self, kind: int) -> Callable[[Keys], Any]:
+        settings, profile = self.settings, self.profiles[kind]
+        force, blank = max_force(self.simulation.parameters[kind]), empty_rows(1, profile)
+        return partial(sample_worn, settings.suite, profile=profile, split=settings.split, max_force=force, blank=blank)
+
     def _draw(self, kind: int, keys: Keys) -> Drawn:
-        settings = self.settings
-        force, blank = self._max_forces[kind], self._blanks[kind]
-        return sample_worn(settings.suite, keys, self.profiles[kind], settings.split, force, blank)
+        return tuple(self._samplers[kind](keys))
 
     def _pack(self, scenario: Scenario, profile: Profile) -> Drawn:
         return pack_worn(scenario, profile)

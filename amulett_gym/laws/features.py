@@ -34,8 +34,10 @@ def _columns(observations: Values, tension_range: tuple[float, float]) -> dict[s
     error, velocity = math.degrees(_ERROR) * shown["position_error"], math.degrees(_VELOCITY) * shown["joint_velocity"]
     time, agonist = _TIME * np.maximum(shown["time_since_move"], 0.0), shown["agonist"]
     biceps, triceps = _TENSION * shown["estimated_tension_biceps"], _TENSION * shown["estimated_tension_triceps"]
-    pulling, other = np.where(agonist > 0.0, biceps, triceps), np.where(agonist > 0.0, triceps, biceps)
+    flexes = agonist > 0.0
+    pulling, other = np.where(flexes, biceps, triceps), np.where(flexes, triceps, biceps)
     setpoint = tension_of(shown["tension_setpoint"], *tension_range)
+    excess = other - setpoint
     fine, coarse = np.tanh(error / 1.5), np.tanh(error / 5.0)
     slow, fast = np.tanh(velocity / 8.0), np.tanh(velocity / 30.0)
     return {
@@ -47,8 +49,8 @@ def _columns(observations: Values, tension_range: tuple[float, float]) -> dict[s
         "velocity_30deg_s": fast,
         "velocity_100deg_s": np.tanh(velocity / 100.0),
         # how recently the setpoint began to move: exp(-time / width)
-        "recent_0.1s": np.exp(-time / 0.1),
-        "recent_0.4s": np.exp(-time / 0.4),
+        "recent_0.1s": np.exp(time / -0.1),
+        "recent_0.4s": np.exp(time / -0.4),
         # whether the agonist is the drive that is needed: agonist (+1 or -1) times error or velocity
         "agonist_error_1.5deg": agonist * fine,
         "agonist_error_5deg": agonist * coarse,
@@ -63,9 +65,9 @@ def _columns(observations: Values, tension_range: tuple[float, float]) -> dict[s
         "antagonist_floor": np.tanh((other - _FLOOR) / 0.5),
         "antagonist_7N": np.tanh((other - 7.0) / 2.0),
         # tanh(difference of the antagonist's force and its setpoint / width)
-        "tension_error_0.5N": np.tanh((other - setpoint) / 0.5),
-        "tension_error_2N": np.tanh((other - setpoint) / 2.0),
-        "tension_error_6N": np.tanh((other - setpoint) / 6.0),
+        "tension_error_0.5N": np.tanh(excess / 0.5),
+        "tension_error_2N": np.tanh(excess / 2.0),
+        "tension_error_6N": np.tanh(excess / 6.0),
         # tanh: the setpoint relative to the force estimation's floor
         "setpoint_floor": np.tanh(setpoint - _FLOOR),
     }

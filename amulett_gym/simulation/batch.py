@@ -221,7 +221,7 @@ class Simulation:
 
     def read(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the state (see `layout.STATE_NAMES`), shape (num_devices,)."""
-        return self.states[name].reshape(-1)[: self.num_devices].copy()
+        return self.states[name].flatten()[: self.num_devices]
 
     def live(self, device: int) -> dict[str, NDArray[Any]]:
         """Return views of one device's whole state, arrays of shape () by the names of `layout.STATE_NAMES`."""

@@ -68,14 +68,55 @@ _STRONGEST = 1.14  # largest factor by which `_vary_device` makes springs strong
 Rows = NDArray[np.void]
 
 
-def sample(
-    suite: str,
-    keys: NDArray[np.uint64],
-    profile: Profile,
-    max_force: float | None = None,
-    split: str = "train",
-    blank: Rows | None = None,
-) -> Rows:
+class Sampler:
+    """Draws the scenarios of a suite, with what :func:`sample` needs of a profile made once.
+
+    Parameters
+    ----------
+    suite, profile, split
+        As of `sample`.
+    max_force : float, optional
+        Force at the end of the springs' table [N], if already known: its calculation takes most of the time. Drives
+        that stall allow less.
+
+    Raises
+    ------
+    AmulettError
+        If the suite's or the split's name is unknown.
+    """
+
+    def __init__(self, suite: str, profile: Profile, split: str = "train", max_force: float | None = None) -> None:
+        check_names(suite, split)
+        masses = profile.plant.masses
+        self._profile, self._family, self._shifted = profile, list(SUITES).index(suite), split == "shifted"
+        self._has_obstacles = suite in CONTACT_SUITES
+        self._max_force = reachable_force(profile, max_force, _STRONGEST)
+        self._weight = static_torque([item.mass for item in masses], [item.arm for item in masses])
+        self._blank = empty_rows(1, profile)
+        self._blank["measure_from"] = START
+
+    def __call__(self, keys: NDArray[np.uint64]) -> Rows:
+        """Return one scenario for each key, as `sample` does."""
+        profile, family = self._profile, self._family
+        radius = profile.plant.joint_pulley_radius
+        rows = np.repeat(self._blank, keys.size)
+        draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS)
+        if family in (_PAPER_STEP, _STEPS, _REACH):
+            _fill_moves(rows, draws, family, self._shifted)
+        else:
+            _fill(rows, draws, family, self._shifted, self._max_force, radius, self._weight)
+        if family in (_PAYLOAD, _MIXED):
+            load_arm(rows, profile)
+        make_room_for_weight(rows, self._max_force, radius)
+        if self._has_obstacles:
+            stiffness, damping = (most(rows["inertia"], profile) for most in (most_stiffness, most_damping))
+            rows["obstacle_stiffness"] = np.minimum(rows["obstacle_stiffness"], stiffness)
+            rows["obstacle_damping"] = np.minimum(rows["obstacle_damping"], damping)
+        rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
+        return rows
+
+
+def sample(suite: str, keys: NDArray[np.uint64], profile: Profile, split: str = "train") -> Rows:
     """Return one scenario for each key.
 
     Parameters
@@ -86,13 +127,8 @@ def sample(
         The episodes' keys (`episode_keys`); the same key gives the same scenario in any batch.
     profile : Profile
         Scales external torques and gives the nominal tension and inertia.
-    max_force : float, optional
-        Force at the end of the springs' table [N], if already known: its calculation takes most of the time. Drives
-        that stall allow less.
     split : str
         ``"shifted"`` draws from outside the ranges that all other splits share.
-    blank : ndarray of `simulation.layout.SCENARIO`, shape (1,), optional
-        ``empty_rows(1, profile)``, if already made.
 
     Returns
     -------
@@ -103,26 +139,7 @@ def sample(
     AmulettError
         If the suite's or the split's name is unknown.
     """
-    check_names(suite, split)
-    max_force = reachable_force(profile, max_force, _STRONGEST)
-    rows = np.repeat(empty_rows(1, profile) if blank is None else blank, keys.size)
-    rows["measure_from"] = START
-    draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS)
-    radius = profile.plant.joint_pulley_radius
-    family = list(SUITES).index(suite)
-    weight = static_torque([item.mass for item in profile.plant.masses], [item.arm for item in profile.plant.masses])
-    if family in (_PAPER_STEP, _STEPS, _REACH):
-        _fill_moves(rows, draws, family, split == "shifted")
-    else:
-        _fill(rows, draws, family, split == "shifted", max_force, radius, weight)
-    if family in (_PAYLOAD, _MIXED):
-        load_arm(rows, profile)
-    make_room_for_weight(rows, max_force, radius)
-    if suite in CONTACT_SUITES:
-        rows["obstacle_stiffness"] = np.minimum(rows["obstacle_stiffness"], most_stiffness(rows["inertia"], profile))
-        rows["obstacle_damping"] = np.minimum(rows["obstacle_damping"], most_damping(rows["inertia"], profile))
-    rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
-    return rows
+    return Sampler(suite, profile, split)(keys)
 
 
 def reachable_force(profile: Profile, max_force: float | None, largest_factor: float = 1.0) -> float:
