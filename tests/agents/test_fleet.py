@@ -81,6 +81,17 @@ def test_a_recipe_has_a_profile_or_a_fleet():
         load_train_config(None, ["env.fleet=[testbad]"])
 
 
+def test_infos_of_the_adapter_have_the_device_of_their_own_block():
+    env = make_sb3_env(num_envs=16, fleet=["testbed", "simulation"], max_episode_steps=3)
+    env.seed(0)
+    env.reset()
+    assert [info["device"] for info in env.reset_infos] == [0] * 8 + [1] * 8
+    for _ in range(3):
+        *_, infos = env.step(np.zeros((16, 1), dtype=np.float32))
+    assert [info["device"] for info in infos] == [0] * 8 + [1] * 8
+    assert [info["device"] for info in env.reset_infos] == [0] * 8 + [1] * 8
+
+
 def test_policies_are_compared_on_other_devices_each_as_often():
     fleets = ["env.fleet=[testbed, simulation]", f"validation.fleet=[testbed, {json.dumps(HEAVY)}, simulation]"]
     config = load_train_config(None, [*SMALL, *fleets, "validation.episodes=25"])
