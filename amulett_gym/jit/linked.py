@@ -1,8 +1,8 @@
 """Code that is only linked into that of its callers, and never called by itself: no machine code is made of it.
 
 numba makes and loads the machine code of each function as soon as it is compiled, although the callers contain the
-function once more: another tenth of the time of a first step. It also optimises each function three times, twice
-of them to remove counts of references. Our code counts none, so once is enough.
+function once more: another tenth of the time of a first step. It also optimises each function by itself before it
+optimises it with all that it calls, which for us gains nothing.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from numba.core.compiler import Compiler
 
 # Another numba that has none of these would not use what is defined below.
 _USED = (
-    *(JITCPUCodegen._library_class, JITCPUCodegen._add_module, JITCPUCodegen._module_pass_manager),
-    *(JITCPUCodegen.set_env, AOTCodeLibrary._unserialize),
-    *(AOTCodeLibrary._optimize_functions, AOTCodeLibrary._optimize_final_module),
+    *(JITCPUCodegen._library_class, JITCPUCodegen._add_module, JITCPUCodegen.set_env),
+    *(AOTCodeLibrary._unserialize, AOTCodeLibrary._optimize_functions),
 )
 
 
@@ -50,10 +49,6 @@ class _Types(tuple[Any, ...]):
 class _Library(AOTCodeLibrary):  # type: ignore[misc]
     def _optimize_functions(self, ll_module: Any) -> None:
         pass
-
-    def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
-        passes.run(self._final_module, builder)
 
     def get_pointer_to_function(self, name: str) -> int:
         """Return the address of none: what numba says of a function without its wrapper for Python."""
