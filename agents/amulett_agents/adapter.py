@@ -128,7 +128,7 @@ class SB3VecEnv(VecEnv):
         """
         if not self._begun:
             raise gym.error.ResetNeeded("call reset() before step()")
-        observations, report, terminated, truncated, _ = self.venv._step(self._actions)
+        observations, report, terminated, truncated, _ = self.venv.step_report(self._actions)
         self._sums += report.T[: len(self._sums)]
         self._lengths += 1
         dones = terminated | truncated
@@ -236,7 +236,7 @@ class SB3VecEnv(VecEnv):
     def _begin(self, devices: NDArray[np.int64]) -> NDArray[np.float32]:
         """Start the next episode of some devices; return their observations."""
         self._sums[:, devices], self._lengths[devices] = 0.0, 0
-        observations, report = self.venv._next_episodes(devices)
+        observations, report = self.venv.next_report(devices)
         for device, beginning in zip(devices.tolist(), self._infos(devices, report), strict=True):
             self.reset_infos[device] = beginning
         return observations

@@ -160,7 +160,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         gymnasium.error.ResetNeeded
             If there was no reset yet; in the mode DISABLED, if a device's episode has ended.
         """
-        observations, report, terminated, truncated, final = self._step(actions)
+        observations, report, terminated, truncated, final = self.step_report(actions)
         return observations, report[:, 0].copy(), terminated, truncated, infos_of(self.episodes, report) | final
 
     def next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], dict[str, Any]]:
@@ -193,8 +193,55 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             )
         if not self.episodes.started[devices].all():
             raise gym.error.ResetNeeded("call reset() before next_episodes()")
-        observations, report = self._next_episodes(devices)
+        observations, report = self.next_report(devices)
         return observations, infos_of(self.episodes, report, devices)
+
+    def step_report(
+        self, actions: NDArray[np.floating[Any]]
+    ) -> tuple[NDArray[np.float32], Report, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Take a step as :meth:`step` does; return the report (see `envs.transition`) instead of rewards and info.
+
+        For callers that need the infos of a few devices only. A subclass that changes what a step returns overrides
+        this: `step` and the adapter for Stable-Baselines3 build on it. The last value is what the mode SAME_STEP adds
+        to the info.
+        """
+        if not self.episodes.started.all():
+            raise gym.error.ResetNeeded("call reset() before step()")
+        actions = np.asarray(actions)
+        wanted = self.num_envs, self.episodes.action_size
+        if actions.shape != wanted:
+            raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
+        again = np.flatnonzero(self._ended)
+        if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise gym.error.ResetNeeded(
+                f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
+                "call reset(options={'reset_mask': terminated | truncated}) before step()"
+            )
+        observations, report = self.episodes.step(actions.reshape(-1))
+        if again.size:
+            observations[again], report[again] = self.next_report(again)
+        terminated = report[:, FIRST_READING] != RUNNING
+        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
+        self._ended = terminated | truncated
+        final = {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            again = np.flatnonzero(self._ended)
+            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
+            observations[again], following = self.next_report(again)
+            report[again, FIRST_TERM:] = following[:, FIRST_TERM:]  # the reward stays that of the last step
+        self._collect(range(self.num_envs))
+        return observations, report, terminated, truncated, final
+
+    def next_report(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], Report]:
+        """Start the next episode of some devices as :meth:`next_episodes` does; return observations and report.
+
+        Nothing checks the indices.
+        """
+        self.episodes.next_episode(devices)
+        observations = self.episodes.start(devices)
+        self._ended[devices] = False
+        self._begin_pictures(devices)
+        return observations, self.episodes.report(devices)
 
     def render(self) -> tuple[Any, ...] | None:
         """Draw every device: a tuple of arrays (height, width, 3).
@@ -232,48 +279,6 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderers": []}
-
-    def _step(
-        self, actions: NDArray[np.floating[Any]]
-    ) -> tuple[NDArray[np.float32], Report, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take a step as :meth:`step` does, which makes rewards and info of the report and the info's final entries.
-
-        The adapter for Stable-Baselines3 needs the infos of a few devices only.
-        """
-        if not self.episodes.started.all():
-            raise gym.error.ResetNeeded("call reset() before step()")
-        actions = np.asarray(actions)
-        wanted = self.num_envs, self.episodes.action_size
-        if actions.shape != wanted:
-            raise AmulettError(f"the actions have shape {actions.shape}; it has to be {wanted}")
-        again = np.flatnonzero(self._ended)
-        if again.size and self.autoreset_mode is AutoresetMode.DISABLED:
-            raise gym.error.ResetNeeded(
-                f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
-                "call reset(options={'reset_mask': terminated | truncated}) before step()"
-            )
-        observations, report = self.episodes.step(actions.reshape(-1))
-        if again.size:
-            observations[again], report[again] = self._next_episodes(again)
-        terminated = report[:, FIRST_READING] != RUNNING
-        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
-        self._ended = terminated | truncated
-        final = {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-            again = np.flatnonzero(self._ended)
-            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
-            observations[again], following = self._next_episodes(again)
-            report[again, FIRST_TERM:] = following[:, FIRST_TERM:]  # the reward stays that of the last step
-        self._collect(range(self.num_envs))
-        return observations, report, terminated, truncated, final
-
-    def _next_episodes(self, devices: NDArray[np.int64]) -> tuple[NDArray[np.float32], Report]:
-        """Start the next episode of devices, as :meth:`next_episodes` does; return observations and report."""
-        self.episodes.next_episode(devices)
-        observations = self.episodes.start(devices)
-        self._ended[devices] = False
-        self._begin_pictures(devices)
-        return observations, self.episodes.report(devices)
 
     def _draw(self, device: int) -> NDArray[np.uint8]:
         from amulett_gym.envs.rendering.frame import frame_of

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-COMPILING = "Compiling the simulation (12 to 40 s, once per version) ..."
+COMPILING = "Compiling the simulation (10 to 40 s, once per version) ..."
 STOPPING = "Stopping as soon as it is compiled ..."
 
 _shows: list[Callable[[str], object]] = []

@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 
 import amulett_gym  # noqa: E402
 from amulett_agents import load_train_config, make_sb3_env, save_policy, train  # noqa: E402
+from amulett_agents.adapter import SB3VecEnv  # noqa: E402
 from amulett_agents.config import TrainConfig  # noqa: E402
 from amulett_agents.model import make_model  # noqa: E402
 from amulett_agents.run_folder import COLUMNS  # noqa: E402
@@ -36,6 +37,7 @@ from amulett_gym.cli import train as command  # noqa: E402
 from amulett_gym.cli.quickstart import LAWS  # noqa: E402
 from amulett_gym.envs.reward import TERMS  # noqa: E402
 from amulett_gym.envs.single import ScalingEnv  # noqa: E402
+from amulett_gym.envs.vector import TensionVectorEnv  # noqa: E402
 from amulett_gym.errors import AmulettError  # noqa: E402
 from amulett_gym.laws.bundle import read_bundle  # noqa: E402
 from amulett_gym.laws.contenders import contender_names  # noqa: E402
@@ -216,6 +218,32 @@ def test_a_seed_of_the_adapter_is_that_of_sb3s_make_vec_env():
     ours, theirs = make_sb3_env(num_envs=3, seed=7), make_vec_env(SCALING, 3, seed=7)
     assert np.array_equal(ours.reset(), theirs.reset())
     assert np.array_equal(ours.action_space.sample(), make_sb3_env(seed=7).action_space.sample())
+
+
+class Doubled(TensionVectorEnv):
+    """Doubles the rewards."""
+
+    def step_report(self, actions):
+        observations, report, *ends = super().step_report(actions)
+        report[:, 0] *= 2.0
+        return observations, report, *ends
+
+
+def test_what_a_subclass_changes_of_a_step_is_seen_with_and_without_the_adapter():
+    plain, doubled = (make(num_envs=3, max_episode_steps=5) for make in (TensionVectorEnv, Doubled))
+    adapter = SB3VecEnv(Doubled(num_envs=3, max_episode_steps=5))
+    adapter.seed(0)
+    adapter.reset()
+    plain.reset(seed=0)
+    doubled.reset(seed=0)
+    actions, total = np.zeros((3, 1), dtype=np.float32), 0.0
+    for _ in range(5):
+        rewards = 2.0 * plain.step(actions)[1]
+        total += rewards
+        assert np.array_equal(doubled.step(actions)[1], rewards)
+        _, seen, _, infos = adapter.step(actions)
+        assert np.array_equal(seen, rewards.astype(np.float32))
+    assert [info["episode"]["r"] for info in infos] == total.tolist()
 
 
 def test_the_adapter_refuses_an_autoreset_of_the_environment():
