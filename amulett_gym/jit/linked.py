@@ -1,8 +1,7 @@
 """Code that is only linked into that of its callers, and never called by itself: no machine code is made of it.
 
 numba makes and loads the machine code of each function as soon as it is compiled, although the callers contain the
-function once more: another tenth of the time of a first step. It also optimises each function by itself before it
-optimises it with all that it calls, which for us gains nothing.
+function once more: another tenth of the time of a first step.
 """
 
 from __future__ import annotations
@@ -14,10 +13,7 @@ from numba.core.codegen import AOTCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
 
 # Another numba that has none of these would not use what is defined below.
-_USED = (
-    *(JITCPUCodegen._library_class, JITCPUCodegen._add_module, JITCPUCodegen.set_env),
-    *(AOTCodeLibrary._unserialize, AOTCodeLibrary._optimize_functions),
-)
+_USED = (JITCPUCodegen._library_class, JITCPUCodegen._add_module, JITCPUCodegen.set_env, AOTCodeLibrary._unserialize)
 
 
 class LinkedCompiler(Compiler):  # type: ignore[misc]
@@ -47,9 +43,6 @@ class _Types(tuple[Any, ...]):
 
 
 class _Library(AOTCodeLibrary):  # type: ignore[misc]
-    def _optimize_functions(self, ll_module: Any) -> None:
-        pass
-
     def get_pointer_to_function(self, name: str) -> int:
         """Return the address of none: what numba says of a function without its wrapper for Python."""
         return 0

@@ -31,8 +31,8 @@ from numba import types
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.table import Table
-from amulett_gym.simulation import kernel, layout
-from amulett_gym.simulation.layout import PARAMETERS, SCENARIO_BLOCK, STATE_BLOCK
+from amulett_gym.simulation import kernel, layout, loops
+from amulett_gym.simulation.layout import LOOP_BLOCK, LOOP_PARAMETERS, LOOPS, PARAMETERS, SCENARIO_BLOCK, STATE_BLOCK
 from amulett_gym.storage.writing import write_json
 
 RECORDED = "instructions.json"
@@ -42,6 +42,7 @@ TARGETS = ("x86-64-v3", "icelake-server")
 Counts = dict[str, dict[str, int]]
 
 _P, _C, _S, _M = map(numba.from_dtype, (PARAMETERS, SCENARIO_BLOCK, STATE_BLOCK, layout.MOTION_BLOCK))
+_G, _Q = map(numba.from_dtype, (LOOP_PARAMETERS, LOOP_BLOCK))
 _LANES = types.uint64, types.uint64
 STAGES: dict[str, tuple[Any, ...]] = {
     "start_counting": (_P, _C, _S, _M, *_LANES),
@@ -52,8 +53,10 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "sense": (_P, _C, _S, _M, *_LANES, types.none),
     "follow_moves": (_P, _C, _S, *_LANES),
     "track_steps": (_P, _C, _S, _M, *_LANES),
+    "observe_device": (_P, _G, _S, _Q, *_LANES),
+    **{f"run_{loop.replace('-', '_')}": (_P, _G, _S, _Q, *_LANES) for loop in LOOPS},
 }
-"""The tick's stages in `simulation.kernel` that do most of its work -> types of their arguments."""
+"""The stages of `simulation.kernel` and `simulation.loops` that do most of the work -> types of their arguments."""
 
 _ARITHMETIC = re.compile(r"v?(?:add|sub|mul|div|max|min|sqrt|round|rndscale|cmp\w*|and|andn|blendv|blendm)([ps])d")
 _WIDTHS = {"zmm": 512, "ymm": 256, "xmm": 128}
@@ -89,7 +92,7 @@ def _own_target() -> str:
 
 def machine_code(stage: str) -> str:
     """Return a stage's machine code as this process compiles it; it is compiled anew, and not kept."""
-    kept = getattr(kernel, stage)
+    kept = getattr(loops if hasattr(loops, stage) else kernel, stage)
     function = numba.jit(**kept.targetoptions)(kept.py_func)
     function.compile(STAGES[stage])
     (code,) = function.inspect_asm().values()
