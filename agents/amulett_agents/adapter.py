@@ -83,7 +83,8 @@ class SB3VecEnv(VecEnv):
     Raises
     ------
     AmulettError
-        If it is wrapped: the wrappers would miss the reset of finished devices; or if it has another autoreset mode.
+        If it is wrapped: the wrappers would miss the reset of finished devices; if its class overrides `step` or
+        `next_episodes` instead of what these build on; or if it has another autoreset mode.
     """
 
     def __init__(self, venv: TensionVectorEnv) -> None:
@@ -94,6 +95,11 @@ class SB3VecEnv(VecEnv):
                 f"autoreset_mode is '{venv.autoreset_mode.value}'; SB3VecEnv resets finished devices itself: leave it "
                 "out, or choose 'NextStep'"
             )
+        for passed_over, used in (("step", "step_report"), ("next_episodes", "next_report")):
+            if getattr(type(venv), passed_over) is not getattr(TensionVectorEnv, passed_over):
+                raise AmulettError(
+                    f"{type(venv).__name__} overrides '{passed_over}', which SB3VecEnv does not call: override '{used}'"
+                )
         self.venv = venv
         self._actions: NDArray[np.float32] = np.zeros(venv.action_space.shape or (), dtype=np.float32)
         # Sums over the episodes so far, in the order of a report: the reward, then its terms

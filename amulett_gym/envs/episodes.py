@@ -347,12 +347,11 @@ class Episodes:
         Raises
         ------
         AmulettError
-            If an action is NaN.
+            If an action is NaN or no number.
         """
         observations = np.empty((self.started.size, self.observation_size), dtype=np.float32)
         report = np.empty((self.started.size, self.report_size))
-        copied = actions.astype(np.float64)  # strided and read-only arrays are other types
-        self.step_into(copied, observations, report)
+        self.step_into(as_numbers(actions), observations, report)
         return observations, report
 
     def step_into(self, actions: NDArray[np.float64], observations: Observations, report: Report) -> None:
@@ -605,6 +604,20 @@ def _observe_privileged(
     observe_privileged(parameters, which, bare_inertia, scenarios, states, devices, first, observations)
     if described is not None:
         observations[:, first + len(PRIVILEGED) :] = described[which[devices // LANES]]
+
+
+def as_numbers(actions: NDArray[Any]) -> NDArray[np.float64]:
+    """Return a contiguous copy of actions, which the compiled step takes.
+
+    Raises
+    ------
+    AmulettError
+        If they are no numbers.
+    """
+    try:
+        return actions.astype(np.float64)
+    except (TypeError, ValueError):
+        raise AmulettError(f"an action is no number: {actions.tolist()!r:.80}; allowed is [-1, 1]") from None
 
 
 def checked_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from gymnasium.spaces import Box, Space
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.episodes import Episodes, checked_options, device_seeds
+from amulett_gym.envs.episodes import Episodes, as_numbers, checked_options, device_seeds
 from amulett_gym.envs.info import info_of
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
 from amulett_gym.envs.transition import FIRST_TERM
@@ -23,7 +23,7 @@ from amulett_gym.tasks.scenario import Scenario
 
 RESET_OPTIONS = ("scenario", "device")
 _DEVICE = np.zeros(1, dtype=np.int64)
-_FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
+_FLOAT32 = np.dtype(np.float32)
 """numpy finds them sooner than by their classes: they are needed in each step."""
 
 
@@ -121,7 +121,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         Raises
         ------
         AmulettError
-            If the action has another shape or is NaN.
+            If the action has another shape, is NaN or no number.
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
@@ -131,7 +131,7 @@ class TensionEnv(gym.Env[NDArray[np.float32], NDArray[np.float32]]):
         if actions.shape != self._action_shape:
             raise AmulettError(f"the action has shape {actions.shape}; it has to be {self._action_shape}")
         observations = np.empty((1, self.episodes.observation_size), dtype=_FLOAT32)
-        self.episodes.step_into(actions.astype(_FLOAT64), observations, self._report)
+        self.episodes.step_into(as_numbers(actions), observations, self._report)
         values = self._report.tolist()[0]
         reward = values.pop(0)
         info = self._info(values)

@@ -156,7 +156,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         Raises
         ------
         AmulettError
-            If the actions have another shape or one is NaN.
+            If the actions have another shape or one is NaN or no number.
         gymnasium.error.ResetNeeded
             If there was no reset yet; in the mode DISABLED, if a device's episode has ended.
         """
@@ -202,8 +202,9 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """Take a step as :meth:`step` does; return the report (see `envs.transition`) instead of rewards and info.
 
         For callers that need the infos of a few devices only. A subclass that changes what a step returns overrides
-        this: `step` and the adapter for Stable-Baselines3 build on it. The last value is what the mode SAME_STEP adds
-        to the info.
+        this, and `next_report` for how episodes begin: `step`, `next_episodes` and the adapter for Stable-Baselines3
+        build on them. In the mode SAME_STEP, a report holds the reward of an episode that has ended, and all else of
+        the next one; the last value is what that mode adds to the info.
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")

@@ -246,6 +246,13 @@ def test_what_a_subclass_changes_of_a_step_is_seen_with_and_without_the_adapter(
     assert [info["episode"]["r"] for info in infos] == total.tolist()
 
 
+@pytest.mark.parametrize(("name", "other"), [("step", "step_report"), ("next_episodes", "next_report")])
+def test_the_adapter_refuses_a_subclass_whose_changes_it_would_pass_over(name, other):
+    changed = type("Changed", (TensionVectorEnv,), {name: lambda self, given: None})
+    with pytest.raises(AmulettError, match=f"Changed overrides '{name}', .* override '{other}'"):
+        SB3VecEnv(changed(num_envs=1))
+
+
 def test_the_adapter_refuses_an_autoreset_of_the_environment():
     with pytest.raises(AmulettError, match="autoreset_mode is 'SameStep'; SB3VecEnv resets finished devices itself"):
         make_sb3_env(autoreset_mode="SameStep")

@@ -437,6 +437,8 @@ def test_steps_before_reset_and_wrong_shapes_are_refused():
     vector.reset(seed=0)
     with pytest.raises(AmulettError, match=r"has to be \(2, 1\)"):
         vector.step(np.zeros(2))
+    with pytest.raises(AmulettError, match=r"an action is no number: \['left', 'right'\]"):
+        vector.step([["left"], ["right"]])
     before = vector.get_state()["episodes"]["simulation"]["states"].tobytes()
     with pytest.raises(AmulettError, match="action of device 1 is NaN"):
         vector.step(np.array([[0.5], [np.nan]]))
