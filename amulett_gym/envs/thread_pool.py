@@ -10,7 +10,8 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 
 _Ends = list[BaseException | None]
-_Calls = SimpleQueue[tuple[Callable[[], object], _Ends] | None]
+_Wakes = SimpleQueue[None]
+_Calls = SimpleQueue[tuple[Callable[[], object], _Ends, _Wakes] | None]
 
 
 class ThreadPool:
@@ -26,11 +27,10 @@ class ThreadPool:
 
     def __init__(self, size: int) -> None:
         self._calls: _Calls = SimpleQueue()
-        self._wakes: SimpleQueue[None] = SimpleQueue()
         self._finalizer = weakref.finalize(self, _end, self._calls, size)
         # Daemons, so that waiting ones do not hold up the process's end.
         self._threads = [
-            threading.Thread(target=_serve, args=(self._calls, self._wakes), name=f"amulett-gym_{index}", daemon=True)
+            threading.Thread(target=_serve, args=(self._calls,), name=f"amulett-gym_{index}", daemon=True)
             for index in range(size)
         ]
         for thread in self._threads:
@@ -46,14 +46,13 @@ class ThreadPool:
         """Call `work` in this thread and in others; raise the first error once none of them works any more.
 
         A thread that has not begun when this one is done, as its core is busy, is not waited for. Ctrl-C does not end
-        the wait, but a second one does: then the pool must not be used again.
+        the wait for the others, but a second one in it does: then the pool must not be used again.
         """
         ends: _Ends = []
+        wakes: _Wakes = SimpleQueue()
         begun = len(self._threads)
-        while not self._wakes.empty():  # those that the work before did not need
-            self._wakes.get()
         for _ in self._threads:
-            self._calls.put((work, ends))
+            self._calls.put((work, ends, wakes))
         try:
             work()
         finally:
@@ -61,20 +60,10 @@ class ThreadPool:
                 while True:
                     self._calls.get_nowait()
                     begun -= 1
-            self._wait(ends, begun)
+            _wait(ends, begun, wakes)
         for error in ends:
             if error is not None:
                 raise error
-
-    def _wait(self, ends: _Ends, count: int) -> None:
-        """Wait until so many threads have ended their work."""
-        try:
-            while len(ends) < count:
-                self._wakes.get()
-        except KeyboardInterrupt:  # they work on what the caller uses next
-            while len(ends) < count:
-                self._wakes.get()
-            raise
 
     def close(self) -> None:
         """End the threads."""
@@ -83,21 +72,33 @@ class ThreadPool:
             thread.join()
 
 
-def _serve(calls: _Calls, wakes: SimpleQueue[None]) -> None:
+def _wait(ends: _Ends, count: int, wakes: _Wakes) -> None:
+    """Wait until so many threads have ended their work; raise what a signal's handler raises only then."""
+    try:
+        while len(ends) < count:
+            wakes.get()
+    except BaseException:  # the others work on what the caller uses next
+        while len(ends) < count:
+            wakes.get()
+        raise
+
+
+def _serve(calls: _Calls) -> None:
     """Do a thread's work. It knows the queues alone, not the pool, which can thus be collected."""
     while (call := calls.get()) is not None:
         _do(*call)
         del call  # or its arrays are kept until there is more
-        wakes.put(None)
 
 
-def _do(work: Callable[[], object], ends: _Ends) -> None:
+def _do(work: Callable[[], object], ends: _Ends, wakes: _Wakes) -> None:
+    """Do the work, note how it ended, and wake who waits for it."""
     try:
         work()
     except BaseException as error:
         ends.append(error)
     else:
         ends.append(None)
+    wakes.put(None)
 
 
 def _end(calls: _Calls, size: int) -> None:
