@@ -164,7 +164,7 @@ class WornSimulation(Simulation):
 
     def read_worn(self, name: str) -> NDArray[Any]:
         """Return a copy of one quantity of the wearers (see `worn_layout.WORN_NAMES`), shape (num_devices,)."""
-        return self.worn[2][name].reshape(-1)[: self.num_devices].copy()
+        return self.worn[2][name].flatten()[: self.num_devices]
 
     def read_wearers(self, devices: NDArray[np.int64]) -> NDArray[np.void]:
         """Return a copy of the given devices' wearers, `PERSON` records of shape (len(devices),)."""

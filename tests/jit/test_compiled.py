@@ -110,7 +110,8 @@ def test_code_that_is_only_linked_finds_its_python_objects():
 
 
 OTHER_NUMBA = """
-import sys
+import importlib.util, sys
+assert importlib.util.find_spec("amulett_gym.jit.{module}")
 sys.modules["amulett_gym.jit.{module}"] = None  # cannot be imported
 import numpy as np
 from amulett_gym.jit.compiled import compiled

@@ -1,4 +1,4 @@
-"""Count the arithmetic instructions of the tick's stages: how many of them work on several lanes at once.
+"""Count the arithmetic instructions of the stages of tick and loops: how many of them work on several lanes at once.
 
 ::
 
@@ -32,7 +32,15 @@ from numba import types
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.table import Table
 from amulett_gym.simulation import kernel, layout, loops
-from amulett_gym.simulation.layout import LOOP_BLOCK, LOOP_PARAMETERS, LOOPS, PARAMETERS, SCENARIO_BLOCK, STATE_BLOCK
+from amulett_gym.simulation.layout import (
+    DRIVES,
+    LOOP_BLOCK,
+    LOOP_PARAMETERS,
+    LOOPS,
+    PARAMETERS,
+    SCENARIO_BLOCK,
+    STATE_BLOCK,
+)
 from amulett_gym.storage.writing import write_json
 
 RECORDED = "instructions.json"
@@ -54,7 +62,7 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "follow_moves": (_P, _C, _S, *_LANES),
     "track_steps": (_P, _C, _S, _M, *_LANES),
     "observe_device": (_P, _G, _S, _Q, *_LANES),
-    **{f"run_{loop.replace('-', '_')}": (_P, _G, _S, _Q, *_LANES) for loop in LOOPS},
+    **{f"run_{loop.replace('-', '_')}": (_P, _G, _S, _Q, *_LANES) for loop in (*LOOPS, DRIVES)},
 }
 """The stages of `simulation.kernel` and `simulation.loops` that do most of the work -> types of their arguments."""
 
