@@ -82,6 +82,7 @@ class Episodes:
     )
     report_size: ClassVar[int] = transition.REPORT_SIZE
     _compiled_step: ClassVar[Callable[..., int]] = staticmethod(transition.step)
+    _sampler: ClassVar[Callable[..., Any]] = Sampler
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
@@ -112,7 +113,8 @@ class Episodes:
         self._keys = np.zeros(num_devices, dtype=np.uint64)
         self._episodes = np.zeros(num_devices, dtype=np.uint64)
         self.started = np.zeros(num_devices, dtype=bool)
-        self._samplers = [self._make_sampler(kind) for kind in range(len(self.profiles))]
+        of_profiles = zip(self.profiles, map(max_force, simulation.parameters), strict=True)
+        self._samplers = [self._sampler(settings.suite, own, settings.split, force) for own, force in of_profiles]
         masses = [profile.plant.masses for profile in self.profiles]
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
@@ -277,11 +279,6 @@ class Episodes:
             for whole, part in zip(found, drawn, strict=True):
                 whole[own] = part
         return found
-
-    def _make_sampler(self, kind: int) -> Callable[[Keys], Any]:
-        """Return what draws scenarios for a profile."""
-        force = max_force(self.simulation.parameters[kind])
-        return Sampler(self.settings.suite, self.profiles[kind], self.settings.split, force)
 
     def _draw(self, kind: int, keys: Keys) -> Drawn:
         """Return the scenarios that keys draw for a profile."""

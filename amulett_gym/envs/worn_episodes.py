@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,10 +14,9 @@ from amulett_gym.envs.worn_reward import WORN_TERMS, worn_prices
 from amulett_gym.envs.worn_settings import WornSettings
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import Profile
-from amulett_gym.simulation.batch import max_force
 from amulett_gym.simulation.worn_batch import WornSimulation
-from amulett_gym.tasks.scenario import Scenario, empty_rows, pack_worn, unpack_worn
-from amulett_gym.tasks.worn_suites import sample_worn
+from amulett_gym.tasks.scenario import Scenario, pack_worn, unpack_worn
+from amulett_gym.tasks.worn_suites import WornSampler
 
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 _REWARDED = {"muscle": 1.0, "tracking": _SQUARED_DEGREES, "cuff": 1.0, "drives": _SQUARED_DEGREES}
@@ -46,6 +43,7 @@ class WornEpisodes(Episodes):
     )
     report_size = worn_transition.REPORT_SIZE
     _compiled_step = staticmethod(worn_transition.step)
+    _sampler = WornSampler
 
     def __init__(self, num_devices: int, settings: WornSettings, threads: int = 1) -> None:
         super().__init__(num_devices, settings, threads)
@@ -82,11 +80,6 @@ class WornEpisodes(Episodes):
             if np.isnan(self._constants["prices"][own, 0, 0]):
                 found = worn_prices(self.profiles[own], self.settings.suite, self.settings.reward_weights)
                 self._constants["prices"][own] = found * list(_REWARDED.values())
-
-    def _make_sampler(self, kind: int) -> Callable[[Keys], Any]:
-        settings, profile = self.settings, self.profiles[kind]
-        force, blank = max_force(self.simulation.parameters[kind]), empty_rows(1, profile)
-        return partial(sample_worn, settings.suite, profile=profile, split=settings.split, max_force=force, blank=blank)
 
     def _draw(self, kind: int, keys: Keys) -> Drawn:
         return tuple(self._samplers[kind](keys))

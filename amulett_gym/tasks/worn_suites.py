@@ -53,14 +53,60 @@ Numbers = NDArray[np.float64]
 People = dict[str, Numbers]
 
 
-def sample_worn(
-    suite: str,
-    keys: NDArray[np.uint64],
-    profile: Profile,
-    split: str = "train",
-    max_force: float | None = None,
-    blank: Rows | None = None,
-) -> tuple[Rows, Rows]:
+class WornSampler:
+    """Draws the scenarios of a suite with their wearers, with what :func:`sample_worn` needs of a profile made once.
+
+    Parameters
+    ----------
+    suite, profile, split
+        As of `sample_worn`.
+    max_force : float, optional
+        Force at the end of the springs' table [N], if already known.
+
+    Raises
+    ------
+    AmulettError
+        If the suite's or the split's name is unknown.
+    """
+
+    def __init__(self, suite: str, profile: Profile, split: str = "train", max_force: float | None = None) -> None:
+        if suite not in WORN_SUITES:
+            raise unknown("suite", suite, WORN_SUITES)
+        if split not in SPLITS:
+            raise unknown("split", split, SPLITS)
+        self._suite, self._profile, self._shifted = suite, profile, split == "shifted"
+        self._max_force = reachable_force(profile, max_force)
+        self._blank = empty_rows(1, profile)
+        self._blank["measure_from"], self._blank["orientation"] = START, _HORIZONTAL
+
+    def __call__(self, keys: NDArray[np.uint64]) -> tuple[Rows, Rows]:
+        """Return one scenario and its wearer for each key, as `sample_worn` does."""
+        suite, profile, shifted = self._suite, self._profile, self._shifted
+        radius = profile.plant.joint_pulley_radius
+        rows = np.repeat(self._blank, keys.size)
+        rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
+        people = draw_wearers(keys, shifted)
+        draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS).T
+        meant = _Movements(rows, draws, people, derive_keys(keys, _VARIATION_STREAM), shifted)
+        if suite == "reaches":
+            meant.wander((10.0, 45.0), (0.5, 1.2), (0.4, 1.0))
+        elif suite == "assembly":
+            _assembly(meant)
+        elif suite == "carry":
+            _carry(meant)
+        elif suite == "guided":
+            _guided(meant, _GUIDABLE * self._max_force * radius)
+        else:
+            _tremor(meant)
+        load_arm(rows, profile)
+        make_room_for_weight(rows, self._max_force, radius)
+        mass, arm = _payload(meant) if suite == "carry" else (0.0, 0.0)
+        rows["payload_mass"], rows["payload_arm"] = mass, arm
+        period = profile.loop.control_period
+        return rows, pack_wearers(people, period, is_vertical(rows, profile), mass, arm)
+
+
+def sample_worn(suite: str, keys: NDArray[np.uint64], profile: Profile, split: str = "train") -> tuple[Rows, Rows]:
     """Return one scenario and its wearer for each key.
 
     Parameters
@@ -74,10 +120,6 @@ def sample_worn(
         Gives the nominal tension, the control period, and the torque by which the device guides.
     split : str
         ``"shifted"`` draws from outside the ranges that all other splits share.
-    max_force : float, optional
-        Force at the end of the springs' table [N], if already known.
-    blank : ndarray of `simulation.layout.SCENARIO`, shape (1,), optional
-        ``empty_rows(1, profile)``, if already made.
 
     Returns
     -------
@@ -90,36 +132,7 @@ def sample_worn(
     AmulettError
         If the suite's or the split's name is unknown.
     """
-    if suite not in WORN_SUITES:
-        raise unknown("suite", suite, WORN_SUITES)
-    if split not in SPLITS:
-        raise unknown("split", split, SPLITS)
-    max_force = reachable_force(profile, max_force)
-    shifted = split == "shifted"
-    radius = profile.plant.joint_pulley_radius
-    rows = np.repeat(empty_rows(1, profile) if blank is None else blank, keys.size)
-    rows["measure_from"] = START
-    rows["orientation"] = _HORIZONTAL
-    rows["noise_key"] = derive_keys(keys, _NOISE_STREAM)
-    people = draw_wearers(keys, shifted)
-    draws = uniform(derive_keys(keys, _SCENARIO_STREAM), _DRAWS).T
-    meant = _Movements(rows, draws, people, derive_keys(keys, _VARIATION_STREAM), shifted)
-    if suite == "reaches":
-        meant.wander((10.0, 45.0), (0.5, 1.2), (0.4, 1.0))
-    elif suite == "assembly":
-        _assembly(meant)
-    elif suite == "carry":
-        _carry(meant)
-    elif suite == "guided":
-        _guided(meant, _GUIDABLE * max_force * radius)
-    else:
-        _tremor(meant)
-    load_arm(rows, profile)
-    make_room_for_weight(rows, max_force, radius)
-    mass, arm = _payload(meant) if suite == "carry" else (0.0, 0.0)
-    rows["payload_mass"], rows["payload_arm"] = mass, arm
-    period = profile.loop.control_period
-    return rows, pack_wearers(people, period, is_vertical(rows, profile), mass, arm)
+    return WornSampler(suite, profile, split)(keys)
 
 
 class _Movements:
