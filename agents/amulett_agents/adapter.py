@@ -134,7 +134,7 @@ class SB3VecEnv(VecEnv):
         """
         if not self._begun:
             raise gym.error.ResetNeeded("call reset() before step()")
-        observations, report, terminated, truncated, _ = self.venv.step_report(self._actions)
+        observations, report, terminated, truncated, _ = self.venv.step_report(self._actions, brief=True)
         self._sums += report.T[: len(self._sums)]
         self._lengths += 1
         dones = terminated | truncated
@@ -248,9 +248,9 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def _endings(self, finished: NDArray[np.int64], report: NDArray[np.float64]) -> list[dict[str, Any]]:
-        """Return the infos of finished devices, from the report of all."""
+        """Return the infos of finished devices, from the brief report of all."""
         seconds = round(time.monotonic() - self._started, 6)
-        infos = self._infos(finished, report[finished])
+        infos = self._infos(finished, self.venv.episodes.whole(report[finished], finished))
         sums, lengths = self._sums[:, finished].T.tolist(), self._lengths[finished].tolist()
         for info, (total, *terms), length in zip(infos, sums, lengths, strict=True):
             info["episode"] = {"r": total, "l": length, "t": seconds}

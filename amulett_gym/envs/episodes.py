@@ -327,18 +327,20 @@ class Episodes:
         self._observe(devices, observations)
         return observations
 
-    def step(self, actions: NDArray[np.floating[Any]]) -> tuple[Observations, Report]:
+    def step(self, actions: NDArray[np.floating[Any]], brief: bool = False) -> tuple[Observations, Report]:
         """Take one agent step with all devices.
 
         Parameters
         ----------
         actions : ndarray, shape (N * action_size,)
             Of one device after the other, in [-1, 1]; values beyond are clipped.
+        brief : bool
+            Report only reward, terms and `failure`; :meth:`whole` adds the rest.
 
         Returns
         -------
         observations : ndarray of float32, shape (N, observation_size)
-        report : ndarray, shape (N, report_size)
+        report : ndarray, shape (N, report_size) or (N, transition.BRIEF_SIZE)
             Reward, terms, readings and metrics; see `envs.transition`.
 
         Raises
@@ -347,7 +349,7 @@ class Episodes:
             If an action is NaN or no number.
         """
         observations = np.empty((self.started.size, self.observation_size), dtype=np.float32)
-        report = np.empty((self.started.size, self.report_size))
+        report = np.empty((self.started.size, transition.BRIEF_SIZE if brief else self.report_size))
         self.step_into(as_numbers(actions), observations, report)
         return observations, report
 
@@ -483,6 +485,12 @@ class Episodes:
         report = np.empty((devices.size, self.report_size))
         self._report(devices, report)
         return report
+
+    def whole(self, report: Report, devices: NDArray[np.int64]) -> Report:
+        """Return the whole report of devices' last step, one row each, from a brief one."""
+        found = self.report(devices)
+        found[:, : report.shape[1]] = report
+        return found
 
     def _report(self, devices: NDArray[np.int64], report: Report) -> None:
         """Fill the reports of devices."""

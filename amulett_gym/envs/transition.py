@@ -111,6 +111,9 @@ FIRST_METRIC = FIRST_READING + len(READINGS)
 REPORT_SIZE = FIRST_METRIC + len(METRICS)
 """Length of a report: reward, its terms, readings, metrics, in this order."""
 
+BRIEF_SIZE = FIRST_READING + 1
+"""Length of a brief report, which ends with `failure`: thousands of whole ones take a tenth of a step's time."""
+
 ALL_NUMBERS = -1
 """Instead of a device: no action is NaN."""
 
@@ -306,9 +309,11 @@ def charge(e, s, i, family, costs, report):
 
 @compiled
 def write_report(p, c, s, i, report):
-    """Report the true state with the cumulative metrics."""
+    """Report the true state with the cumulative metrics; in a brief report, the failure alone."""
+    report[FIRST_READING] = s.failure[i]
+    if report.size == BRIEF_SIZE:
+        return
     r = report[FIRST_READING:FIRST_METRIC]
-    r[0] = s.failure[i]
     r[1] = s.tick[i] * p.control_period
     r[2] = s.angle[i] * _DEG
     r[3] = s.velocity[i] * _DEG

@@ -197,12 +197,13 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         return observations, infos_of(self.episodes, report, devices)
 
     def step_report(
-        self, actions: NDArray[np.floating[Any]]
+        self, actions: NDArray[np.floating[Any]], brief: bool = False
     ) -> tuple[NDArray[np.float32], Report, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Take a step as :meth:`step` does; return the report (see `envs.transition`) instead of rewards and info.
 
-        For callers that need the infos of a few devices only. A subclass that changes what a step returns overrides
-        this, and `next_report` for how episodes begin: `step`, `next_episodes` and the adapter for Stable-Baselines3
+        For callers that need the infos of a few devices only: with `brief`, a report ends with `failure`, and
+        `Episodes.whole` completes it. A subclass that changes what a step returns overrides this, and `next_report` for
+        how episodes begin: `step`, `next_episodes` and the adapter for Stable-Baselines3, which asks for brief ones,
         build on them. In the mode SAME_STEP, a report holds the reward of an episode that has ended, and all else of
         the next one; the last value is what that mode adds to the info.
         """
@@ -218,18 +219,21 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
                 f"autoreset_mode is 'Disabled', and the episode of device {again[0]} has ended ({again.size} in all): "
                 "call reset(options={'reset_mask': terminated | truncated}) before step()"
             )
-        observations, report = self.episodes.step(actions.reshape(-1))
+        observations, report = self.episodes.step(actions.reshape(-1), brief)
         if again.size:
-            observations[again], report[again] = self.next_report(again)
+            observations[again], following = self.next_report(again)
+            report[again] = following[:, : report.shape[1]]
         terminated = report[:, FIRST_READING] != RUNNING
         truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
         self._ended = terminated | truncated
         final = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             again = np.flatnonzero(self._ended)
-            final = final_of(infos_of(self.episodes, report[again], again), observations, again)
+            whole = self.episodes.whole(report[again], again)
+            final = final_of(infos_of(self.episodes, whole, again), observations, again)
             observations[again], following = self.next_report(again)
-            report[again, FIRST_TERM:] = following[:, FIRST_TERM:]  # the reward stays that of the last step
+            # The reward stays that of the last step
+            report[again, FIRST_TERM:] = following[:, FIRST_TERM : report.shape[1]]
         self._collect(range(self.num_envs))
         return observations, report, terminated, truncated, final
 

@@ -10,6 +10,7 @@ from amulett_gym.envs import transition
 from amulett_gym.envs.action import compiled_tension_of
 from amulett_gym.envs.transition import (
     ALL_NUMBERS,
+    BRIEF_SIZE,
     FIRST_READING,
     FIRST_TERM,
     begin_ramp,
@@ -186,8 +187,10 @@ def costs(s, w, i):
 
 @compiled
 def write_worn_report(p, c, s, w, i, report):
-    """Report the true state of device and wearer with the cumulative metrics."""
+    """Report the true state of device and wearer with the cumulative metrics; briefly as `write_report`."""
     write_report(p, c, s, i, report)
+    if report.size == BRIEF_SIZE:
+        return
     r = report[FIRST_WORN_READING:FIRST_WORN_METRIC]
     r[0] = w.elbow[i] * _DEG
     r[1] = w.elbow_rate[i] * _DEG

@@ -223,8 +223,8 @@ def test_a_seed_of_the_adapter_is_that_of_sb3s_make_vec_env():
 class Doubled(TensionVectorEnv):
     """Doubles the rewards."""
 
-    def step_report(self, actions):
-        observations, report, *ends = super().step_report(actions)
+    def step_report(self, actions, brief=False):
+        observations, report, *ends = super().step_report(actions, brief)
         report[:, 0] *= 2.0
         return observations, report, *ends
 

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 import amulett_gym
 from amulett_gym import FAILURES
-from amulett_gym.envs.transition import FIRST_TERM
+from amulett_gym.envs.transition import BRIEF_SIZE, FIRST_TERM
 from amulett_gym.evaluation.metrics import or_nan
 
 SCALING, TENSION, DRIVES, WORN = amulett_gym.ENV_IDS
@@ -52,6 +52,29 @@ def test_each_step_and_reset_has_the_same_keys_with_finite_numbers_of_the_same_t
         assert types(info) == wanted
         assert all(map(math.isfinite, info.values()))
     assert json.loads(json.dumps(info)) == info
+
+
+@anywhere
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_a_brief_report_is_the_begin_of_the_whole_one_and_can_be_completed(env_id, keywords, mode):
+    whole, brief = (
+        gym.make_vec(env_id, num_envs=3, max_episode_steps=20, autoreset_mode=mode, threads=threads, **keywords)
+        for threads in (1, 2)
+    )
+    for env in (whole, brief):
+        env.reset(seed=0)
+        env.action_space.seed(0)
+    ends = 0
+    for _ in range(50):
+        seen, report, terminated, truncated, final = whole.step_report(whole.action_space.sample())
+        found, shown, *others = brief.step_report(brief.action_space.sample(), brief=True)
+        assert report.shape == (3, whole.episodes.report_size) and shown.shape == (3, BRIEF_SIZE)
+        assert np.array_equal(found, seen) and np.array_equal(shown, report[:, :BRIEF_SIZE])
+        assert data_equivalence((terminated, truncated, final), tuple(others))
+        completed = brief.episodes.whole(shown, np.arange(3))
+        assert np.array_equal(completed, report, equal_nan=True)
+        ends += np.count_nonzero(truncated)
+    assert ends > 3
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
