@@ -36,6 +36,16 @@ def static_torque(masses: Sequence[Numbers], arms: Sequence[Numbers]) -> Any:
 
 
 @compiled
+def weight_torque(static_torque: float, joint: float) -> float:
+    """Return the weight's torque about the joint [N m] of eq. 1, from M_m [N m] and x_a [rad].
+
+    A loop over lanes that the compiler vectorises computes this sine in any case, even if nothing weighs: call it in a
+    loop of its own, behind a branch.
+    """
+    return static_torque * math.sin(joint)
+
+
+@compiled
 def deflection_biceps(drive: float, joint: float, drive_radius: float, joint_radius: float) -> float:
     """Return Delta l_1 of eq. 4 [m] from the angles x_e1, x_a [rad] and the radii R_1, R_2 [m]."""
     return drive * drive_radius - joint * joint_radius
@@ -49,22 +59,20 @@ def deflection_triceps(drive: float, joint: float, drive_radius: float, joint_ra
 
 @compiled
 def joint_acceleration(
-    joint: float,
     velocity: float,
     force_biceps: float,
     force_triceps: float,
     decay: float,
+    weight: float,
     external: float,
     inertia: float,
-    static_torque: float,
     joint_radius: float,
 ) -> float:
     """Return the second derivative of x_a by eq. 1 [rad/s2], with an external torque added.
 
-    From x_a [rad] and its rate [rad/s], f(Delta l_1) and f(Delta l_2) [N], delta [1/s], the torque of pushes and
-    obstacles, positive in flexion [N m], J [kg m2], M_m [N m] and R_2 [m].
+    From the rate of x_a [rad/s], f(Delta l_1) and f(Delta l_2) [N], delta [1/s], the weight's torque
+    (`weight_torque`), that of pushes and obstacles, positive in flexion [N m], J [kg m2] and R_2 [m].
     """
-    weight = static_torque * math.sin(joint) if static_torque != 0.0 else 0.0  # a sine takes long
     torque = (force_biceps - force_triceps) * joint_radius - weight + external
     return torque / inertia - 2.0 * decay * velocity
 

@@ -252,6 +252,8 @@ LOOP_BLOCK = block(
     # what the loop knows of joint and drives
     + fields("velocity last_angle model_biceps model_triceps")
     + fields("integral stiffness_integral stiffness_reference stiffness_error")
+    # torques [N m] of the arm's weight at the angle by which the loop knows it, and at the reference
+    + fields("weight weight_slope reference_weight")
     + fields("elapsed load torque tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
     + fields("correction_biceps correction_triceps saturated_biceps saturated_triceps")
     + fields("observed_angle observed_velocity observed_acceleration disturbance")
@@ -266,11 +268,11 @@ Loop = tuple[NDArray[np.void], NDArray[np.void]]
 """`LOOP_PARAMETERS` of each profile, and blocks of `LOOP_BLOCK`."""
 
 MOTION_BLOCK = block(
-    fields("counting push angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
+    fields("counting push weight angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
     + fields("angle_sum velocity_sum biceps_sum triceps_sum")
 )
-"""A block's motion within a tick: 1 if the tick counts in the metrics, else 0; the push [N m]; joint and drives, with
-their last evaluated and their summed rates of change."""
+"""A block's motion within a tick: 1 if the tick counts in the metrics, else 0; the torques of push and weight [N m];
+joint and drives, with their last evaluated and their summed rates of change."""
 STATE_NAMES = tuple(name for name, *_ in _STATE_FIELDS)
 
 

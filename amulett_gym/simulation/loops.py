@@ -9,6 +9,8 @@ A tick after late ones advances integrals by one control period, as that of the 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from amulett_gym.control.agonist import select_agonist
@@ -21,7 +23,7 @@ from amulett_gym.control.equilibrium_point import equilibrium
 from amulett_gym.control.feedback_linearisation import desired_jerk, drive_rates, tautness
 from amulett_gym.control.feedforward_feedback import opening
 from amulett_gym.control.force_estimate import next_correction
-from amulett_gym.control.inverse_dynamics import joint_torque, weight_torque
+from amulett_gym.control.inverse_dynamics import joint_torque
 from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.control.joint_observer import observe
 from amulett_gym.control.minimal_motion import nearest_pair
@@ -30,7 +32,7 @@ from amulett_gym.control.reference_motion import MINIMUM_JERK, minimum_jerk_offs
 from amulett_gym.control.torque import common_rate, desired_torque
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
-from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration
+from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration, weight_torque
 from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve, look_up_slope
 from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
 from amulett_gym.simulation.layout import LOOPS
@@ -40,6 +42,9 @@ TORQUE_STIFFNESS, FEEDFORWARD_FEEDBACK = (LOOPS.index(name) for name in ("torque
 FEEDBACK_LINEARISATION, TORQUE = (LOOPS.index(name) for name in ("feedback-linearisation", "torque"))
 CASCADE, COMPUTED_TORQUE, MINIMAL_MOTION = map(LOOPS.index, ("cascade", "computed-torque", "minimal-motion"))
 DRIVES = len(LOOPS)
+AT_REFERENCE = EQUILIBRIUM_POINT, CO_ROTATION, FEEDFORWARD_FEEDBACK, FEEDBACK_LINEARISATION, CASCADE
+AT_MEASURED_ANGLE = TORQUE_STIFFNESS, COMPUTED_TORQUE, MINIMAL_MOTION
+"""Loops that hold the arm's weight at the reference, and at the measured angle."""
 FASTEST = 100.0  # [rad/s]; a setpoint that moves faster jumps
 
 
@@ -62,8 +67,34 @@ def observes(g):
 
 
 @compiled
+def weigh(g, s, q, first, end):
+    """Set the torques of the bare arm's weight at the angles at which the chosen loop needs them.
+
+    In the loops' own stages, their sines would be computed for an arm without weight, too.
+    """
+    for i in range(first, end):
+        q.weight[i] = q.weight_slope[i] = q.reference_weight[i] = 0.0
+    if g.weight != 0.0:
+        for i in range(first, end):
+            if observes(g):
+                set_observed_weight(g, q, i)
+            if g.loop in AT_REFERENCE:
+                q.reference_weight[i] = weight_torque(g.weight, q.reference[i])
+            if g.loop in AT_MEASURED_ANGLE:
+                q.weight[i] = weight_torque(g.weight, s.measured_angle[i])
+
+
+@compiled
+def set_observed_weight(g, q, i):
+    """Set the weight's torque [N m] at the observed angle, and its slope by the angle [N m/rad]."""
+    q.weight[i] = weight_torque(g.weight, q.observed_angle[i])
+    q.weight_slope[i] = g.weight * math.cos(q.observed_angle[i])
+
+
+@compiled
 def want(p, g, s, q, first, end):
     """Set what the chosen loop wants of both drives."""
+    weigh(g, s, q, first, end)
     if g.loop == EQUILIBRIUM_POINT:
         run_equilibrium_point(p, g, s, q, first, end)
     elif g.loop == CO_ROTATION:
@@ -215,6 +246,7 @@ def begin_loop(p, g, c, s, q, i):
     if observes(g):
         begin_estimates(p, g, c, s, q, i)
     if g.loop == FEEDBACK_LINEARISATION:
+        weigh(g, s, q, i, i + np.uint64(1))
         q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)  # its trim is that of the feed-forward
     else:
         want(p, g, s, q, i, i + np.uint64(1))
@@ -242,15 +274,9 @@ def drives_at(p, g, angle, biceps, triceps):
 
 
 @compiled
-def weight_slope_at(g, angle):
-    """Return the derivative of `weight_torque` [N m/rad] for the bare arm."""
-    return g.weight * np.cos(angle) if g.weight != 0.0 else 0.0
-
-
-@compiled
 def hold_reference(p, g, s, q, i):
     """Return the drive angles [rad] of equilibrium-point control."""
-    angle, torque = equilibrium(q.reference[i], q.reference_rate[i], g.lead), weight_torque(g.weight, q.reference[i])
+    angle, torque = equilibrium(q.reference[i], q.reference_rate[i], g.lead), q.reference_weight[i]
     return hold_at(p, g, angle, torque, affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force))
 
 
@@ -276,8 +302,8 @@ def model_acceleration(p, g, q, i):
     biceps, triceps = q.force_biceps[i], q.force_triceps[i]
     preload = preload_force(biceps, triceps, p.damping_by_mean)
     decay = decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    angle, velocity = q.observed_angle[i], q.observed_velocity[i]
-    return joint_acceleration(angle, velocity, biceps, triceps, decay, 0.0, g.inertia, g.weight, p.joint_radius), decay
+    weight, velocity = q.weight[i], q.observed_velocity[i]
+    return joint_acceleration(velocity, biceps, triceps, decay, weight, 0.0, g.inertia, p.joint_radius), decay
 
 
 @compiled_in_place
@@ -298,9 +324,10 @@ def begin_estimates(p, g, c, s, q, i):
     q.correction_triceps[i] = find_position(g.force_table, g.position_table, q.force_triceps[i]) - at_triceps
     q.slope_biceps[i] = slope_at(g, at_biceps + q.correction_biceps[i]) * g.inverse_max_deflection
     q.slope_triceps[i] = slope_at(g, at_triceps + q.correction_triceps[i]) * g.inverse_max_deflection
+    set_observed_weight(g, q, i)
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
-    q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - weight_torque(g.weight, angle)
+    q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - q.weight[i]
     q.saturated_biceps[i] = q.saturated_triceps[i] = 0.0
 
 
@@ -393,9 +420,9 @@ def find_needed_torque(p, g, s, q, first, end):
     It is a stage of its own, since in the longer stages that use it, the `exp` of `decay_rate` would slow all lanes.
     """
     for i in range(first, end):
-        angle = choose(g.loop == TORQUE_STIFFNESS, s.measured_angle[i], q.reference[i])
+        weight = choose(g.loop == TORQUE_STIFFNESS, q.weight[i], q.reference_weight[i])
         decay = decay_rate(s.tension_setpoint[i], p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-        q.torque[i] = joint_torque(q.reference_acceleration[i], q.reference_rate[i], angle, g.inertia, decay, g.weight)
+        q.torque[i] = joint_torque(q.reference_acceleration[i], q.reference_rate[i], g.inertia, decay, weight)
 
 
 @compiled
@@ -510,11 +537,11 @@ def run_feedback_linearisation(p, g, s, q, first, end):
             g.bandwidth,
         )
         torque = g.inertia * (q.reference_acceleration[i] + 2.0 * decay * q.reference_rate[i] - q.disturbance[i])
-        torque += weight_torque(g.weight, q.reference[i])
+        torque += q.reference_weight[i]
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         wanted_biceps, wanted_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
         tension_rate = g.tension_bandwidth * 0.5 * (wanted_biceps + wanted_triceps - biceps - triceps)
-        needed = jerk + 2.0 * decay * acceleration + weight_slope_at(g, angle) / g.inertia * velocity
+        needed = jerk + 2.0 * decay * acceleration + q.weight_slope[i] / g.inertia * velocity
         slopes = q.slope_biceps[i], q.slope_triceps[i]
         rate_biceps, rate_triceps = drive_rates(
             needed, tension_rate, velocity, slopes, g.inertia, p.drive_radius, p.joint_radius
@@ -559,7 +586,7 @@ def run_torque(p, g, s, q, first, end):
             q.reference_rate[i] - velocity,
             g.virtual_stiffness,
             g.virtual_damping,
-            weight_torque(g.weight, angle) + q.load[i],
+            q.weight[i] + q.load[i],
             g.max_force * p.joint_radius,
         )
         missing = torque - p.joint_radius * (biceps - triceps)
@@ -590,7 +617,7 @@ def run_cascade(p, g, s, q, first, end):
     for i in range(first, end):
         biceps, triceps = hold_reference(p, g, s, q, i)
         error = integrate_position(p, g, s, q, i)
-        torque = weight_torque(g.weight, q.reference[i])
+        torque = q.reference_weight[i]
         torque += p.joint_radius * force_difference(error, q.velocity[i], g.kp, g.kd)
         tension = affordable_tension(torque, s.tension_setpoint[i], p.joint_radius, g.max_force)
         want_biceps, want_triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
@@ -613,7 +640,7 @@ def find_torque(p, g, s, q, i):
         q.reference_acceleration[i], q.reference_rate[i] - q.velocity[i], error, q.integral[i], g.kd, g.kp
     )
     decay = decay_rate(tension, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    torque = joint_torque(wanted, q.reference_rate[i], s.measured_angle[i], g.inertia, decay, g.weight)
+    torque = joint_torque(wanted, q.reference_rate[i], g.inertia, decay, q.weight[i])
     most = p.joint_radius * (g.max_force - least)
     rise, fall = headroom(p, s, i)  # a spring at its end is no limit: the other string can be let go
     q.integral[i] = integrate(

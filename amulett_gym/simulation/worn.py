@@ -18,7 +18,7 @@ from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.cable import next_loss
 from amulett_gym.model.cuff import cuff_torque
 from amulett_gym.model.damping import decay_rate, preload_force
-from amulett_gym.model.plant import joint_acceleration
+from amulett_gym.model.plant import joint_acceleration, weight_torque
 from amulett_gym.model.sensors import quantise
 from amulett_gym.model.wearer import PASSIVE_DAMPING, activation_rate, excitations, muscle_damping, muscle_torque
 from amulett_gym.simulation import layout
@@ -41,6 +41,7 @@ from amulett_gym.simulation.kernel import (
     step,
     string_forces,
     track_steps,
+    weigh,
 )
 from amulett_gym.simulation.random import noise
 from amulett_gym.simulation.worn_layout import ARM_BLOCK, DELAY
@@ -84,6 +85,7 @@ def tick(p, c, s, m, k, paths, loop, extended, worn, own, block, first, end):
     predict(s, loop, own, block, first, end)
     begin_motion(p, c, s, m, first, end)
     shake(p, c, s, m, first, end)
+    weigh_intention(h, w, k, first, end)
     excite(p, c, s, m, h, w, k, first, end)
     move(p, c, s, m, f, h, w, k, first, end, extended)
     end_arm(p, c, s, f, h, w, k, first, end)
@@ -104,7 +106,7 @@ def excite(p, c, s, m, h, w, k, first, end):
         answer = h.feedback_stiffness[i] * w.error_line[then, i] + h.feedback_damping[i] * w.rate_line[then, i]
         lost = w.correction[i] / h.relaxation_time[i]
         w.correction[i] += p.control_period * (answer / h.correction_time[i] - lost)
-        excite_muscles(h, w, i, answer + w.correction[i])
+        excite_muscles(h, w, i, k.weight_torque[i], answer + w.correction[i])
         loaded = choose(s.tick[i] >= h.load_tick[i], 1.0, 0.0)
         k.inertia[i] = h.inertia[i] + loaded * h.load_inertia[i]
         k.weight[i] = h.weight[i] + loaded * h.load_weight[i]
@@ -121,15 +123,15 @@ def excite(p, c, s, m, h, w, k, first, end):
 
 
 @compiled
-def excite_muscles(h, w, i, answer):
-    """Set the excitations for the motion and the weight that the wearer expects, and for the answer to errors.
+def excite_muscles(h, w, i, weight, answer):
+    """Set the excitations for motion and weight [N m] that the wearer expects, and for the answer to errors.
 
     A guided wearer is relaxed.
     """
     tone, strength, co_contraction = h.tone[i], h.strength[i], h.co_contraction[i]
     friction = PASSIVE_DAMPING + muscle_damping(co_contraction, co_contraction, tone, strength)
     motion = h.inertia[i] * w.intention_acceleration[i] + friction * w.intention_rate[i]
-    torque = weight_torque(h.weight[i], w.intention[i]) + h.anticipation[i] * motion + answer
+    torque = weight + h.anticipation[i] * motion + answer
     flexor, extensor = excitations(torque, co_contraction, tone, strength)
     guided = h.guided[i] > 0.0
     w.excitation_flexor[i] = choose(guided, co_contraction, flexor)
@@ -137,9 +139,28 @@ def excite_muscles(h, w, i, answer):
 
 
 @compiled
-def weight_torque(weight, angle):
-    """Return the torque that an arm's weight needs at the elbow [N m]; no sine, which takes long, if it weighs none."""
-    return weight * math.sin(angle) if weight != 0.0 else 0.0
+def weigh_intention(h, w, k, first, end):
+    """Set the torque of the arm's weight at the intended angle, where it has one; see `weigh_arm`."""
+    for i in range(first, end):
+        k.weight_torque[i] = 0.0
+    for i in range(first, end):
+        if h.weight[i] != 0.0:
+            k.weight_torque[i] = weight_torque(h.weight[i], w.intention[i])
+
+
+@compiled
+def weigh_all(c, m, k, first, end, reach):
+    """Set the torques of both weights `reach` [s] ahead."""
+    weigh(c, m, first, end, reach)
+    weigh_arm(k, first, end, reach)
+
+
+@compiled
+def weigh_arm(k, first, end, reach):
+    """Set the torque of the arm's weight `reach` [s] ahead, where it has one, in a stage of its own: `kernel.weigh`."""
+    for i in range(first, end):
+        if k.weight[i] != 0.0:
+            k.weight_torque[i] = weight_torque(k.weight[i], k.elbow[i] + reach * k.elbow_slope[i])
 
 
 @compiled
@@ -171,9 +192,13 @@ def move_as(p, c, s, m, f, h, w, k, first, end, extended):
     """Integrate and read the sensors; `extended` as in `kernel.move_as`."""
     step_time = p.control_period / p.substeps
     for _ in range(p.substeps):
+        weigh_all(c, m, k, first, end, 0.0)
         evaluate(p, c, s, m, f, h, w, k, first, end, 0.0, 1.0, extended)
+        weigh_all(c, m, k, first, end, 0.5 * step_time)
         evaluate(p, c, s, m, f, h, w, k, first, end, 0.5 * step_time, 2.0, extended)
+        weigh_all(c, m, k, first, end, 0.5 * step_time)
         evaluate(p, c, s, m, f, h, w, k, first, end, 0.5 * step_time, 2.0, extended)
+        weigh_all(c, m, k, first, end, step_time)
         evaluate(p, c, s, m, f, h, w, k, first, end, step_time, 1.0, extended)
         if f.bend_biceps > 0.0 or f.bend_triceps > 0.0:
             slide(p, c, m, f, w, first, end, step_time)
@@ -200,12 +225,12 @@ def evaluate(p, c, s, m, f, h, w, k, first, end, reach, weight, extended):
         at_biceps = choose(f.at_drive, biceps, biceps * left_biceps)
         at_triceps = choose(f.at_drive, triceps, triceps * left_triceps)
         m.angle_rate[i] = v
-        m.velocity_rate[i] = joint_rate(p, c, i, x, v, at_biceps, at_triceps, -cuff)
+        m.velocity_rate[i] = joint_rate(p, c, i, v, at_biceps, at_triceps, m.weight[i], -cuff)
         biceps, triceps = at_biceps / left_biceps, at_triceps / left_triceps
         m.biceps_rate[i], m.triceps_rate[i] = drive_rates(p, c, s, i, a, b, biceps, triceps, extended)
         k.elbow_slope[i] = u
         torque = muscle_torque(flexor, extensor, y - k.rest[i], u, h.tone[i], h.strength[i])
-        torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - weight_torque(k.weight[i], y)
+        torque += cuff + w.hand_torque[i] + w.tremor[i] - PASSIVE_DAMPING * u - k.weight_torque[i]
         k.elbow_rate_slope[i] = torque / k.inertia[i]
         k.flexor_slope[i] = activation_rate(flexor, w.excitation_flexor[i])
         k.extensor_slope[i] = activation_rate(extensor, w.excitation_extensor[i])
@@ -213,13 +238,11 @@ def evaluate(p, c, s, m, f, h, w, k, first, end, reach, weight, extended):
 
 
 @compiled
-def joint_rate(p, c, i, angle, velocity, biceps, triceps, torque):
+def joint_rate(p, c, i, velocity, biceps, triceps, weight, torque):
     """Return the acceleration of the device's joint [rad/s2] by the forces of both strings [N] at it (eq. 1)."""
     preload = preload_force(biceps, triceps, p.damping_by_mean)
     decay = c.friction[i] * decay_rate(preload, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    return joint_acceleration(
-        angle, velocity, biceps, triceps, decay, torque, c.inertia[i], c.static_torque[i], p.joint_radius
-    )
+    return joint_acceleration(velocity, biceps, triceps, decay, weight, torque, c.inertia[i], p.joint_radius)
 
 
 @compiled
@@ -380,6 +403,6 @@ def settle_worn(p, which, c_blocks, s_blocks, paths, loop, extended, worn, devic
         s, h, w = s_blocks[block], worn[1][block], worn[2][block]
         w.elbow[i] = w.followed[i] = s.angle[i]
         w.intention[i] = s.setpoint[i]
-        excite_muscles(h, w, i, 0.0)
+        excite_muscles(h, w, i, weight_torque(h.weight[i], w.intention[i]), 0.0)
         w.flexor[i], w.extensor[i] = w.excitation_flexor[i], w.excitation_extensor[i]
         s.setpoint[i], s.setpoint_jump[i] = w.followed[i], 0.0

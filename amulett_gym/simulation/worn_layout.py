@@ -68,7 +68,9 @@ WORN_BLOCK = block(_WORN_FIELDS)
 
 ARM_BLOCK = block(
     fields("elbow elbow_rate flexor extensor")
-    + fields("inertia weight rest")  # with what is in the hand; posture in which the muscles are in balance
+    + fields(
+        "inertia weight weight_torque rest"
+    )  # with what is in the hand; posture in which the muscles are in balance
     + fields("elbow_slope elbow_rate_slope flexor_slope extensor_slope")
     + fields("elbow_sum elbow_rate_sum flexor_sum extensor_sum")
 )

@@ -7,6 +7,7 @@ import pytest
 
 from amulett_gym.control.computed_torque import followed_rate, wanted_acceleration
 from amulett_gym.control.inverse_dynamics import joint_torque
+from amulett_gym.model.plant import weight_torque
 
 
 def test_the_error_obeys_its_linear_dynamics():
@@ -16,11 +17,11 @@ def test_the_error_obeys_its_linear_dynamics():
     angle, rate, integral, errors = 0.3, 0.0, 0.0, []
     for _ in range(40000):
         error, error_rate = 0.5 - angle, -rate
-        torque = joint_torque(
-            wanted_acceleration(0.0, error_rate, error, integral, kd, kp), rate, angle, inertia, decay, weight
-        )
+        holding = weight_torque(weight, angle)
+        wanted = wanted_acceleration(0.0, error_rate, error, integral, kd, kp)
+        torque = joint_torque(wanted, rate, inertia, decay, holding)
         integral += ki * error * step
-        rate += step * ((torque - weight * np.sin(angle)) / inertia - 2.0 * decay * rate)
+        rate += step * ((torque - holding) / inertia - 2.0 * decay * rate)
         angle += step * rate
         errors.append(error)
     poles = np.array([-5.0, -10.0, -20.0])

@@ -7,7 +7,14 @@ import pytest
 
 from amulett_gym.control.feedback_linearisation import decoupling_determinant, desired_jerk, drive_rates, tautness
 from amulett_gym.model.damping import decay_rate, preload_force
-from amulett_gym.model.plant import deflection_biceps, deflection_triceps, inertia, joint_acceleration, static_torque
+from amulett_gym.model.plant import (
+    deflection_biceps,
+    deflection_triceps,
+    inertia,
+    joint_acceleration,
+    static_torque,
+    weight_torque,
+)
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
 
@@ -43,7 +50,7 @@ def outputs(angle: float, velocity: float, turned: np.ndarray, constant_decay: b
     shift = damping.b * damping.c  # the testbed's fit is the shifted one
     decay = decay_rate(preload_force(*pulls, True), damping.a, damping.b, shift, damping.d)
     decay = DECAY if constant_decay else decay
-    acceleration = joint_acceleration(angle, velocity, *pulls, decay, 0.0, INERTIA, WEIGHT, RADII[1])
+    acceleration = joint_acceleration(velocity, *pulls, decay, weight_torque(WEIGHT, angle), 0.0, INERTIA, RADII[1])
     return np.array([acceleration, sum(pulls) / 2.0])
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from amulett_gym.control.inverse_dynamics import joint_torque
-from amulett_gym.model.plant import joint_acceleration
+from amulett_gym.model.plant import joint_acceleration, weight_torque
 
 
 @pytest.mark.parametrize("acceleration", [-40.0, 0.0, 7.0])
 def test_the_plant_accelerates_as_asked(acceleration):
-    angle, rate, inertia, decay, weight, radius = 0.7, -1.5, 0.005, 5.4, 0.33, 0.04
-    torque = joint_torque(acceleration, rate, angle, inertia, decay, weight)
-    found = joint_acceleration(angle, rate, 10.0 + torque / radius, 10.0, decay, 0.0, inertia, weight, radius)
+    rate, inertia, decay, weight, radius = -1.5, 0.005, 5.4, weight_torque(0.33, 0.7), 0.04
+    torque = joint_torque(acceleration, rate, inertia, decay, weight)
+    found = joint_acceleration(rate, 10.0 + torque / radius, 10.0, decay, weight, 0.0, inertia, radius)
     assert found == pytest.approx(acceleration, abs=1e-9)

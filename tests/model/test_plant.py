@@ -17,6 +17,7 @@ from amulett_gym.model.plant import (
     inertia,
     joint_acceleration,
     static_torque,
+    weight_torque,
 )
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import build_tables
@@ -78,15 +79,16 @@ def test_a_drive_at_the_wound_angle_leaves_its_string_just_slack(joint, drive):
 
 def test_eq_1_by_hand():
     # (5 N - 2 N) 0.04 m = 0.12 N m; gravity 0.3 sin 30 deg = 0.15 N m; a push of 0.05 N m; 2 delta x' = 2 * 3 * 0.5
-    acceleration = joint_acceleration(math.pi / 6, 0.5, 5.0, 2.0, 3.0, 0.05, 0.004, 0.3, 0.04)
+    weight = weight_torque(0.3, math.pi / 6)
+    acceleration = joint_acceleration(0.5, 5.0, 2.0, 3.0, weight, 0.05, 0.004, 0.04)
     assert acceleration == pytest.approx((0.12 - 0.15 + 0.05) / 0.004 - 3.0)
 
 
 @given(angles, rates, forces, forces, torques)
 def test_eq_1_is_the_same_for_flexion_and_extension(joint, rate, biceps, triceps, push):
-    arm = (0.0035, 0.2, 0.04)
-    flexing = joint_acceleration(joint, rate, biceps, triceps, 4.0, push, *arm)
-    extending = joint_acceleration(-joint, -rate, triceps, biceps, 4.0, -push, *arm)
+    arm = (0.0035, 0.04)
+    flexing = joint_acceleration(rate, biceps, triceps, 4.0, weight_torque(0.2, joint), push, *arm)
+    extending = joint_acceleration(-rate, triceps, biceps, 4.0, weight_torque(0.2, -joint), -push, *arm)
     assert flexing == pytest.approx(-extending, rel=1e-12, abs=1e-9)
 
 

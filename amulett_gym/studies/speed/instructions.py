@@ -1,5 +1,7 @@
 """Count the arithmetic instructions of the stages of tick and loops: how many of them work on several lanes at once.
 
+Functions of the C library are named, too: a vectorised stage calls them for every lane, whatever it needs.
+
 ::
 
     python -m amulett_gym.studies.speed.instructions
@@ -31,7 +33,7 @@ from numba import types
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.table import Table
-from amulett_gym.simulation import kernel, layout, loops
+from amulett_gym.simulation import kernel, layout, loops, worn
 from amulett_gym.simulation.layout import (
     DRIVES,
     LOOP_BLOCK,
@@ -41,32 +43,38 @@ from amulett_gym.simulation.layout import (
     SCENARIO_BLOCK,
     STATE_BLOCK,
 )
+from amulett_gym.simulation.worn_layout import ARM_BLOCK, FITTING, PERSON_BLOCK, WORN_BLOCK
 from amulett_gym.storage.writing import write_json
 
 RECORDED = "instructions.json"
 TARGETS = ("x86-64-v3", "icelake-server")
 """Processors without and with AVX-512, as LLVM names them."""
 
-Counts = dict[str, dict[str, int]]
+Counts = dict[str, dict[str, Any]]
 
 _P, _C, _S, _M = map(numba.from_dtype, (PARAMETERS, SCENARIO_BLOCK, STATE_BLOCK, layout.MOTION_BLOCK))
 _G, _Q = map(numba.from_dtype, (LOOP_PARAMETERS, LOOP_BLOCK))
+_F, _H, _W, _K = map(numba.from_dtype, (FITTING, PERSON_BLOCK, WORN_BLOCK, ARM_BLOCK))
 _LANES = types.uint64, types.uint64
-STAGES: dict[str, tuple[Any, ...]] = {
-    "start_counting": (_P, _C, _S, _M, *_LANES),
-    "run_paper_loop": (_P, _S, _M, *_LANES),
-    "begin_motion": (_P, _C, _S, _M, *_LANES),
-    "evaluate": (_P, _C, _S, _M, *_LANES, types.float64, types.float64, types.none),
-    "step": (_M, *_LANES, types.float64),
-    "sense": (_P, _C, _S, _M, *_LANES, types.none),
-    "follow_moves": (_P, _C, _S, *_LANES),
-    "track_steps": (_P, _C, _S, _M, *_LANES),
-    "observe_device": (_P, _G, _S, _Q, *_LANES),
-    **{f"run_{loop.replace('-', '_')}": (_P, _G, _S, _Q, *_LANES) for loop in (*LOOPS, DRIVES)},
+_REACH = types.float64, types.float64, types.none
+_OF_LOOPS = ["observe_device", "find_needed_torque", *(f"run_{name.replace('-', '_')}" for name in (*LOOPS, DRIVES))]
+STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "start_counting": (kernel.start_counting, (_P, _C, _S, _M, *_LANES)),
+    "run_paper_loop": (kernel.run_paper_loop, (_P, _S, _M, *_LANES)),
+    "begin_motion": (kernel.begin_motion, (_P, _C, _S, _M, *_LANES)),
+    "evaluate": (kernel.evaluate, (_P, _C, _S, _M, *_LANES, *_REACH)),
+    "step": (kernel.step, (_M, *_LANES, types.float64)),
+    "sense": (kernel.sense, (_P, _C, _S, _M, *_LANES, types.none)),
+    "follow_moves": (kernel.follow_moves, (_P, _C, _S, *_LANES)),
+    "track_steps": (kernel.track_steps, (_P, _C, _S, _M, *_LANES)),
+    **{name: (getattr(loops, name), (_P, _G, _S, _Q, *_LANES)) for name in _OF_LOOPS},
+    "worn excite": (worn.excite, (_P, _C, _S, _M, _H, _W, _K, *_LANES)),
+    "worn evaluate": (worn.evaluate, (_P, _C, _S, _M, _F, _H, _W, _K, *_LANES, *_REACH)),
 }
-"""The stages of `simulation.kernel` and `simulation.loops` that do most of the work -> types of their arguments."""
+"""The stages of `simulation.kernel`, `loops` and `worn` that do most of the work, with the types of their arguments."""
 
 _ARITHMETIC = re.compile(r"v?(?:add|sub|mul|div|max|min|sqrt|round|rndscale|cmp\w*|and|andn|blendv|blendm)([ps])d")
+_LIBRARY = re.compile(r"\b(cos|exp|log|pow|sin)(?:@PLT)?$")
 _WIDTHS = {"zmm": 512, "ymm": 256, "xmm": 128}
 
 
@@ -76,7 +84,8 @@ def count() -> Counts:
     Returns
     -------
     dict
-        Stage -> ``scalar``, ``packed`` (for several lanes) and ``bits``, the widest registers of packed ones.
+        Stage -> ``scalar``, ``packed`` (for several lanes), ``bits``, the widest registers of packed ones, and
+        ``functions``, the names of those of the C library that it calls.
     """
     return {stage: counted(machine_code(stage)) for stage in STAGES}
 
@@ -100,16 +109,17 @@ def _own_target() -> str:
 
 def machine_code(stage: str) -> str:
     """Return a stage's machine code as this process compiles it; it is compiled anew, and not kept."""
-    kept = getattr(loops if hasattr(loops, stage) else kernel, stage)
+    kept, argument_types = STAGES[stage]
     function = numba.jit(**kept.targetoptions)(kept.py_func)
-    function.compile(STAGES[stage])
+    function.compile(argument_types)
     (code,) = function.inspect_asm().values()
     return str(code)
 
 
-def counted(code: str) -> dict[str, int]:
+def counted(code: str) -> dict[str, Any]:
     """Return the counts of a text of machine code."""
-    found = {"scalar": 0, "packed": 0, "bits": 64}
+    found: dict[str, Any] = {"scalar": 0, "packed": 0, "bits": 64}
+    functions = set()
     for line in code.splitlines():
         name, _, operands = line.strip().partition("\t")
         if match := _ARITHMETIC.fullmatch(name):
@@ -117,7 +127,9 @@ def counted(code: str) -> dict[str, int]:
             found["packed" if packed else "scalar"] += 1
             if packed:
                 found["bits"] = max([found["bits"], *(bits for name, bits in _WIDTHS.items() if name in operands)])
-    return found
+        if match := _LIBRARY.search(operands.split(",")[0]):
+            functions.add(match[1])
+    return found | {"functions": sorted(functions)}
 
 
 def count_for(target: str) -> Counts:
@@ -149,11 +161,14 @@ def llvm_version() -> str:
     return ".".join(map(str, llvm.llvm_version_info))
 
 
-def text(counts: Mapping[str, Mapping[str, int]], target: str) -> str:
+def text(counts: Mapping[str, Mapping[str, Any]], target: str) -> str:
     """Return counts as a table."""
-    rows = [[stage, *(str(numbers[key]) for key in ("packed", "scalar", "bits"))] for stage, numbers in counts.items()]
+    rows = [
+        [stage, *(str(numbers[key]) for key in ("packed", "scalar", "bits")), ", ".join(numbers["functions"]) or "-"]
+        for stage, numbers in counts.items()
+    ]
     title = f"Instructions on 64-bit floats, compiled for {target}"
-    return Table(title, ("stage", "packed", "scalar", "widest registers [bits]"), rows).text()
+    return Table(title, ("stage", "packed", "scalar", "widest registers [bits]", "of the C library"), rows).text()
 
 
 def main() -> int:

@@ -13,8 +13,13 @@ pytestmark = pytest.mark.skipif(platform.machine() != "x86_64", reason="the coun
 
 def test_arithmetic_is_counted_by_the_number_of_lanes():
     arithmetic = "\tvmulpd\t%ymm1, %ymm2, %ymm3\n\tvaddsd\t%xmm1, %xmm2, %xmm2\n\tvsubpd\t%xmm1, %xmm2\n"
-    assert counted(arithmetic + "\tvmovapd\t%zmm1, %zmm2\n") == {"scalar": 1, "packed": 2, "bits": 256}
-    assert counted("\taddsd\t%xmm0, %xmm1\n") == {"scalar": 1, "packed": 0, "bits": 64}
+    assert counted(arithmetic + "\tvmovapd\t%zmm1, %zmm2\n") == {"scalar": 1, "packed": 2, "bits": 256, "functions": []}
+    assert counted("\taddsd\t%xmm0, %xmm1\n")["scalar"] == 1
+
+
+@pytest.mark.parametrize("call", ["\tmovabsq\t$exp, %rbp\n", "\tcallq\texp\n", "\tcallq\texp@PLT\n"])
+def test_functions_of_the_c_library_are_named(call):
+    assert counted(call + "\tvmulpd\t%ymm1, %ymm2, %ymm3\n\tmovq\texpected, %rax\n")["functions"] == ["exp"]
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -29,6 +34,8 @@ def test_stages_are_as_packed_as_they_were(target):
         assert now[stage]["packed"] >= 0.9 * numbers["packed"], stage
         assert now[stage]["scalar"] <= 1.1 * numbers["scalar"] + 2, stage
         assert now[stage]["bits"] >= numbers["bits"], stage
+        # A sine in a vectorised stage is computed for devices without weight, too: it took a quarter of the tick.
+        assert set(now[stage]["functions"]) <= set(numbers["functions"]) <= {"exp"}, stage
 
 
 def test_an_unknown_processor_is_named(monkeypatch, capsys):
