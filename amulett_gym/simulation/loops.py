@@ -77,18 +77,13 @@ def weigh(g, s, q, first, end):
     if g.weight != 0.0:
         for i in range(first, end):
             if observes(g):
-                set_observed_weight(g, q, i)
+                q.weight[i] = weight_torque(g.weight, q.observed_angle[i])
+            if g.loop == FEEDBACK_LINEARISATION:
+                q.weight_slope[i] = g.weight * math.cos(q.observed_angle[i])
             if g.loop in AT_REFERENCE:
                 q.reference_weight[i] = weight_torque(g.weight, q.reference[i])
             if g.loop in AT_MEASURED_ANGLE:
                 q.weight[i] = weight_torque(g.weight, s.measured_angle[i])
-
-
-@compiled
-def set_observed_weight(g, q, i):
-    """Set the weight's torque [N m] at the observed angle, and its slope by the angle [N m/rad]."""
-    q.weight[i] = weight_torque(g.weight, q.observed_angle[i])
-    q.weight_slope[i] = g.weight * math.cos(q.observed_angle[i])
 
 
 @compiled
@@ -324,7 +319,7 @@ def begin_estimates(p, g, c, s, q, i):
     q.correction_triceps[i] = find_position(g.force_table, g.position_table, q.force_triceps[i]) - at_triceps
     q.slope_biceps[i] = slope_at(g, at_biceps + q.correction_biceps[i]) * g.inverse_max_deflection
     q.slope_triceps[i] = slope_at(g, at_triceps + q.correction_triceps[i]) * g.inverse_max_deflection
-    set_observed_weight(g, q, i)
+    q.weight[i] = weight_torque(g.weight, q.observed_angle[i])
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
     q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - q.weight[i]

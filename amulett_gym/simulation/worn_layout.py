@@ -68,7 +68,7 @@ WORN_BLOCK = block(_WORN_FIELDS)
 
 ARM_BLOCK = block(
     fields("elbow elbow_rate flexor extensor")
-    # with what is in the hand; the weight's torque in the present posture, and the one in which the muscles are in balance
+    # with what is in the hand; the weight's torque now; the posture in which the muscles are in balance
     + fields("inertia weight weight_torque rest")
     + fields("elbow_slope elbow_rate_slope flexor_slope extensor_slope")
     + fields("elbow_sum elbow_rate_sum flexor_sum extensor_sum")
