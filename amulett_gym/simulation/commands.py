@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from amulett_gym.control.agonist import select_agonist
 from amulett_gym.control.variable_stiffness import scaling_factor, scaling_factor_printed
-from amulett_gym.jit.compiled import compiled
+from amulett_gym.jit.compiled import compiled, compiled_lanes
 from amulett_gym.simulation import layout
 
 FARTHEST = 1e100  # [rad], [rad/s]; beyond, the square in a metric could overflow
@@ -21,17 +22,37 @@ def low_pass(last, value, time_constant, period):
     return last + (value - last) * period / (time_constant + period)
 
 
-@compiled
-def choose_tension(p, s, i, error):
-    """Return the tension setpoint [N]: the agent's, interpolated, or eq. 6 at control rate."""
+@compiled_lanes
+def choose_agonists(p, s, m, first, end):
+    """Choose the agonists, and note where they switch."""
+    for i in range(first, end):
+        error = s.setpoint[i] - s.measured_angle[i]
+        selected = select_agonist(
+            s.agonist[i], s.measured_difference[i], error, p.switch_hysteresis, p.tie_width, p.tie_error
+        )
+        agonist = choose(p.fixed_agonist == 0.0, selected, p.fixed_agonist)
+        m.switched[i] = choose(agonist != s.agonist[i], 1.0, 0.0)
+        s.agonist[i] = agonist
+        s.switch_count[i] += m.counting[i] * m.switched[i]
+
+
+@compiled_lanes
+def choose_tensions(p, s, first, end):
+    """Set the tension setpoints [N]: the agent's, interpolated, or eq. 6 at control rate."""
     if p.law == layout.AGENT:
-        s.tension_command[i] += s.tension_rate[i]
-        return s.tension_command[i]
-    if p.law == layout.EQ6:
-        factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
+        for i in range(first, end):
+            s.tension_command[i] += s.tension_rate[i]
+            s.tension_setpoint[i] = s.tension_command[i]
+    elif p.law == layout.EQ6:
+        for i in range(first, end):
+            error = s.setpoint[i] - s.measured_angle[i]
+            factor = scaling_factor(error, p.nominal_tension, p.minimum_tension, p.error_offset)
+            s.tension_setpoint[i] = factor * p.nominal_tension
     else:
-        factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
-    return factor * p.nominal_tension
+        for i in range(first, end):
+            error = s.setpoint[i] - s.measured_angle[i]
+            factor = scaling_factor_printed(error, p.nominal_tension, p.minimum_tension, p.error_offset)
+            s.tension_setpoint[i] = factor * p.nominal_tension
 
 
 @compiled

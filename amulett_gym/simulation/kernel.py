@@ -5,11 +5,12 @@ between two ticks observes exactly what the loop observes. Every function takes 
 `c`, a block of states `s` and the lane `i` of the device in the block (see :mod:`amulett_gym.simulation.layout`); `m`
 is the block's motion within the tick.
 
-A tick is a sequence of stages, each a loop over the block's lanes that the compiler can vectorise (SIMD). Therefore:
-where lanes differ, both values are computed and one is chosen; loops whose length differs from lane to lane have a
-stage of their own; so do sines that most devices do not need, since vectorised code computes what a branch would skip;
-and no stage is too long (`control` and `begin_motion` in one loop are a fifth slower). A lane's
-arithmetic does not depend on its position, so the bits depend neither on the device's neighbours nor on their number.
+A tick is a sequence of stages, each one or more loops over the block's lanes that the compiler can vectorise (SIMD).
+Therefore: where lanes differ, both values are computed and one is chosen; loops whose length differs from lane to lane
+have a stage of their own; so do sines that most devices do not need, since vectorised code computes what a branch would
+skip; choices that are the same for all lanes are made outside the loops, since a parameter that is read in a branch of
+a loop is fetched for each lane; and no stage is too long. A lane's arithmetic does not depend on its position, so the
+bits depend neither on the device's neighbours nor on their number.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import math
 
 import numpy as np
 
-from amulett_gym.control.agonist import BICEPS, TRICEPS, select_agonist
+from amulett_gym.control.agonist import BICEPS, TRICEPS
 from amulett_gym.control.pid import filtered_derivative, integrate
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
@@ -41,7 +42,7 @@ from amulett_gym.model.spring import (
     slope_beyond,
 )
 from amulett_gym.simulation import layout
-from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
+from amulett_gym.simulation.commands import FARTHEST, choose, choose_agonists, choose_tensions, command_drives, low_pass
 from amulett_gym.simulation.loops import begin_loop, predict_drives, run_loop
 from amulett_gym.simulation.random import noise, random_bits
 
@@ -137,11 +138,14 @@ def act(p, s, m, loop, own, block, first, end):
         run_loop(p, loop[0][own], s, loop[1][block], m, first, end)
 
 
-@compiled_lanes
+@compiled
 def run_paper_loop(p, s, m, first, end):
-    """Stage 1 with the loop of section 2.2."""
-    for i in range(first, end):
-        control(p, s, m, i)
+    """Stage 1 with the loop of section 2.2: set both drives' position commands from the sensor readings."""
+    choose_agonists(p, s, m, first, end)
+    if p.tension_loop:
+        choose_tensions(p, s, first, end)
+        control_tensions(p, s, m, first, end)
+    control_positions(p, s, m, first, end)
 
 
 @compiled
@@ -358,37 +362,40 @@ def track_steps(p, c, s, m, first, end):
         track_step(p, c, s, m, i)
 
 
-@compiled
-def control(p, s, m, i):
-    """Section 2.2: set both drives' position commands from the sensor readings."""
-    error = s.setpoint[i] - s.measured_angle[i]
-    agonist = p.fixed_agonist
-    if agonist == 0.0:
-        agonist = select_agonist(
-            s.agonist[i], s.measured_difference[i], error, p.switch_hysteresis, p.tie_width, p.tie_error
-        )
-    switched = agonist != s.agonist[i]
-    s.agonist[i] = agonist
-    s.switch_count[i] += m.counting[i] if switched else 0.0
-    last_position_output = s.position_output[i]
-    control_position(p, s, i, error)
-    biceps_share = triceps_share = 1.0
-    if p.tension_loop:
-        biceps_share = 1.0 if agonist == BICEPS else p.antagonist_share
-        triceps_share = p.antagonist_share if agonist == BICEPS else 1.0
-        s.tension_setpoint[i] = choose_tension(p, s, i, error)
+@compiled_lanes
+def control_tensions(p, s, m, first, end):
+    """Run the tension controllers, and set the offsets of a new agonist's and antagonist's commands."""
+    for i in range(first, end):
+        switched = m.switched[i] > 0.0
         control_tension(p, s, i, switched)
         # At a switch the offsets are set from the previous commands: each command then changes by the position
         # controller's ordinary increment only, although the tension controller restarts on the other string.
-        offset_biceps = s.command_biceps[i] - biceps_share * last_position_output
-        offset_triceps = s.command_triceps[i] - triceps_share * last_position_output
+        biceps_share, triceps_share = shares(p, s.agonist[i])
+        offset_biceps = s.command_biceps[i] - biceps_share * s.position_output[i]
+        offset_triceps = s.command_triceps[i] - triceps_share * s.position_output[i]
         s.offset_biceps[i] = choose(switched, offset_biceps, s.offset_biceps[i])
         s.offset_triceps[i] = choose(switched, offset_triceps, s.offset_triceps[i])
-    pull = s.tension_output[i]
-    biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
-    triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
-    kick = setpoint_kick(p, s, m, i)
-    command_drives(p, s, m, i, biceps, triceps, biceps_share * kick, triceps_share * kick)
+
+
+@compiled_lanes
+def control_positions(p, s, m, first, end):
+    """Run the position controllers, and command the drives."""
+    for i in range(first, end):
+        control_position(p, s, i, s.setpoint[i] - s.measured_angle[i])
+        agonist, pull = s.agonist[i], s.tension_output[i]
+        biceps_share, triceps_share = shares(p, agonist)
+        biceps = s.offset_biceps[i] + biceps_share * s.position_output[i] + (pull if agonist == TRICEPS else 0.0)
+        triceps = s.offset_triceps[i] + triceps_share * s.position_output[i] - (pull if agonist == BICEPS else 0.0)
+        kick = setpoint_kick(p, s, m, i)
+        command_drives(p, s, m, i, biceps, triceps, biceps_share * kick, triceps_share * kick)
+
+
+@compiled
+def shares(p, agonist):
+    """Return the shares of the position controller's output in the commands of biceps' and triceps' drive."""
+    biceps = choose(agonist == BICEPS, 1.0, p.antagonist_share)
+    triceps = choose(agonist == BICEPS, p.antagonist_share, 1.0)
+    return biceps, triceps
 
 
 @compiled
@@ -420,7 +427,7 @@ def control_tension(p, s, i, restart):
     measured = choose(biceps_is_antagonist, s.measured_biceps[i], s.measured_triceps[i])
     command = choose(biceps_is_antagonist, s.command_biceps[i], -s.command_triceps[i])
     error = s.tension_setpoint[i] - estimate
-    if untrusted and p.below_floor == layout.IGNORE:
+    if p.below_floor == layout.IGNORE and untrusted:
         error = 0.0
     signal = error if p.tension_on_error else -estimate
     derivative = filtered_derivative(
@@ -432,7 +439,7 @@ def control_tension(p, s, i, restart):
         error,
         p.tension_ki,
         p.control_period,
-        command < p.command_limit and measured < p.slider_end,
+        measured < p.slider_end and command < p.command_limit,
         command > -p.command_limit and not untrusted,
     )
     s.tension_derivative[i] = 0.0 if restart else derivative

@@ -268,11 +268,11 @@ Loop = tuple[NDArray[np.void], NDArray[np.void]]
 """`LOOP_PARAMETERS` of each profile, and blocks of `LOOP_BLOCK`."""
 
 MOTION_BLOCK = block(
-    fields("counting push weight angle velocity biceps triceps angle_rate velocity_rate biceps_rate triceps_rate")
-    + fields("angle_sum velocity_sum biceps_sum triceps_sum")
+    fields("counting switched push weight angle velocity biceps triceps")
+    + fields("angle_rate velocity_rate biceps_rate triceps_rate angle_sum velocity_sum biceps_sum triceps_sum")
 )
-"""A block's motion within a tick: 1 if the tick counts in the metrics, else 0; the torques of push and weight [N m];
-joint and drives, with their last evaluated and their summed rates of change."""
+"""A block's motion within a tick: 1 if the tick counts in the metrics, else 0; 1 if the agonist has switched, else 0;
+the torques of push and weight [N m]; joint and drives, with their last evaluated and their summed rates of change."""
 STATE_NAMES = tuple(name for name, *_ in _STATE_FIELDS)
 
 

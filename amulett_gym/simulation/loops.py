@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 
-from amulett_gym.control.agonist import select_agonist
 from amulett_gym.control.cascade import force_difference, winding
 from amulett_gym.control.co_rotation import correction
 from amulett_gym.control.computed_torque import followed_rate, wanted_acceleration
@@ -34,7 +33,7 @@ from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration, weight_torque
 from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve, look_up_slope
-from amulett_gym.simulation.commands import FARTHEST, choose, choose_tension, command_drives, low_pass
+from amulett_gym.simulation.commands import FARTHEST, choose, choose_agonists, choose_tensions, command_drives, low_pass
 from amulett_gym.simulation.layout import LOOPS
 
 EQUILIBRIUM_POINT, CO_ROTATION = (LOOPS.index(name) for name in ("equilibrium-point", "co-rotation"))
@@ -117,20 +116,21 @@ def want(p, g, s, q, first, end):
         run_drives(p, g, s, q, first, end)
 
 
-@compiled_lanes
+@compiled
 def prepare(p, g, s, q, m, first, end):
-    """Choose agonist and tension setpoint, read setpoint and joint angle, and estimate the joint's rate."""
+    """Choose agonist and tension setpoint, read setpoint and joint angle, and estimate the joint's rate.
+
+    The agonist is reported, and the string of the tension's metrics; these loops treat both drives alike.
+    """
+    choose_agonists(p, s, m, first, end)
+    choose_tensions(p, s, first, end)
+    note_setpoints(p, g, s, q, first, end)
+
+
+@compiled_lanes
+def note_setpoints(p, g, s, q, first, end):
+    """Read the setpoints and the joint angles."""
     for i in range(first, end):
-        error = s.setpoint[i] - s.measured_angle[i]
-        agonist = p.fixed_agonist
-        if agonist == 0.0:
-            # Reported, and the string of the tension's metrics; these loops treat both drives alike.
-            agonist = select_agonist(
-                s.agonist[i], s.measured_difference[i], error, p.switch_hysteresis, p.tie_width, p.tie_error
-            )
-        s.switch_count[i] += m.counting[i] if agonist != s.agonist[i] else 0.0
-        s.agonist[i] = agonist
-        s.tension_setpoint[i] = choose_tension(p, s, i, error)
         note_setpoint(p, g, s, q, i)
 
 

@@ -33,7 +33,7 @@ from numba import types
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.table import Table
-from amulett_gym.simulation import kernel, layout, loops, worn
+from amulett_gym.simulation import commands, kernel, layout, loops, worn
 from amulett_gym.simulation.layout import (
     DRIVES,
     LOOP_BLOCK,
@@ -60,13 +60,17 @@ _REACH = types.float64, types.float64, types.none
 _OF_LOOPS = ["observe_device", "find_needed_torque", *(f"run_{name.replace('-', '_')}" for name in (*LOOPS, DRIVES))]
 STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "start_counting": (kernel.start_counting, (_P, _C, _S, _M, *_LANES)),
-    "run_paper_loop": (kernel.run_paper_loop, (_P, _S, _M, *_LANES)),
+    "choose_agonists": (commands.choose_agonists, (_P, _S, _M, *_LANES)),
+    "choose_tensions": (commands.choose_tensions, (_P, _S, *_LANES)),
+    "control_tensions": (kernel.control_tensions, (_P, _S, _M, *_LANES)),
+    "control_positions": (kernel.control_positions, (_P, _S, _M, *_LANES)),
     "begin_motion": (kernel.begin_motion, (_P, _C, _S, _M, *_LANES)),
     "evaluate": (kernel.evaluate, (_P, _C, _S, _M, *_LANES, *_REACH)),
     "step": (kernel.step, (_M, *_LANES, types.float64)),
     "sense": (kernel.sense, (_P, _C, _S, _M, *_LANES, types.none)),
     "follow_moves": (kernel.follow_moves, (_P, _C, _S, *_LANES)),
     "track_steps": (kernel.track_steps, (_P, _C, _S, _M, *_LANES)),
+    "note_setpoints": (loops.note_setpoints, (_P, _G, _S, _Q, *_LANES)),
     **{name: (getattr(loops, name), (_P, _G, _S, _Q, *_LANES)) for name in _OF_LOOPS},
     "worn excite": (worn.excite, (_P, _C, _S, _M, _H, _W, _K, *_LANES)),
     "worn evaluate": (worn.evaluate, (_P, _C, _S, _M, _F, _H, _W, _K, *_LANES, *_REACH)),
