@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.model.spring import find_position, look_up_curve
+from amulett_gym.model.spring import find_position, find_positions, look_up_curve
 
 STEPS = 3
 """Newton steps of `stiff_pair`: to 1e-3 N for the shipped springs, to 0.03 N for springs with another geometry."""
@@ -67,16 +67,16 @@ def stiff_pair(
     force_table: NDArray[np.float64],
     position_table: NDArray[np.float64],
     difference: float,
-    start: float,
+    tension: float,
     max_force: float,
-) -> tuple[float, float, float]:
-    """Return the string deflections that give a difference of forces at a stiffness, and the sum of the slopes there.
+) -> tuple[float, float, float, float]:
+    """Return the string deflections that give a difference of forces at a stiffness, and the sums of slopes.
 
     They solve f(y_g) - f(y_a) = |dF| and f'(y_a) + f'(y_g) = 2 f'(y_0) for agonist and antagonist: with a torque, the
-    stiffness K = R_2^2 (f'_a + f'_g) that both strings have at y_0 without. Newton's method has the determinant
-    f''_a f'_g + f''_g f'_a, which is positive where the spring stiffens: there K rises with the antagonist's tension.
-    Its result is limited to what can be had: a slack antagonist if the agonist alone is stiffer, and an agonist at the
-    largest force.
+    stiffness K = R_2^2 (f'_a + f'_g) that both strings have at y_0, where their force is the tension, without. Newton's
+    method has the determinant f''_a f'_g + f''_g f'_a, which is positive where the spring stiffens: there K rises with
+    the antagonist's tension. Its result is limited to what can be had: a slack antagonist if the agonist alone is
+    stiffer, and an agonist at the largest force.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def stiff_pair(
         f and its inverse (`model.spring.find_position`).
     difference : float
         dF, force of the biceps minus that of the triceps [N]; limited to `max_force`.
-    start : float
-        y_0 as a share of the table's range.
+    tension : float
+        f(y_0) [N].
     max_force : float
         f_max, force at which the springs saturate [N].
 
@@ -93,11 +93,11 @@ def stiff_pair(
     -------
     biceps, triceps : float
         Deflections as shares of the table's range.
-    slopes : float
-        f'_a + f'_g by such a share [N].
+    slopes, wanted : float
+        f'_a + f'_g and 2 f'_0 by such a share [N].
     """
     apart = min(abs(difference), max_force)
-    highest = find_position(force_table, position_table, max_force - apart)
+    start, highest = find_positions(force_table, position_table, tension, max_force - apart)
     _, slope, _ = look_up_curve(force_table, start)
     wanted = 2.0 * slope
     # As if the spring's slope were linear in its deflection.
@@ -120,4 +120,4 @@ def stiff_pair(
     agonist = find_position(force_table, position_table, force_a + apart)  # the torque without Newton's remainder
     _, slope_g, _ = look_up_curve(force_table, agonist)
     biceps, triceps = (agonist, antagonist) if difference >= 0.0 else (antagonist, agonist)
-    return biceps, triceps, slope_a + slope_g
+    return biceps, triceps, slope_a + slope_g, wanted

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.model.spring import find_position, look_up, look_up_curve
+from amulett_gym.model.spring import find_positions, look_up, look_up_curve
 
 STEPS = 3
 _LEAST = 0.3, 1e-9  # of a curvature, so that a step goes towards the minimum; of a squared slope [N2], if slack
@@ -74,6 +74,5 @@ def nearest_pair(
         antagonist = min(max(antagonist - share * (far - multiplier * slope), 0.0), 1.0)
         agonist = min(max(agonist - agonist_share * (agonist_far + multiplier * agonist_slope), 0.0), 1.0)
     tension = min(max(look_up(force_table, antagonist), least), max_force - apart)
-    antagonist = find_position(force_table, position_table, tension)
-    agonist = find_position(force_table, position_table, tension + apart)
+    antagonist, agonist = find_positions(force_table, position_table, tension, tension + apart)
     return agonist if flexes else antagonist, antagonist if flexes else agonist

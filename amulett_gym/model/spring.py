@@ -205,12 +205,18 @@ def _tables(
 
 
 @compiled
+def _cell(table: NDArray[np.float64], position: float) -> tuple[np.uint64, float]:
+    """Return the cell of a table at `position`, 0 to 1, and the place in the cell, 0 to 1."""
+    cells = table.shape[0]
+    scaled = position * cells
+    cell = min(int(scaled), cells - 1)
+    return np.uint64(cell), scaled - cell  # unsigned: numba checks whether a signed index is negative
+
+
+@compiled
 def look_up(table: NDArray[np.float64], position: float) -> float:
     """Return a table's value at `position`, 0 at its start and 1 at its end; constant beyond both."""
-    cells = table.shape[0]
-    scaled = min(max(position, 0.0), 1.0) * cells
-    cell = min(int(scaled), cells - 1)
-    w = scaled - cell
+    cell, w = _cell(table, min(max(position, 0.0), 1.0))
     return table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
 
 
@@ -219,20 +225,15 @@ def look_up_slope(table: NDArray[np.float64], position: float) -> float:
     """Return the slope of a table's value by `position`; zero beyond both ends."""
     if position < 0.0 or position > 1.0:
         return 0.0
-    cells = table.shape[0]
-    scaled = position * cells
-    cell = min(int(scaled), cells - 1)
-    w = scaled - cell
-    return (table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])) * cells
+    cell, w = _cell(table, position)
+    return (table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])) * table.shape[0]
 
 
 @compiled
 def look_up_curve(table: NDArray[np.float64], position: float) -> tuple[float, float, float]:
     """Return a table's value, its slope and its curvature by `position`; beyond both ends, those at the end."""
     cells = table.shape[0]
-    scaled = min(max(position, 0.0), 1.0) * cells
-    cell = min(int(scaled), cells - 1)
-    w = scaled - cell
+    cell, w = _cell(table, min(max(position, 0.0), 1.0))
     value = table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
     slope = table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])
     return value, slope * cells, (2.0 * table[cell, 2] + w * 6.0 * table[cell, 3]) * cells * cells
@@ -282,11 +283,43 @@ def find_position(force_table: NDArray[np.float64], position_table: NDArray[np.f
     The inverse table's value with one Newton step: to 1e-9 of the range for the shipped springs, in a tenth of the time
     of `inverse_look_up`.
     """
-    most = look_up(force_table, 1.0)
-    share = min(max(force / most, 0.0), 1.0)
-    position = look_up(position_table, math.sqrt(math.sqrt(share)))
-    slope = look_up_slope(force_table, position)
-    step = (share * most - look_up(force_table, position)) / slope if slope > 0.0 else 0.0
+    share = _force_share(force_table, force)
+    return _refined(force_table, _rough_position(position_table, share), share)
+
+
+@compiled
+def find_positions(
+    force_table: NDArray[np.float64], position_table: NDArray[np.float64], first: float, second: float
+) -> tuple[float, float]:
+    """Return the positions at two forces [N] (`find_position`).
+
+    Side by side they are found in less time than one after the other: each waits for roots, tables and quotients.
+    """
+    first_share, second_share = _force_share(force_table, first), _force_share(force_table, second)
+    first_position = _rough_position(position_table, first_share)
+    second_position = _rough_position(position_table, second_share)
+    first_position = _refined(force_table, first_position, first_share)
+    return first_position, _refined(force_table, second_position, second_share)
+
+
+@compiled
+def _force_share(force_table: NDArray[np.float64], force: float) -> float:
+    """Return a force [N] as a share of the table's largest, limited to what it has."""
+    return min(max(force / look_up(force_table, 1.0), 0.0), 1.0)
+
+
+@compiled
+def _rough_position(position_table: NDArray[np.float64], share: float) -> float:
+    """Return the inverse table's position at a share of the largest force."""
+    return look_up(position_table, math.sqrt(math.sqrt(share)))
+
+
+@compiled
+def _refined(force_table: NDArray[np.float64], position: float, share: float) -> float:
+    """Return a position after a Newton step towards a share of the largest force."""
+    value, slope, _ = look_up_curve(force_table, position)
+    inside = 0.0 <= position <= 1.0  # a table's end can be off by a rounding
+    step = (share * look_up(force_table, 1.0) - value) / slope if inside and slope > 0.0 else 0.0
     most_step = 1.0 / force_table.shape[0]
     return min(max(position + min(max(step, -most_step), most_step), 0.0), 1.0)
 

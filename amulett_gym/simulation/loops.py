@@ -32,7 +32,7 @@ from amulett_gym.control.torque import common_rate, desired_torque
 from amulett_gym.jit.compiled import compiled, compiled_in_place, compiled_lanes
 from amulett_gym.model.damping import decay_rate, preload_force
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps, joint_acceleration, weight_torque
-from amulett_gym.model.spring import estimate_force, find_position, look_up, look_up_curve, look_up_slope
+from amulett_gym.model.spring import estimate_force, find_position, find_positions, look_up, look_up_slope
 from amulett_gym.simulation.commands import FARTHEST, choose, choose_agonists, choose_tensions, command_drives, low_pass
 from amulett_gym.simulation.layout import LOOPS
 
@@ -257,8 +257,7 @@ def begin_loop(p, g, c, s, q, i):
 def hold_at(p, g, angle, torque, tension):
     """Return the drive angles [rad] that hold a joint angle [rad] with a torque [N m] at a tension [N]."""
     biceps, triceps = string_forces(torque, tension, p.joint_radius, g.max_force)
-    at_biceps = find_position(g.force_table, g.position_table, biceps)
-    return drives_at(p, g, angle, at_biceps, find_position(g.force_table, g.position_table, triceps))
+    return drives_at(p, g, angle, *find_positions(g.force_table, g.position_table, biceps, triceps))
 
 
 @compiled
@@ -428,11 +427,11 @@ def hold_stiff(p, g, s, i, angle, torque):
     it. Returned as well are the stiffness that the strings can have with the torque, and the antagonist's deflection as
     a share of the table's range.
     """
-    start = find_position(g.force_table, g.position_table, s.tension_setpoint[i])
-    _, slope, _ = look_up_curve(g.force_table, start)
     by_slope = g.inverse_max_deflection * p.joint_radius * p.joint_radius
-    s.stiffness_setpoint[i] = 2.0 * slope * by_slope
-    biceps, triceps, slopes = stiff_pair(g.force_table, g.position_table, torque / p.joint_radius, start, g.max_force)
+    biceps, triceps, slopes, wanted = stiff_pair(
+        g.force_table, g.position_table, torque / p.joint_radius, s.tension_setpoint[i], g.max_force
+    )
+    s.stiffness_setpoint[i] = wanted * by_slope
     antagonist = min(biceps, triceps)
     biceps, triceps = drives_at(p, g, angle, biceps, triceps)
     return biceps, triceps, slopes * by_slope, antagonist

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from amulett_gym.control.inverse_statics import affordable_tension, drive_angles, stiff_pair, string_forces
 from amulett_gym.model.plant import deflection_biceps, deflection_triceps
-from amulett_gym.model.spring import build_tables, find_position, inverse_look_up
+from amulett_gym.model.spring import build_tables, find_position, find_positions, inverse_look_up
 from amulett_gym.profile import load_profile
 
 PLANT = load_profile("testbed").plant
@@ -64,6 +64,12 @@ def test_the_fast_inverse_is_that_by_bisection(force):
     )
 
 
+def test_a_pair_of_positions_is_that_of_both_forces():
+    forces = 0.7, 12.0
+    both = tuple(find_position(TABLES.force, TABLES.position, force) for force in forces)
+    assert find_positions(TABLES.force, TABLES.position, *forces) == both
+
+
 def test_the_fast_inverse_takes_a_curve_with_a_flat_part():
     curve = "deflection_m,force_N\n0,0\n0.001,5\n0.002,5.0001\n0.003,12\n"
     tables = build_tables(load_profile({"name": "flat", "base": "testbed", "spring": {"measured_curve": curve}}).spring)
@@ -80,9 +86,8 @@ def stiffness(tables, antagonist, pull):
 
 def pair(tables, torque, tension):
     """Return the forces of biceps and triceps [N] and the stiffness [N m/rad] of `stiff_pair`."""
-    start = find_position(tables.force, tables.position, tension)
     difference = torque / PLANT.joint_pulley_radius
-    *positions, slopes = stiff_pair(tables.force, tables.position, difference, start, tables.max_force)
+    *positions, slopes, _ = stiff_pair(tables.force, tables.position, difference, tension, tables.max_force)
     forces = [tables.force_at(position * tables.max_deflection) for position in positions]
     return *forces, slopes * PLANT.joint_pulley_radius**2 / tables.max_deflection
 
