@@ -236,7 +236,7 @@ def look_up_curve(table: NDArray[np.float64], position: float) -> tuple[float, f
     cell, w = _cell(table, min(max(position, 0.0), 1.0))
     value = table[cell, 0] + w * (table[cell, 1] + w * (table[cell, 2] + w * table[cell, 3]))
     slope = table[cell, 1] + w * (2.0 * table[cell, 2] + w * 3.0 * table[cell, 3])
-    return value, slope * cells, (2.0 * table[cell, 2] + w * 6.0 * table[cell, 3]) * cells * cells
+    return value, slope * cells, (2.0 * table[cell, 2] + w * 6.0 * table[cell, 3]) * (cells * cells)
 
 
 @compiled

@@ -254,7 +254,8 @@ LOOP_BLOCK = block(
     + fields("integral stiffness_integral stiffness_reference stiffness_error")
     # torques [N m] of the arm's weight at the angle by which the loop knows it, and at the reference
     + fields("weight weight_slope reference_weight")
-    + fields("elapsed load torque tautness jump_jerk force_biceps force_triceps slope_biceps slope_triceps")
+    + fields("elapsed load torque tension drive_rate tautness jump_jerk")
+    + fields("force_biceps force_triceps slope_biceps slope_triceps")
     + fields("correction_biceps correction_triceps saturated_biceps saturated_triceps")
     + fields("observed_angle observed_velocity observed_acceleration disturbance")
     # mean drive angle asked for by the agent, which moves by `mean_rate` [rad] a tick

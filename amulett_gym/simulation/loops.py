@@ -109,8 +109,10 @@ def want(p, g, s, q, first, end):
     elif g.loop == CASCADE:
         run_cascade(p, g, s, q, first, end)
     elif g.loop == COMPUTED_TORQUE:
+        find_torques(p, g, s, q, first, end)
         run_computed_torque(p, g, s, q, first, end)
     elif g.loop == MINIMAL_MOTION:
+        find_torques(p, g, s, q, first, end)
         run_minimal_motion(p, g, s, q, first, end)
     elif g.loop == DRIVES:
         run_drives(p, g, s, q, first, end)
@@ -602,7 +604,8 @@ def room_to_turn(p, s, i):
     It cannot if a command is at its limit, or the spring of the string that is wound is at its end.
     """
     rise, fall = headroom(p, s, i)
-    return rise and s.measured_biceps[i] < p.slider_end, fall and s.measured_triceps[i] < p.slider_end
+    # Without "and": a parameter that is not read for every lane is gathered.
+    return rise & (s.measured_biceps[i] < p.slider_end), fall & (s.measured_triceps[i] < p.slider_end)
 
 
 @compiled_lanes
@@ -621,50 +624,52 @@ def run_cascade(p, g, s, q, first, end):
         )
 
 
-@compiled
-def find_torque(p, g, s, q, i):
-    """Return the torque [N m] of `control.computed_torque`, the co-contraction [N] and the rate [rad/s] of its drives.
+@compiled_lanes
+def find_torques(p, g, s, q, first, end):
+    """Set torque [N m] and co-contraction [N] of `control.computed_torque`, and the rate [rad/s] of its drives.
 
     The co-contraction is that asked for, but at least the loop's smallest, and lowered as far as the torque needs it.
+    It is a stage of its own because of the `exp` of `decay_rate`, as `find_needed_torque` is.
     """
     least = min(g.least_tension, g.max_force)
-    tension = min(max(s.tension_setpoint[i], least), g.max_force)
-    error = q.reference[i] - s.measured_angle[i]
-    wanted = wanted_acceleration(
-        q.reference_acceleration[i], q.reference_rate[i] - q.velocity[i], error, q.integral[i], g.kd, g.kp
-    )
-    decay = decay_rate(tension, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
-    torque = joint_torque(wanted, q.reference_rate[i], g.inertia, decay, q.weight[i])
     most = p.joint_radius * (g.max_force - least)
-    rise, fall = headroom(p, s, i)  # a spring at its end is no limit: the other string can be let go
-    q.integral[i] = integrate(
-        q.integral[i], error, g.ki, p.control_period, rise and torque < most, fall and torque > -most
-    )
-    rate = followed_rate(q.reference_rate[i], q.velocity[i], g.inertia * g.kp * error, most)
-    return torque, max(affordable_tension(torque, tension, p.joint_radius, g.max_force), least), rate
+    for i in range(first, end):
+        tension = min(max(s.tension_setpoint[i], least), g.max_force)
+        error = q.reference[i] - s.measured_angle[i]
+        wanted = wanted_acceleration(
+            q.reference_acceleration[i], q.reference_rate[i] - q.velocity[i], error, q.integral[i], g.kd, g.kp
+        )
+        decay = decay_rate(tension, p.damping_a, p.damping_b, p.damping_c, p.damping_d)
+        torque = joint_torque(wanted, q.reference_rate[i], g.inertia, decay, q.weight[i])
+        rise, fall = headroom(p, s, i)  # a spring at its end is no limit: the other string can be let go
+        q.integral[i] = integrate(
+            q.integral[i], error, g.ki, p.control_period, rise and torque < most, fall and torque > -most
+        )
+        q.torque[i] = torque
+        q.tension[i] = max(affordable_tension(torque, tension, p.joint_radius, g.max_force), least)
+        q.drive_rate[i] = followed_rate(q.reference_rate[i], q.velocity[i], g.inertia * g.kp * error, most)
 
 
 @compiled_lanes
 def run_computed_torque(p, g, s, q, first, end):
     """Run `control.computed_torque`."""
     for i in range(first, end):
-        torque, tension, rate = find_torque(p, g, s, q, i)
-        biceps, triceps = hold_at(p, g, s.measured_angle[i], torque, tension)
-        move_drives(p, g, q, i, biceps, triceps, rate)
+        biceps, triceps = hold_at(p, g, s.measured_angle[i], q.torque[i], q.tension[i])
+        move_drives(p, g, q, i, biceps, triceps, q.drive_rate[i])
 
 
 @compiled_lanes
 def run_minimal_motion(p, g, s, q, first, end):
     """Run `control.minimal_motion`."""
     for i in range(first, end):
-        torque, tension, rate = find_torque(p, g, s, q, i)
         angle = s.measured_angle[i]
         at_biceps, at_triceps = predict_positions(p, g, q, i, angle)
+        difference = q.torque[i] / p.joint_radius
         biceps, triceps = nearest_pair(
-            g.force_table, g.position_table, torque / p.joint_radius, tension, g.max_force, at_biceps, at_triceps
+            g.force_table, g.position_table, difference, q.tension[i], g.max_force, at_biceps, at_triceps
         )
         biceps, triceps = drives_at(p, g, angle, biceps, triceps)
-        move_drives(p, g, q, i, biceps, triceps, rate)
+        move_drives(p, g, q, i, biceps, triceps, q.drive_rate[i])
 
 
 @compiled

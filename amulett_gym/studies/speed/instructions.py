@@ -57,7 +57,12 @@ _G, _Q = map(numba.from_dtype, (LOOP_PARAMETERS, LOOP_BLOCK))
 _F, _H, _W, _K = map(numba.from_dtype, (FITTING, PERSON_BLOCK, WORN_BLOCK, ARM_BLOCK))
 _LANES = types.uint64, types.uint64
 _REACH = types.float64, types.float64, types.none
-_OF_LOOPS = ["observe_device", "find_needed_torque", *(f"run_{name.replace('-', '_')}" for name in (*LOOPS, DRIVES))]
+_OF_LOOPS = [
+    "observe_device",
+    "find_needed_torque",
+    "find_torques",
+    *(f"run_{name.replace('-', '_')}" for name in (*LOOPS, DRIVES)),
+]
 STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "start_counting": (kernel.start_counting, (_P, _C, _S, _M, *_LANES)),
     "choose_agonists": (commands.choose_agonists, (_P, _S, _M, *_LANES)),
