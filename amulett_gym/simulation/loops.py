@@ -466,23 +466,24 @@ def run_torque_stiffness(p, g, s, q, first, end):
 def run_feedforward_feedback(p, g, s, q, first, end):
     """Run `control.feedforward_feedback`."""
     for i in range(first, end):
+        estimate = estimate_stiffness(p, g, s, i)  # before what takes longest, the processor works on both at once
         biceps, triceps, stiffness, antagonist = hold_stiff(p, g, s, i, q.reference[i], q.torque[i])
         both = correct_position(p, g, s, q, i)
         rise, fall = headroom(p, s, i)
-        apart = control_stiffness(p, g, s, q, i, stiffness, antagonist >= g.floor_position, rise and fall)
+        apart = control_stiffness(p, g, s, q, i, estimate, stiffness, antagonist >= g.floor_position, rise and fall)
         move_drives(p, g, q, i, biceps + both + apart, triceps + both - apart, q.reference_rate[i])
 
 
 @compiled
-def control_stiffness(p, g, s, q, i, stiffness, measurable, room):
+def control_stiffness(p, g, s, q, i, estimate, stiffness, measurable, room):
     """Return by how much the PID of the stiffness turns each drive against the other [rad].
 
-    `stiffness` is that of the inverse model [N m/rad], `measurable` if both its strings are above the force floor;
-    without `room` a command is at its limit.
+    `estimate` is the stiffness by the sliders, `stiffness` that of the inverse model [N m/rad], `measurable` if both
+    its strings are above the force floor; without `room` a command is at its limit.
     """
     late = low_pass(q.stiffness_reference[i], stiffness, g.lead, p.control_period)
     q.stiffness_reference[i] = choose(q.stiffness_reference[i] < 0.0, stiffness, late)  # below 0: at the begin
-    error = choose(measurable, q.stiffness_reference[i] - estimate_stiffness(p, g, s, i), 0.0)
+    error = choose(measurable, q.stiffness_reference[i] - estimate, 0.0)
     last_error = q.stiffness_error[i]
     q.stiffness_error[i] = low_pass(last_error, error, g.stiffness_filter, p.control_period)
     # A slider at its end does not measure that its string gets tighter.
