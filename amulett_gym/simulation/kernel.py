@@ -562,36 +562,40 @@ def clear_rates(m, i):
 
 @compiled
 def end_motion(p, c, s, m, i, extended):
-    """Store the state at the end of the motion, unless it is not finite, and update the metrics."""
+    """Store the state at the end of the motion, and update the metrics.
+
+    A motion that is not finite ends where it began, and counts in no metric, so that no later calculation has a NaN or
+    overflows. That is chosen without a branch, in which loads would be gathers.
+    """
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
-    error_before = s.setpoint[i] - s.angle[i]
-    if not (abs(x) <= FARTHEST and abs(v) <= FARTHEST):
-        s.failure[i] = layout.NOT_FINITE  # the last state stays, so that no later calculation has a NaN or overflows
-        return
-    if abs(x) > p.angle_limit:
-        s.failure[i] = layout.ANGLE_LIMIT
-    elif abs(v) > p.velocity_limit:
-        s.failure[i] = layout.VELOCITY_LIMIT
-    turn_biceps, turn_triceps = m.biceps[i] - s.drive_biceps[i], m.triceps[i] - s.drive_triceps[i]
+    last_x, last_biceps, last_triceps = s.angle[i], s.drive_biceps[i], s.drive_triceps[i]
+    finite = abs(x) <= FARTHEST and abs(v) <= FARTHEST
+    failure = choose(abs(v) > p.velocity_limit, layout.VELOCITY_LIMIT, s.failure[i])
+    failure = choose(abs(x) > p.angle_limit, layout.ANGLE_LIMIT, failure)
+    x, v = choose(finite, x, last_x), choose(finite, v, s.velocity[i])
+    biceps, triceps = choose(finite, m.biceps[i], last_biceps), choose(finite, m.triceps[i], last_triceps)
+    counting = choose(finite, m.counting[i], 0.0)
+    pushed = push != 0.0 and counting > 0.0
+    error_before, error_after = s.setpoint[i] - last_x, s.setpoint[i] - x
+    turn_biceps, turn_triceps = biceps - last_biceps, triceps - last_triceps
     pull_biceps, pull_triceps = s.force_biceps[i], s.force_triceps[i]
-    s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, m.biceps[i], m.triceps[i]
-    s.push_torque[i] = push
+    s.failure[i] = choose(finite, failure, layout.NOT_FINITE)
+    s.angle[i], s.velocity[i], s.drive_biceps[i], s.drive_triceps[i] = x, v, biceps, triceps
+    s.push_torque[i] = choose(finite, push, s.push_torque[i])
     s.contact_torque[i] = obstacle_torque(c, i, x, v)
     update_string_forces(p, c, s, i, extended)
     # Eq. 8 of the drives' own motion, and the work that they do against their strings: by the mean force in the tick.
     squares = turn_biceps * turn_biceps + turn_triceps * turn_triceps
-    s.drive_effort[i] += m.counting[i] * squares / p.control_period
+    s.drive_effort[i] += counting * squares / p.control_period
     work_biceps = c.pulley_biceps_factor[i] * (pull_biceps + s.force_biceps[i]) * turn_biceps
     work_triceps = c.pulley_triceps_factor[i] * (pull_triceps + s.force_triceps[i]) * -turn_triceps
     work = 0.5 * p.drive_radius * (max(work_biceps, 0.0) + max(work_triceps, 0.0))
-    s.drive_work[i] += m.counting[i] * work
-    error_after = s.setpoint[i] - x
-    counted = m.counting[i] * p.control_period
+    s.drive_work[i] += counting * work
+    counted = counting * p.control_period
     s.position_ise[i] += 0.5 * counted * (error_before * error_before + error_after * error_after)
     s.contact_ise[i] += counted * s.contact_torque[i] * s.contact_torque[i]
-    s.contact_peak[i] = max(s.contact_peak[i], m.counting[i] * abs(s.contact_torque[i]))
-    if push != 0.0 and m.counting[i] > 0.0:
-        s.push_deflection[i] = max(s.push_deflection[i], abs(error_after))
+    s.contact_peak[i] = max(s.contact_peak[i], counting * abs(s.contact_torque[i]))
+    s.push_deflection[i] = max(s.push_deflection[i], choose(pushed, abs(error_after), 0.0))
     # At the end of the tick only: with an ideal drive the force jumps at its begin.
     force = choose(s.agonist[i] == BICEPS, s.force_triceps[i], s.force_biceps[i])
     tension_error = s.tension_setpoint[i] - force
