@@ -6,14 +6,25 @@ function once more: another tenth of the time of a first step.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
+import llvmlite.binding as llvm
+from numba.core import config
 from numba.core.codegen import AOTCodeLibrary, JITCPUCodegen
 from numba.core.compiler import Compiler
 
+SLOW_GATHERS = ("znver4",)
+"""Processors, as LLVM names them, for which it vectorises with gathers although loads one by one take less time."""
+
 # Another numba that has none of these would not use what is defined below.
-_USED = (JITCPUCodegen._library_class, JITCPUCodegen._add_module, JITCPUCodegen.set_env, AOTCodeLibrary._unserialize)
+_USED = (
+    JITCPUCodegen._library_class,
+    JITCPUCodegen._add_module,
+    JITCPUCodegen._customize_tm_options,
+    JITCPUCodegen.set_env,
+    AOTCodeLibrary._unserialize,
+)
 
 
 class LinkedCompiler(Compiler):  # type: ignore[misc]
@@ -52,13 +63,25 @@ class _Library(AOTCodeLibrary):  # type: ignore[misc]
         return self.serialize_using_bitcode()
 
 
+@cache
+def _target(codegen: JITCPUCodegen) -> Any:
+    """Return numba's target machine, as one that loads what lanes look up in tables one by one if gathers are slow."""
+    options: dict[str, Any] = {"opt": config.OPT}
+    codegen._customize_tm_options(options)
+    if options["cpu"] not in SLOW_GATHERS:
+        return codegen._tm
+    options["features"] = ",".join(filter(None, (options["features"], "+prefer-no-gather")))
+    return llvm.Target.from_triple(llvm.get_process_triple()).create_target_machine(**options)
+
+
 class _Codegen(JITCPUCodegen):  # type: ignore[misc]
-    """One of numba's, except for what concerns machine code."""
+    """One of numba's, except for what concerns machine code and gathers."""
 
     _library_class = _Library
 
     def __init__(self, codegen: JITCPUCodegen) -> None:
         self.__dict__.update(vars(codegen))
+        self._tm = _target(codegen)
 
     def _add_module(self, module: Any) -> None:
         pass

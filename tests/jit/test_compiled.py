@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
@@ -107,6 +108,27 @@ def test_code_that_is_only_linked_finds_its_python_objects():
     command = [sys.executable, "-c", OBJECTS]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.splitlines() == ["shown (1, 1)", "shown (2, 2)", "('too large', 2)"]
+
+
+GATHERS = """
+import llvmlite.binding as llvm
+from amulett_gym.jit import linked
+linked.SLOW_GATHERS = {slow}
+from amulett_gym.studies.speed.instructions import STAGES
+stage, arguments = STAGES["evaluate"]
+stage.twin.compile(arguments)
+(code,) = stage.twin.inspect_llvm().values()
+print("<8 x double>" in code, "@llvm.masked.gather" in code)
+"""
+
+
+@pytest.mark.skipif(not llvm.get_host_cpu_features().get("avx512f"), reason="other processors may have no gathers")
+def test_lanes_are_loaded_one_by_one_where_gathers_are_slow(tmp_path):
+    for slow, found in (("()", "True True"), ("(llvm.get_host_cpu_name(),)", "True False")):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / found)}
+        command = [sys.executable, "-c", GATHERS.format(slow=slow)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60)
+        assert done.stdout.strip() == found
 
 
 OTHER_NUMBA = """
