@@ -202,10 +202,10 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
         """Take a step as :meth:`step` does; return the report (see `envs.transition`) instead of rewards and info.
 
         For callers that need the infos of a few devices only: with `brief`, a report ends with `failure`, and
-        `Episodes.whole` completes it. A subclass that changes what a step returns overrides this, and `next_report` for
-        how episodes begin: `step`, `next_episodes` and the adapter for Stable-Baselines3, which asks for brief ones,
-        build on them. In the mode SAME_STEP, a report holds the reward of an episode that has ended, and all else of
-        the next one; the last value is what that mode adds to the info.
+        `Episodes.whole` completes it, with the device's own readings and metrics. A subclass that changes what a step
+        returns overrides this, and `next_report` for how episodes begin: `step`, `next_episodes` and the adapter for
+        Stable-Baselines3, which asks for brief ones, build on them. In the mode SAME_STEP, a report holds the reward of
+        an episode that has ended, and all else of the next one; the last value is what that mode adds to the info.
         """
         if not self.episodes.started.all():
             raise gym.error.ResetNeeded("call reset() before step()")

@@ -1,4 +1,4 @@
-"""The begin of every control tick, the tension setpoint, to its end, the limited commands."""
+"""What control loops share: at their begin, agonist and tension setpoint, at their end, the drives' commands."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def predict(s, loop, own, block, first, end):
 
 @compiled_lanes
 def begin_motion(p, c, s, m, first, end):
-    """Stage 2: set the initial motion of drives and arm, and the push; commands and pushes are constant in a tick."""
+    """Stage 2: set the initial motion, no weight yet (`weigh`), and the push, constant in a tick as are commands."""
     for i in range(first, end):
         time = s.tick[i] * p.control_period
         push = 0.0
@@ -364,7 +364,7 @@ def track_steps(p, c, s, m, first, end):
 
 @compiled_lanes
 def control_tensions(p, s, m, first, end):
-    """Run the tension controllers, and set the offsets of a new agonist's and antagonist's commands."""
+    """Stage 1, continued: run the tension controllers, and set the commands' offsets where the agonist switches."""
     for i in range(first, end):
         switched = m.switched[i] > 0.0
         control_tension(p, s, i, switched)
@@ -379,7 +379,7 @@ def control_tensions(p, s, m, first, end):
 
 @compiled_lanes
 def control_positions(p, s, m, first, end):
-    """Run the position controllers, and command the drives."""
+    """Stage 1, continued: run the position controllers, and command the drives."""
     for i in range(first, end):
         control_position(p, s, i, s.setpoint[i] - s.measured_angle[i])
         agonist, pull = s.agonist[i], s.tension_output[i]
@@ -564,8 +564,8 @@ def clear_rates(m, i):
 def end_motion(p, c, s, m, i, extended):
     """Store the state at the end of the motion, and update the metrics.
 
-    A motion that is not finite ends where it began, and counts in no metric, so that no later calculation has a NaN or
-    overflows. That is chosen without a branch, in which loads would be gathers.
+    A motion that is not finite ends where it began, and adds nothing to the metrics of the motion: a device that fails
+    keeps a finite state. That is chosen without a branch, in which loads would be gathers.
     """
     x, v, push = m.angle[i], m.velocity[i], m.push[i]
     last_x, last_biceps, last_triceps = s.angle[i], s.drive_biceps[i], s.drive_triceps[i]

@@ -252,7 +252,7 @@ LOOP_BLOCK = block(
     # what the loop knows of joint and drives
     + fields("velocity last_angle model_biceps model_triceps")
     + fields("integral stiffness_integral stiffness_reference stiffness_error")
-    # torques [N m] of the arm's weight at the angle by which the loop knows it, and at the reference
+    # torques [N m] of the arm's weight at the observed or the measured angle, by the loop, and at the reference
     + fields("weight weight_slope reference_weight")
     + fields("elapsed load torque tension drive_rate tautness jump_jerk")
     + fields("force_biceps force_triceps slope_biceps slope_triceps")

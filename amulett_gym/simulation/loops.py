@@ -69,7 +69,8 @@ def observes(g):
 def weigh(g, s, q, first, end):
     """Set the torques of the bare arm's weight at the angles at which the chosen loop needs them.
 
-    In the loops' own stages, their sines would be computed for an arm without weight, too.
+    In the loops' own stages, their sines would be computed for an arm without weight, too. This one is for few devices,
+    and short: not vectorised.
     """
     for i in range(first, end):
         q.weight[i] = q.weight_slope[i] = q.reference_weight[i] = 0.0
@@ -241,9 +242,8 @@ def begin_loop(p, g, c, s, q, i):
     q.stiffness_reference[i] = -1.0
     begin_drives(p, g, s, q, i)
     if observes(g):
-        begin_estimates(p, g, c, s, q, i)
+        begin_estimates(p, g, c, s, q, i)  # sets the weights
     if g.loop == FEEDBACK_LINEARISATION:
-        weigh(g, s, q, i, i + np.uint64(1))
         q.biceps[i], q.triceps[i] = hold_reference(p, g, s, q, i)  # its trim is that of the feed-forward
     else:
         want(p, g, s, q, i, i + np.uint64(1))
@@ -320,7 +320,7 @@ def begin_estimates(p, g, c, s, q, i):
     q.correction_triceps[i] = find_position(g.force_table, g.position_table, q.force_triceps[i]) - at_triceps
     q.slope_biceps[i] = slope_at(g, at_biceps + q.correction_biceps[i]) * g.inverse_max_deflection
     q.slope_triceps[i] = slope_at(g, at_triceps + q.correction_triceps[i]) * g.inverse_max_deflection
-    q.weight[i] = weight_torque(g.weight, q.observed_angle[i])
+    weigh(g, s, q, i, i + np.uint64(1))
     acceleration, _ = model_acceleration(p, g, q, i)
     q.disturbance[i] = -acceleration
     q.load[i] = p.joint_radius * (q.force_biceps[i] - q.force_triceps[i]) - q.weight[i]

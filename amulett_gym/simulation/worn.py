@@ -140,7 +140,10 @@ def excite_muscles(h, w, i, weight, answer):
 
 @compiled
 def weigh_intention(h, w, k, first, end):
-    """Set the torque of the arm's weight at the intended angle, where it has one; see `weigh_arm`."""
+    """Set the torque of the arm's weight at the intended angle, where it has one; see `weigh_arm`.
+
+    An arm without weight has none in the motion either, which leaves its zero as it is.
+    """
     for i in range(first, end):
         k.weight_torque[i] = 0.0
     for i in range(first, end):

@@ -64,8 +64,8 @@ def test_the_fast_inverse_is_that_by_bisection(force):
     )
 
 
-def test_a_pair_of_positions_is_that_of_both_forces():
-    forces = 0.7, 12.0
+@pytest.mark.parametrize("forces", [(0.7, 12.0), (0.0, 99.0), (-1.0, 5.0)])
+def test_a_pair_of_positions_is_that_of_both_forces(forces):
     both = tuple(find_position(TABLES.force, TABLES.position, force) for force in forces)
     assert find_positions(TABLES.force, TABLES.position, *forces) == both
 

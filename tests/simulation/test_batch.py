@@ -7,7 +7,7 @@ from helpers import device
 from amulett_gym.errors import AmulettError
 from amulett_gym.profile import load_profile
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.layout import LANES
+from amulett_gym.simulation.layout import LANES, LOOPS
 from amulett_gym.simulation.trajectory import record
 from amulett_gym.tasks.suites import sample
 
@@ -82,6 +82,20 @@ def test_a_snapshot_holds_the_devices():
     assert other.states.tobytes() == simulation.states.tobytes()
     with pytest.raises(AmulettError, match="devices are testbed, simulation-test, testbed-test; those .* one profile"):
         Simulation(PROFILES[0], KEYS.size, "torque").set_state(state)
+
+
+@pytest.mark.parametrize("control", ["decentralized", *LOOPS])
+def test_a_block_forgets_the_profile_it_had(control):
+    upright, lying = device("testbed", plant={"orientation": "vertical"}), PROFILES[0]
+    used, new = (Simulation([lying, upright], LANES, control) for _ in range(2))
+    used.assign(0, 1)
+    used.reset(sample("steps", KEYS[:LANES], upright))
+    used.advance(50)
+    used.assign(0, 0)
+    for each in (used, new):
+        each.reset(sample("steps", KEYS[:LANES], lying))
+        each.advance(200)
+    assert used.states.tobytes() == new.states.tobytes()
 
 
 def test_a_start_is_checked_by_the_device_s_own_springs():

@@ -286,13 +286,17 @@ def test_devices_do_not_depend_on_their_neighbours() -> None:
     profile = device_of(cable={"friction": 0.2})
     many = WornSimulation(profile, 11)
     wearers = [Wearer(mass=60 + 3 * k, strength=0.7 + 0.1 * k, tremor_torque=0.02 * k) for k in range(11)]
-    packed = np.concatenate([pack_wearer(each, PERIOD, False) for each in wearers])
+    # Arms with and without weight in one block
+    packed = np.concatenate([pack_wearer(each, PERIOD, k % 2 > 0, 0.1 * k, 0.2) for k, each in enumerate(wearers)])
     many.reset(np.repeat(pack(REACH, profile), 11), wearers=packed)
     many.command_tension(6.0)
     many.assist(0.8)
     many.advance(300)
     for device in (0, 7, 8, 10):
-        one = worn(profile, wearers[device])
+        one = WornSimulation(profile, 1)
+        one.reset(pack(REACH, profile), wearers=packed[[device]])
+        one.command_tension(6.0)
+        one.assist(0.8)
         one.advance(300)
         assert one.read("angle")[0] == many.read("angle")[device]
         assert one.read_worn("effort")[0] == many.read_worn("effort")[device]

@@ -83,7 +83,7 @@ STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 """The stages of `simulation.kernel`, `loops` and `worn` that do most of the work, with the types of their arguments."""
 
 _ARITHMETIC = re.compile(r"v?(?:add|sub|mul|div|max|min|sqrt|round|rndscale|cmp\w*|and|andn|blendv|blendm)([ps])d")
-_LIBRARY = re.compile(r"\b(cos|exp|log|pow|sin)(?:@PLT)?$")
+_LIBRARY = re.compile(r"\b(cos|exp|log|pow|sin|sincos)(?:@PLT)?$")
 _WIDTHS = {"zmm": 512, "ymm": 256, "xmm": 128}
 
 
