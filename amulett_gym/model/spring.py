@@ -319,7 +319,7 @@ def _refined(force_table: NDArray[np.float64], position: float, share: float) ->
     """Return a position after a Newton step towards a share of the largest force."""
     value, slope, _ = look_up_curve(force_table, position)
     inside = 0.0 <= position <= 1.0  # a table's end can be off by a rounding
-    step = (share * look_up(force_table, 1.0) - value) / slope
+    step = (share * look_up(force_table, 1.0) - value) / slope  # not in a branch, in which the value would wait
     step = step if inside and slope > 0.0 else 0.0
     most_step = 1.0 / force_table.shape[0]
     return min(max(position + min(max(step, -most_step), most_step), 0.0), 1.0)
