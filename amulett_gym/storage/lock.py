@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -24,6 +25,7 @@ except ImportError:  # Windows
 LOCK = ".lock"
 """Name of the file by which a command reserves a folder."""
 
+_PATIENCE = 2.0  # [s]
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
@@ -56,16 +58,20 @@ def locked_folder(path: str | Path) -> Iterator[None]:
 
 def _open_lock(lock: Path) -> int:
     """Return the handle of the lock file, locked, with this process written to it as the owner."""
+    end = time.monotonic() + _PATIENCE
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             if _is_owned(handle):
-                raise AmulettError(f"'{lock.parent}' is in use by {_owner(handle)}; choose another folder, or wait")
-            # If its last owner has just deleted the file, the next process would lock another one: try again.
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(handle), lock.stat()):
-                    _write_owner(handle)
-                    return handle
+                if not _is_released_soon(handle) or time.monotonic() > end:
+                    raise AmulettError(f"'{lock.parent}' is in use by {_owner(handle)}; choose another folder, or wait")
+                time.sleep(0.01)
+            else:
+                # If its last owner has just deleted the file, the next process would lock another one: try again.
+                with suppress(FileNotFoundError):
+                    if os.path.samestat(os.fstat(handle), lock.stat()):
+                        _write_owner(handle)
+                        return handle
         except BaseException:
             os.close(handle)
             raise
@@ -86,6 +92,12 @@ def _is_owned(handle: int) -> bool:
         owner = _read_owner(handle)
         return bool(owner) and (owner.get("host") != socket.gethostname() or _is_alive(owner.get("pid")))
     return False
+
+
+def _is_released_soon(handle: int) -> bool:
+    """Return whether the owner is dead: a child that it was about to start has its lock until it runs its program."""
+    owner = _read_owner(handle)
+    return owner.get("host") == socket.gethostname() and not _is_alive(owner.get("pid"))
 
 
 def _write_owner(handle: int) -> None:

@@ -12,8 +12,10 @@ import re
 import shutil
 import signal
 import socket
+import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -435,6 +437,29 @@ def test_a_second_run_in_the_folder_is_told_who_has_it(tmp_path):
         with pytest.raises(AmulettError, match=f"process {os.getpid()}"), locked_folder(out):
             pass
     assert not (out / LOCK).exists()
+
+
+ABOUT_TO_START = """
+import os, signal, sys, time
+from amulett_gym.storage.lock import locked_folder
+
+with locked_folder(sys.argv[1]):
+    if os.fork() == 0:
+        time.sleep(0.5)
+        os._exit(0)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+"""Is killed while a child of it has its handles for a while, as between a fork and the begin of another program."""
+
+
+@pytest.mark.parametrize("patience", [5.0, 0.0])
+def test_the_lock_of_a_dead_process_is_awaited_while_its_child_has_it(tmp_path, monkeypatch, patience):
+    monkeypatch.setattr(lock, "_PATIENCE", patience)
+    dead = subprocess.Popen([sys.executable, "-c", ABOUT_TO_START, tmp_path])
+    assert dead.wait() == -signal.SIGKILL
+    refused = pytest.raises(AmulettError, match=f"process {dead.pid}") if patience == 0.0 else nullcontext()
+    with refused, locked_folder(tmp_path):
+        assert json.loads((tmp_path / LOCK).read_text())["pid"] == os.getpid()
 
 
 def test_where_files_cannot_be_locked_the_owner_is_looked_for(tmp_path, monkeypatch):
