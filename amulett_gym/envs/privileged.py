@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.damping import decay_rate
+from amulett_gym.model.plant import weight_torque
 from amulett_gym.model.spring import inverse_look_up, look_up
 from amulett_gym.simulation.layout import LANES, Family
 
@@ -186,7 +187,7 @@ def _write_truth(c, s, i, values):
     truth[4] = s.position_integral[i]
     truth[5] = s.tension_integral[i]
     loads[0] = c.static_torque[i]
-    loads[1] = c.static_torque[i] * math.sin(s.angle[i]) if c.static_torque[i] != 0.0 else 0.0
+    loads[1] = weight_torque(c.static_torque[i], s.angle[i]) if c.static_torque[i] != 0.0 else 0.0
     loads[2] = s.push_torque[i]
     loads[3] = s.contact_torque[i]
 

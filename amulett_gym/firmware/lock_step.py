@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from amulett_gym.control.agonist import BICEPS
 from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, costs, write_report, write_reward
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.spring import find_position, look_up_curve
 from amulett_gym.simulation.commands import command_drives
-from amulett_gym.simulation.kernel import next_late, setpoint_kick, start_counting
+from amulett_gym.simulation.kernel import next_late, setpoint_kick, shares, start_counting
 from amulett_gym.simulation.layout import LANES
 
 ALWAYS = 2.0
@@ -41,10 +40,8 @@ def command_device(p, c_blocks, s_blocks, motion, paper, commands, tension, agon
     s.agonist[i], s.tension_setpoint[i] = agonist, tension
     kick = setpoint_kick(p[0], s, m, i) if paper else 0.0
     s.setpoint_jump[i] = 0.0
-    share = p[0].antagonist_share if p[0].tension_loop else 1.0
-    kick_biceps = (1.0 if agonist == BICEPS else share) * kick
-    kick_triceps = (share if agonist == BICEPS else 1.0) * kick
-    command_drives(p[0], s, m, i, commands[0], commands[1], kick_biceps, kick_triceps)
+    biceps_share, triceps_share = shares(p[0], agonist)
+    command_drives(p[0], s, m, i, commands[0], commands[1], biceps_share * kick, triceps_share * kick)
 
 
 @compiled

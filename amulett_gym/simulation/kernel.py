@@ -827,7 +827,7 @@ def settle_strings(p, c, s, i, extended):
     # Drive angles at which the strings are just slack.
     wound_biceps = angle * p.joint_radius / radius_biceps
     wound_triceps = angle * p.joint_radius / radius_triceps
-    needed = (c.static_torque[i] * math.sin(angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
+    needed = (weight_torque(c.static_torque[i], angle) - obstacle_torque(c, i, angle, 0.0)) / p.joint_radius
     tension = c.initial_tension[i]
     s.agonist[i] = p.fixed_agonist
     if p.fixed_agonist == 0.0:
@@ -851,8 +851,9 @@ def settle_strings(p, c, s, i, extended):
     update_string_forces(p, c, s, i, extended)
     if p.tension_loop:
         output = turn_biceps if biceps_is_agonist else turn_triceps
-        s.offset_biceps[i] = turn_biceps - output * (1.0 if biceps_is_agonist else p.antagonist_share)
-        s.offset_triceps[i] = turn_triceps - output * (p.antagonist_share if biceps_is_agonist else 1.0)
+        biceps_share, triceps_share = shares(p, s.agonist[i])
+        s.offset_biceps[i] = turn_biceps - output * biceps_share
+        s.offset_triceps[i] = turn_triceps - output * triceps_share
     else:
         output = wound_biceps + common
         s.offset_biceps[i] = p.position_only_offset

@@ -69,8 +69,8 @@ def observes(g):
 def weigh(g, s, q, first, end):
     """Set the torques of the bare arm's weight at the angles at which the chosen loop needs them.
 
-    In the loops' own stages, their sines would be computed for an arm without weight, too. This one is for few devices,
-    and short: not vectorised.
+    In the loops' own stages, their sines would be computed for an arm without weight, too; here only those
+    with a weight have any.
     """
     for i in range(first, end):
         q.weight[i] = q.weight_slope[i] = q.reference_weight[i] = 0.0

@@ -25,7 +25,7 @@ except ImportError:  # Windows
 LOCK = ".lock"
 """Name of the file by which a command reserves a folder."""
 
-_PATIENCE = 2.0  # [s]
+_PATIENCE = 2.0  # [s]; for the lock of a dead process
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP)
 
 
