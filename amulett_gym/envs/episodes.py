@@ -6,7 +6,6 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,6 +21,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled_for
+from amulett_gym.jit.turns import new_number
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
@@ -38,8 +38,6 @@ Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 Seeds = NDArray[np.object_]
 _NO_SEED = np.array(None)
-ALL = slice(None)
-"""All blocks."""
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
@@ -120,9 +118,10 @@ class Episodes:
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
         self._helpers = min(threads, simulation.states.size) - 1
         self._shares = _shares(simulation.states.size, 1 + self._helpers)
+        self._turn = new_number()
         self._pool: ThreadPool | None = None
-        self._steps: list[Callable[..., int]] = []
-        self._steps_paths: Paths | None = None
+        self._step: Callable[..., int] | None = None
+        self._step_paths: Paths | None = None
 
     @property
     def agent_period(self) -> float:
@@ -372,13 +371,19 @@ class Episodes:
 
         Return the first device with an action that is NaN, before any is stepped, or `transition.ALL_NUMBERS`.
         """
-        if not self._steps or self._steps_paths is not self.simulation.paths:
-            self._bind_steps(given)
-        if len(self._steps) == 1:
-            return self._steps[0](*given)
-        wrong: int = transition.first_nan(*given[:2])
-        if wrong < 0:
-            self._step_in_threads(given)
+        turns = self._shares, self._turn
+        if self._step is None or self._step_paths is not self.simulation.paths:
+            same = *self._arrays, *self._memory()  # from step to step, except the paths: a reset may bring new ones
+            self._step = partial(compiled_for(self._compiled_step, (*same, turns, *given)), *same)
+            self._step_paths = self.simulation.paths
+        if self._helpers:
+            wrong = self._step_in_threads(self._step, given)
+        else:
+            self._turn[0] = 0
+            wrong = self._step(turns, *given)
+        if self.privileged and wrong < 0:
+            *_, observations, _ = given
+            self._observe_privileged(np.arange(len(observations)), observations)
         return wrong
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
@@ -402,10 +407,10 @@ class Episodes:
         means, tensions = actions.reshape(-1, self.action_size).T.copy()
         return means, tensions
 
-    def _memory(self, blocks: slice = ALL) -> tuple[Any, ...]:
-        """Return what the simulation of some blocks needs besides `Arrays`: paths, loop, extended."""
-        paths, loop, extended = self.simulation.paths, self.simulation.loop, self.simulation.extended
-        return paths and (paths[0], paths[1][blocks]), loop and (loop[0], loop[1][blocks]), extended
+    def _memory(self) -> tuple[Any, ...]:
+        """Return what the simulation needs besides `Arrays`: paths, loop, extended."""
+        simulation = self.simulation
+        return simulation.paths, simulation.loop, simulation.extended
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""
@@ -415,60 +420,32 @@ class Episodes:
         costs = read("position_ise"), efforts, read("tension_ise"), read("contact_ise")
         return {name: unit * cost for (name, unit), cost in zip(_REWARDED.items(), costs, strict=True)}
 
-    def _bind_steps(self, given: tuple[Any, ...]) -> None:
-        """Keep the compiled step of each share of the blocks, with all its arguments but those `given`.
-
-        They stay the same from step to step, except the paths: a reset may bring new ones.
-        """
-        self._steps = [self._bound_step(blocks, given) for blocks in self._shares]
-        self._steps_paths = self.simulation.paths
-
-    def _bound_step(self, blocks: slice, given: tuple[Any, ...]) -> Callable[..., int]:
-        """Return what takes one agent step with the devices of some blocks, and returns what `_take` does."""
-        parameters, settings, which, scenarios, states = self._arrays
-        arrays = parameters, settings, which[blocks], scenarios[blocks], states[blocks]
-        same = *arrays, *self._memory(blocks)
-        step = partial(compiled_for(self._compiled_step, (*same, *given)), *same)
-        if not self.privileged:
-            return step
-        observe = partial(_observe_privileged, arrays, self._bare_inertia, self._seen_devices)
-
-        def step_and_observe(
-            others: NDArray[Any] | None, actions: NDArray[Any], observations: Observations, report: Report
-        ) -> int:
-            wrong = step(others, actions, observations, report)
-            if wrong < 0:
-                observe(np.arange(len(observations)), observations)
-            return wrong
-
-        return step_and_observe
-
-    @property
-    def _seen_devices(self) -> NDArray[np.float32] | None:
-        """`described`, if privileged observations have it: those of a fleet."""
-        return None if self.names is None else self.described
-
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
         """Fill the observations of devices."""
         transition.observe_devices(*self._arrays, devices, observations)
         if self.privileged:  # compiled only if needed
-            _observe_privileged(self._arrays, self._bare_inertia, self._seen_devices, devices, observations)
+            self._observe_privileged(devices, observations)
 
-    def _step_in_threads(self, given: tuple[Any, ...]) -> None:
+    def _observe_privileged(self, devices: NDArray[np.int64], observations: Observations) -> None:
+        """Fill the privileged entries of the observations of devices."""
+        parameters, _, which, scenarios, states = self._arrays
+        arrays, first = (scenarios, states, devices), len(transition.OBSERVATIONS)
+        observe_privileged(parameters, which, self._bare_inertia, *arrays, first, observations)
+        if self.names is not None:
+            observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
+
+    def _step_in_threads(self, step: Callable[..., int], given: tuple[Any, ...]) -> int:
         """Let each thread, this one among them, step the devices of one share of the blocks after the other."""
-        turns = iter(range(len(self._shares)))  # of all threads; with the GIL, none is taken twice
-
-        def step() -> None:
-            for share in turns:
-                blocks = self._shares[share]
-                rows = slice(blocks.start * LANES, blocks.stop * LANES)
-                self._steps[share](*(array if array is None else array[rows] for array in given))
-
         pool, self._pool = self._pool, None  # after an error, the next step takes new threads
         if pool is None or not pool.is_here:
             pool = ThreadPool(self._helpers)
-        pool.run(step)
+        turns = (
+            self._shares,
+            new_number(),
+        )  # a new one: a thread that an interruption left behind finds no share of this step
+        wrong = pool.run(partial(step, turns, *given))
         self._pool = pool
+        return wrong
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
@@ -477,7 +454,7 @@ class Episodes:
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_steps": [], "_steps_paths": None}
+        return {**self.__dict__, "_pool": None, "_step": None, "_step_paths": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""
@@ -582,33 +559,18 @@ class Episodes:
         return found, [pack_path(scenario) for scenario in loaded]
 
 
-def _shares(blocks: int, threads: int) -> list[slice]:
-    """Return the shares of the blocks that threads take in turn.
+def _shares(blocks: int, threads: int) -> NDArray[np.int64]:
+    """Return where the shares of the blocks that threads take in turn begin, and where the last one ends.
 
     They become smaller, so that threads end nearly together, though one starts late or its core is busy.
     """
     if threads == 1:
-        return [slice(0, blocks)]
+        return np.array([0, blocks], dtype=np.int64)
     least, ends = math.ceil(blocks / (16 * threads)), [0]
     while ends[-1] < blocks:
         left = blocks - ends[-1]
         ends.append(ends[-1] + min(max(round(left / (1.5 * threads)), least), left))
-    return [slice(*pair) for pair in pairwise(ends)]
-
-
-def _observe_privileged(
-    arrays: Arrays,
-    bare_inertia: NDArray[np.float64],
-    described: NDArray[np.float32] | None,
-    devices: NDArray[np.int64],
-    observations: Observations,
-) -> None:
-    """Fill the privileged entries of the observations of some blocks' devices; `described` is None without a fleet."""
-    parameters, _, which, scenarios, states = arrays
-    first = len(transition.OBSERVATIONS)
-    observe_privileged(parameters, which, bare_inertia, scenarios, states, devices, first, observations)
-    if described is not None:
-        observations[:, first + len(PRIVILEGED) :] = described[which[devices // LANES]]
+    return np.array(ends, dtype=np.int64)
 
 
 def as_numbers(actions: NDArray[Any]) -> NDArray[np.float64]:

@@ -8,10 +8,19 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
+from typing import TypeVar
 
-_Ends = list[BaseException | None]
+import numba
+
+from amulett_gym.jit.turns import Number, count_once, new_number, reaches
+
+LOOKS = 0 if numba.config.DISABLE_JIT else 100_000
+"""Looks for the others' end before a thread sleeps: as long as it takes to wake up, or twice as long."""
+
+T = TypeVar("T")
+_Errors = list[BaseException]
 _Wakes = SimpleQueue[None]
-_Calls = SimpleQueue[tuple[Callable[[], object], _Ends, _Wakes] | None]
+_Calls = SimpleQueue[tuple[Callable[[], object], Number, _Errors, _Wakes] | None]
 
 
 class ThreadPool:
@@ -42,28 +51,28 @@ class ThreadPool:
         """Whether the threads are in this process: a forked one inherits none."""
         return self._process == os.getpid()
 
-    def run(self, work: Callable[[], object]) -> None:
-        """Call `work` in this thread and in others; raise the first error once none of them works any more.
+    def run(self, work: Callable[[], T]) -> T:
+        """Call `work` in this thread and in others; once none of them works any more, return what it returned here.
 
-        A thread that has not begun when this one is done, as its core is busy, is not waited for. Ctrl-C does not end
-        the wait for the others, but a second one in it does: then the pool must not be used again.
+        Or raise the first error. A thread that has not begun when this one is done, as its core is busy, is not waited
+        for. Ctrl-C does not end the wait for the others, but a second one in it does: then the pool must not be used
+        again.
         """
-        ends: _Ends = []
-        wakes: _Wakes = SimpleQueue()
+        ended, errors, wakes = new_number(), _Errors(), _Wakes()
         begun = len(self._threads)
         for _ in self._threads:
-            self._calls.put((work, ends, wakes))
+            self._calls.put((work, ended, errors, wakes))
         try:
-            work()
+            found = work()
         finally:
             with suppress(Empty):
                 while True:
                     self._calls.get_nowait()
                     begun -= 1
-            _wait(ends, begun, wakes)
-        for error in ends:
-            if error is not None:
-                raise error
+            _wait(ended, begun, wakes)
+        if errors:
+            raise errors[0]
+        return found
 
     def close(self) -> None:
         """End the threads."""
@@ -72,13 +81,14 @@ class ThreadPool:
             thread.join()
 
 
-def _wait(ends: _Ends, count: int, wakes: _Wakes) -> None:
+def _wait(ended: Number, begun: int, wakes: _Wakes) -> None:
     """Wait until so many threads have ended their work; raise what a signal's handler raises only then."""
     try:
-        while len(ends) < count:
-            wakes.get()
+        if begun and not reaches(ended, begun, LOOKS):
+            while ended[0] < begun:
+                wakes.get()
     except BaseException:  # the others work on what the caller uses next
-        while len(ends) < count:
+        while ended[0] < begun:
             wakes.get()
         raise
 
@@ -90,14 +100,13 @@ def _serve(calls: _Calls) -> None:
         del call  # or its arrays are kept until there is more
 
 
-def _do(work: Callable[[], object], ends: _Ends, wakes: _Wakes) -> None:
+def _do(work: Callable[[], object], ended: Number, errors: _Errors, wakes: _Wakes) -> None:
     """Do the work, note how it ended, and wake who waits for it."""
     try:
         work()
     except BaseException as error:
-        ends.append(error)
-    else:
-        ends.append(None)
+        errors.append(error)
+    count_once(ended)
     wakes.put(None)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
 from amulett_gym.envs.reward import COST_TERMS, TERMS
 from amulett_gym.jit.compiled import compiled, compiled_in_place, record
+from amulett_gym.jit.turns import count
 from amulett_gym.simulation.kernel import advance_block, joint_stiffness
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise
@@ -122,26 +123,33 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, means, actions, observations, report):
+def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, turns, means, actions, observations, report):
     """Take one agent step with all devices; fill observations and report, one row per device.
 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
     tension; `means` those for the mean drive angle, or None: then the code for these is not
     compiled. `paths`, `loop` and `extended` are as of `kernel.advance`. If an action is NaN, nothing happens but that
     its device is returned (see `first_nan`).
+
+    `turns` holds where the shares of the blocks begin, with the end of the last one, and the next share that nobody has
+    taken: threads that call this with the same one take the shares in turn.
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
         return wrong
     num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
-    for block in range(s_blocks.shape[0]):
-        first = block * LANES
-        end = min(first + LANES, num_devices)
-        c, s, own = c_blocks[block], s_blocks[block], which[block]
-        m = motion[0]
-        others = m, paths, loop, extended
-        step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
+    shares, turn = turns
+    share = count(turn)
+    while share < shares.size - 1:
+        for block in range(shares[share], shares[share + 1]):
+            first = block * LANES
+            end = min(first + LANES, num_devices)
+            c, s, own = c_blocks[block], s_blocks[block], which[block]
+            m = motion[0]
+            others = m, paths, loop, extended
+            step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
+        share = count(turn)
     return ALL_NUMBERS
 
 

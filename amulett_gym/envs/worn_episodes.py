@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition, worn_transition
-from amulett_gym.envs.episodes import ALL, Drawn, Episodes, Keys, Observations, Report
+from amulett_gym.envs.episodes import Drawn, Episodes, Keys, Observations, Report
 from amulett_gym.envs.reward import TERM_KEY
 from amulett_gym.envs.worn_reward import WORN_TERMS, worn_prices
 from amulett_gym.envs.worn_settings import WornSettings
@@ -97,9 +97,8 @@ class WornEpisodes(Episodes):
         tensions, assistances = actions.reshape(-1, 2).T.copy()
         return assistances, tensions
 
-    def _memory(self, blocks: slice = ALL) -> tuple[Any, ...]:
-        fittings, persons, states = self.simulation.worn
-        return *super()._memory(blocks), (fittings, persons[blocks], states[blocks])
+    def _memory(self) -> tuple[Any, ...]:
+        return *super()._memory(), self.simulation.worn
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         worn, read = self.simulation.read_worn, self.simulation.read

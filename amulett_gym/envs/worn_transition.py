@@ -21,6 +21,7 @@ from amulett_gym.envs.transition import (
     write_report,
 )
 from amulett_gym.jit.compiled import compiled, compiled_in_place
+from amulett_gym.jit.turns import count
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
 from amulett_gym.simulation.worn import advance_block
@@ -60,7 +61,9 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistances, actions, observations, report):
+def step(
+    p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, turns, assistances, actions, observations, report
+):
     """Take one agent step with all devices; fill observations and report, one row per device.
 
     `actions` are those for the tension, `assistances` those for the assistance; else as `transition.step`.
@@ -70,12 +73,16 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistanc
         return wrong
     num_devices = actions.shape[0]
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
-    for block in range(s_blocks.shape[0]):
-        first = block * LANES
-        own, c, s = which[block], c_blocks[block], s_blocks[block]
-        ends = first, min(first + LANES, num_devices)
-        others = motion[0], motion_of_arm[0], paths, loop, extended, worn
-        step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
+    shares, turn = turns
+    share = count(turn)
+    while share < shares.size - 1:
+        for block in range(shares[share], shares[share + 1]):
+            first = block * LANES
+            own, c, s = which[block], c_blocks[block], s_blocks[block]
+            ends = first, min(first + LANES, num_devices)
+            others = motion[0], motion_of_arm[0], paths, loop, extended, worn
+            step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
+        share = count(turn)
     return ALL_NUMBERS
 
 

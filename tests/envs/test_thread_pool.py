@@ -12,7 +12,9 @@ from queue import SimpleQueue
 
 import pytest
 
+from amulett_gym.envs import thread_pool
 from amulett_gym.envs.thread_pool import ThreadPool
+from amulett_gym.jit.turns import new_number
 
 DEADLINE = 30.0
 """What is given to what takes a millisecond on a free machine [s]."""
@@ -26,10 +28,14 @@ def waited_for(condition):
 
 
 def test_all_threads_work_at_the_same_time():
-    pool = ThreadPool(2)
+    pool, here = ThreadPool(2), threading.current_thread()
     meeting = threading.Barrier(3, timeout=DEADLINE)
-    for _ in range(3):
-        pool.run(meeting.wait)
+
+    def meet():
+        meeting.wait()
+        return threading.current_thread()
+
+    assert [pool.run(meet) for _ in range(3)] == [here] * 3
     pool.close()
 
 
@@ -77,9 +83,28 @@ def test_an_interruption_is_raised_once_no_thread_works_any_more():
     assert done == [True]
 
 
+@pytest.mark.parametrize("looks", [0, 1, 10**9])
+def test_others_are_waited_for_awake_or_asleep(looks, monkeypatch):
+    monkeypatch.setattr(thread_pool, "LOOKS", looks)
+    here, done = threading.current_thread(), []
+    both = threading.Barrier(3, timeout=DEADLINE)
+
+    def work():
+        both.wait()
+        if threading.current_thread() is not here:
+            time.sleep(0.02)
+            done.append(True)
+
+    pool = ThreadPool(2)
+    for turn in range(1, 4):
+        pool.run(work)
+        assert len(done) == 2 * turn
+    pool.close()
+
+
 def test_a_thread_that_has_not_begun_is_not_waited_for():
     pool, busy, calls = ThreadPool(1), threading.Event(), []
-    pool._calls.put((busy.wait, [], SimpleQueue()))
+    pool._calls.put((busy.wait, new_number(), [], SimpleQueue()))
     assert waited_for(pool._calls.empty)
     caller = threading.Thread(target=pool.run, args=(lambda: calls.append(threading.current_thread()),), daemon=True)
     caller.start()

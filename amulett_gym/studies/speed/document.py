@@ -145,9 +145,16 @@ def _scale(data: Data) -> list[Table]:
         head = ("devices", "median", "minimum", "maximum")
         made.append(Table("Time per step and device [ns], testbed, one core", head, rows, note))
     if "two_threads" in scale:
-        rows = [[f"{int(size):,}", _spread(**row, digits=2)] for size, row in scale["two_threads"].items()]
-        note = "Ratio of the speeds per turn: median (minimum-maximum). Useful only if a second core is free."
-        made.append(Table("Two threads compared with one, testbed", ("devices", "speed-up"), rows, note))
+        rows = [
+            [f"{int(size):,}", *(_spread(**row[key], digits=2) for key in ("threads", "cores"))]
+            for size, row in scale["two_threads"].items()
+        ]
+        note = (
+            "Ratio of the speeds per turn: median (minimum-maximum). Two kernels, each with half of the devices, do "
+            "not wait for each other: their speed-up shows how free the second core was."
+        )
+        columns = ("devices", "environment: speed-up", "two kernels: speed-up")
+        made.append(Table("Two threads compared with one, testbed", columns, rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]
         rows = [

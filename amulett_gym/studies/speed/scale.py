@@ -6,7 +6,7 @@ import gc
 import os
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
+from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.envs.vector import TensionVectorEnv
-from amulett_gym.studies.speed.rates import AGENT_PERIOD, race, ratios, spread, vector
+from amulett_gym.studies.speed.rates import AGENT_PERIOD, Contestant, kernel, race, ratios, spread, vector
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
 THREADED_SIZES = (1024, 8192, 65536)
+UNDISTURBED = 2**14
+"""Agent steps of all devices that two kernels make before they wait for each other."""
 HOUR = 3600.0  # [s]
 EPISODE_STEPS = 500
 SLICES = 60
@@ -42,12 +45,40 @@ def cost_by_size(
 
 def two_threads(
     profile: str = "testbed", sizes: Sequence[int] = THREADED_SIZES, seed: int = 0, turns: int = 7, watch: Watch = int
-) -> dict[int, dict[str, float]]:
-    """Return the speed-up by a second thread at each size, turn by turn: median, least, most."""
-    entrants = [vector(profile, size, seed, threads) for size in sizes for threads in (1, 2)]
-    speeds = race(entrants, turns, watch=watch)
-    pairs = zip(speeds[::2], speeds[1::2], strict=True)
-    return {size: spread(ratios(two, one)) for size, (one, two) in zip(sizes, pairs, strict=True)}
+) -> dict[int, dict[str, dict[str, float]]]:
+    """Return speed-ups by a second thread at each size, turn by turn: median, least, most.
+
+    ``"threads"`` is that of an environment. ``"cores"`` is what the machine has to give at the same time: that of two
+    kernels with half of the devices each, which advance at the same time without waiting for each other.
+    """
+    speeds = race([one for size in sizes for one in _threaded(profile, size, seed)], turns, watch=watch)
+    found = {}
+    for k, size in enumerate(sizes):
+        one, two, in_turn, at_once = speeds[4 * k : 4 * (k + 1)]
+        found[size] = {"threads": spread(ratios(two, one)), "cores": spread(ratios(at_once, in_turn))}
+    return found
+
+
+def _threaded(profile: str, devices: int, seed: int) -> list[Contestant]:
+    """Return an environment with one thread and with two, and two kernels that advance in turn and at once."""
+    halves = [kernel(profile, devices // 2, seed + half) for half in range(2)]
+    calls = max(UNDISTURBED // devices, 1)
+
+    def advance(waiting: Iterable[Contestant]) -> None:
+        for half in waiting:
+            for _ in range(calls):
+                half.step()
+
+    def in_turn() -> None:
+        advance(halves)
+
+    def at_once() -> None:
+        waiting = iter(halves)  # of both threads; with the GIL, none is taken twice
+        pool.run(lambda: advance(waiting))
+
+    pool = ThreadPool(1)
+    environments = [vector(profile, devices, seed, threads) for threads in (1, 2)]
+    return [*environments, *(Contestant(step.__name__, step, calls * devices) for step in (in_turn, at_once))]
 
 
 def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int = 0) -> dict[str, float | None]:

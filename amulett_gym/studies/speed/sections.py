@@ -145,7 +145,7 @@ def _scale(settings: Settings, data: Data, recipe: Any) -> None:
         found["device_step_ns"] = scale.cost_by_size(
             sizes=scale.SIZES, seed=settings.seed, turns=turns, watch=bar.update
         )
-    with Progress(2 * settings.turns * len(scale.THREADED_SIZES), "threads", "turns") as bar:
+    with Progress(4 * settings.turns * len(scale.THREADED_SIZES), "threads", "turns") as bar:
         found["two_threads"] = scale.two_threads(seed=settings.seed, turns=settings.turns, watch=bar.update)
     with Progress(scale.SLICES, "long run", "slices") as bar:
         found["long_run"] = scale.long_run(
