@@ -21,7 +21,7 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled_for
-from amulett_gym.jit.turns import new_number
+from amulett_gym.jit.turns import Number, new_number
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
@@ -32,6 +32,9 @@ from amulett_gym.tasks.suites import Sampler, draw_devices, episode_keys, famili
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
 """Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
+
+Turns = tuple[NDArray[np.int64], Number, NDArray[np.int64]]
+"""What `transition.step` needs for threads to share the blocks."""
 
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
@@ -117,8 +120,8 @@ class Episodes:
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
         self._helpers = min(threads, simulation.states.size) - 1
-        self._shares = _shares(simulation.states.size, 1 + self._helpers)
-        self._turn = new_number()
+        shares = _shares(simulation.states.size, 1 + self._helpers)
+        self._turns = shares, new_number(), np.empty_like(shares)
         self._pool: ThreadPool | None = None
         self._step: Callable[..., int] | None = None
         self._step_paths: Paths | None = None
@@ -371,20 +374,14 @@ class Episodes:
 
         Return the first device with an action that is NaN, before any is stepped, or `transition.ALL_NUMBERS`.
         """
-        turns = self._shares, self._turn
         if self._step is None or self._step_paths is not self.simulation.paths:
             same = *self._arrays, *self._memory()  # from step to step, except the paths: a reset may bring new ones
-            self._step = partial(compiled_for(self._compiled_step, (*same, turns, *given)), *same)
+            self._step = partial(compiled_for(self._compiled_step, (*same, self._turns, *given)), *same)
             self._step_paths = self.simulation.paths
         if self._helpers:
-            wrong = self._step_in_threads(self._step, given)
-        else:
-            self._turn[0] = 0
-            wrong = self._step(turns, *given)
-        if self.privileged and wrong < 0:
-            *_, observations, _ = given
-            self._observe_privileged(np.arange(len(observations)), observations)
-        return wrong
+            return self._step_in_threads(given)
+        self._turns[1][0] = 0
+        return self._take_shares(self._turns, given)
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
@@ -434,16 +431,28 @@ class Episodes:
         if self.names is not None:
             observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
 
-    def _step_in_threads(self, step: Callable[..., int], given: tuple[Any, ...]) -> int:
-        """Let each thread, this one among them, step the devices of one share of the blocks after the other."""
+    def _take_shares(self, turns: Turns, given: tuple[Any, ...]) -> int:
+        """Take one agent step with the devices of shares that no other thread takes; return what `_take` does."""
+        assert self._step is not None
+        wrong = self._step(turns, *given)
+        if self.privileged and wrong < 0:
+            shares, _, taken = turns
+            *_, observations, _ = given
+            for share in taken:
+                if share < 0:
+                    break
+                first, end = LANES * shares[share], min(LANES * shares[share + 1], len(observations))
+                self._observe_privileged(np.arange(first, end), observations[first:end])
+        return wrong
+
+    def _step_in_threads(self, given: tuple[Any, ...]) -> int:
+        """Let each thread, this one among them, take one share of the blocks after the other."""
         pool, self._pool = self._pool, None  # after an error, the next step takes new threads
         if pool is None or not pool.is_here:
             pool = ThreadPool(self._helpers)
-        turns = (
-            self._shares,
-            new_number(),
-        )  # a new one: a thread that an interruption left behind finds no share of this step
-        wrong = pool.run(partial(step, turns, *given))
+        shares, _, taken = self._turns
+        turn = new_number()  # a new one: a thread that an interruption left behind finds no share of this step
+        wrong = pool.run(lambda: self._take_shares((shares, turn, np.empty_like(taken)), given))
         self._pool = pool
         return wrong
 

@@ -12,15 +12,13 @@ from typing import TypeVar
 
 import numba
 
-from amulett_gym.jit.turns import Number, count_once, new_number, reaches
+from amulett_gym.jit.turns import count_once, new_number, reaches
 
 LOOKS = 0 if numba.config.DISABLE_JIT else 100_000
-"""Looks for the others' end before a thread sleeps: as long as it takes to wake up, or twice as long."""
+"""Looks for the others' end before a thread sleeps: about as long as it takes to wake up."""
 
 T = TypeVar("T")
-_Errors = list[BaseException]
-_Wakes = SimpleQueue[None]
-_Calls = SimpleQueue[tuple[Callable[[], object], Number, _Errors, _Wakes] | None]
+_Calls = SimpleQueue["_Run | None"]
 
 
 class ThreadPool:
@@ -35,6 +33,8 @@ class ThreadPool:
     """
 
     def __init__(self, size: int) -> None:
+        count_once(new_number())  # compiled here, where an error is raised
+        reaches(new_number(), 0, 1)
         self._calls: _Calls = SimpleQueue()
         self._finalizer = weakref.finalize(self, _end, self._calls, size)
         # Daemons, so that waiting ones do not hold up the process's end.
@@ -55,23 +55,18 @@ class ThreadPool:
         """Call `work` in this thread and in others; once none of them works any more, return what it returned here.
 
         Or raise the first error. A thread that has not begun when this one is done, as its core is busy, is not waited
-        for. Ctrl-C does not end the wait for the others, but a second one in it does: then the pool must not be used
-        again.
+        for. Ctrl-C does not end the wait for the others, but a second one does: then the pool must not be used again.
         """
-        ended, errors, wakes = new_number(), _Errors(), _Wakes()
-        begun = len(self._threads)
-        for _ in self._threads:
-            self._calls.put((work, ended, errors, wakes))
+        run = _Run(work)
         try:
+            run.call(self._calls, len(self._threads))
             found = work()
-        finally:
-            with suppress(Empty):
-                while True:
-                    self._calls.get_nowait()
-                    begun -= 1
-            _wait(ended, begun, wakes)
-        if errors:
-            raise errors[0]
+            run.end(self._calls)
+        except BaseException:  # the others work on what the caller uses next
+            run.end(self._calls)
+            raise
+        if run.errors:
+            raise run.errors[0]
         return found
 
     def close(self) -> None:
@@ -81,33 +76,46 @@ class ThreadPool:
             thread.join()
 
 
-def _wait(ended: Number, begun: int, wakes: _Wakes) -> None:
-    """Wait until so many threads have ended their work; raise what a signal's handler raises only then."""
-    try:
-        if begun and not reaches(ended, begun, LOOKS):
-            while ended[0] < begun:
-                wakes.get()
-    except BaseException:  # the others work on what the caller uses next
-        while ended[0] < begun:
-            wakes.get()
-        raise
+class _Run:
+    """Work that threads do together.
+
+    A signal's handler may raise between two steps of the interpreter, so threads are called, and taken back, in one.
+    """
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self.errors: list[BaseException] = []
+        self._work, self._ended, self._wakes = work, new_number(), SimpleQueue[None]()
+        self._called: list[None] = []
+        self._taken_back: list[object] = []
+
+    def call(self, calls: _Calls, threads: int) -> None:
+        """Ask threads to do it."""
+        self._called.extend(map(calls.put, [self] * threads))
+
+    def do(self) -> None:
+        """Do it as one of these threads."""
+        try:
+            self._work()
+        except BaseException as error:
+            self.errors.append(error)
+        count_once(self._ended)
+        self._wakes.put(None)
+
+    def end(self, calls: _Calls) -> None:
+        """Wait until none of them works any more; those that have not begun never will."""
+        with suppress(Empty):
+            self._taken_back.extend(iter(calls.get_nowait, ...))
+        begun = len(self._called) - len(self._taken_back)
+        if begun and not reaches(self._ended, begun, LOOKS):
+            while not reaches(self._ended, begun, 1):
+                self._wakes.get()
 
 
 def _serve(calls: _Calls) -> None:
-    """Do a thread's work. It knows the queues alone, not the pool, which can thus be collected."""
-    while (call := calls.get()) is not None:
-        _do(*call)
-        del call  # or its arrays are kept until there is more
-
-
-def _do(work: Callable[[], object], ended: Number, errors: _Errors, wakes: _Wakes) -> None:
-    """Do the work, note how it ended, and wake who waits for it."""
-    try:
-        work()
-    except BaseException as error:
-        errors.append(error)
-    count_once(ended)
-    wakes.put(None)
+    """Do a thread's work. It knows the queue alone, not the pool, which can thus be collected."""
+    while (run := calls.get()) is not None:
+        run.do()
+        del run  # or its arrays are kept until there is more
 
 
 def _end(calls: _Calls, size: int) -> None:

@@ -124,24 +124,25 @@ _DEG = 180.0 / math.pi
 
 @compiled
 def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, turns, means, actions, observations, report):
-    """Take one agent step with all devices; fill observations and report, one row per device.
+    """Take one agent step with devices that no other thread takes; fill observations and report, one row per device.
 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
     tension; `means` those for the mean drive angle, or None: then the code for these is not
     compiled. `paths`, `loop` and `extended` are as of `kernel.advance`. If an action is NaN, nothing happens but that
     its device is returned (see `first_nan`).
 
-    `turns` holds where the shares of the blocks begin, with the end of the last one, and the next share that nobody has
-    taken: threads that call this with the same one take the shares in turn.
+    `turns` are: where the shares of the blocks begin, and the end of the last one; the number of the next share; and
+    where to note the shares that were taken, in order, then -1. Threads with the same number take different shares.
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
         return wrong
     num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
-    shares, turn = turns
-    share = count(turn)
+    shares, turn, taken = turns
+    number, share = 0, count(turn)
     while share < shares.size - 1:
+        taken[number] = share
         for block in range(shares[share], shares[share + 1]):
             first = block * LANES
             end = min(first + LANES, num_devices)
@@ -149,7 +150,8 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, turns, means, a
             m = motion[0]
             others = m, paths, loop, extended
             step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
-        share = count(turn)
+        number, share = number + 1, count(turn)
+    taken[number] = -1
     return ALL_NUMBERS
 
 

@@ -64,7 +64,7 @@ _DEG = 180.0 / math.pi
 def step(
     p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, turns, assistances, actions, observations, report
 ):
-    """Take one agent step with all devices; fill observations and report, one row per device.
+    """Take one agent step with devices that no other thread takes; fill observations and report, one row per device.
 
     `actions` are those for the tension, `assistances` those for the assistance; else as `transition.step`.
     """
@@ -73,16 +73,18 @@ def step(
         return wrong
     num_devices = actions.shape[0]
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
-    shares, turn = turns
-    share = count(turn)
+    shares, turn, taken = turns
+    number, share = 0, count(turn)
     while share < shares.size - 1:
+        taken[number] = share
         for block in range(shares[share], shares[share + 1]):
             first = block * LANES
             own, c, s = which[block], c_blocks[block], s_blocks[block]
             ends = first, min(first + LANES, num_devices)
             others = motion[0], motion_of_arm[0], paths, loop, extended, worn
             step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
-        share = count(turn)
+        number, share = number + 1, count(turn)
+    taken[number] = -1
     return ALL_NUMBERS
 
 

@@ -25,7 +25,7 @@ if numba.config.DISABLE_JIT:  # Python runs it
             return int(number[0]) - 1
 
     def read(number: Number) -> int:
-        """Return what a number is now, with all that was written before it was counted so far."""
+        """Return what a number is now; all that a thread wrote before it counted can be seen then."""
         return int(number[0])
 
 else:
@@ -42,7 +42,7 @@ else:
 
     @intrinsic
     def read(_: Any, number: Any) -> Any:
-        """Return what a number is now, with all that was written before it was counted so far."""
+        """Return what a number is now; all that a thread wrote before it counted can be seen then."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             place = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -59,7 +59,7 @@ def count_once(number: Number) -> int:
 
 @compiled
 def reaches(number: Number, goal: int, looks: int) -> bool:
-    """Return whether a number reaches `goal` within so many looks, a nanosecond or less each, without the GIL."""
+    """Return whether a number reaches `goal` within so many looks, without the GIL."""
     while looks > 0 and read(number) < goal:
         looks -= 1
     return looks > 0

@@ -8,13 +8,11 @@ import sys
 import threading
 import time
 import weakref
-from queue import SimpleQueue
 
 import pytest
 
 from amulett_gym.envs import thread_pool
 from amulett_gym.envs.thread_pool import ThreadPool
-from amulett_gym.jit.turns import new_number
 
 DEADLINE = 30.0
 """What is given to what takes a millisecond on a free machine [s]."""
@@ -83,6 +81,49 @@ def test_an_interruption_is_raised_once_no_thread_works_any_more():
     assert done == [True]
 
 
+def test_an_interruption_anywhere_leaves_no_thread_at_work():
+    here, pool, working = threading.current_thread(), ThreadPool(1), []
+
+    def work():
+        if threading.current_thread() is here:
+            time.sleep(0.002)
+        else:
+            working.append(True)
+            time.sleep(0.004)
+            working.pop()
+
+    def interrupted_at(step):
+        """Return whether there is such a step of the interpreter, before which a signal's handler then raises."""
+        left = iter(range(step))
+
+        def trace(frame, event, _):
+            if frame.f_code.co_filename != thread_pool.__file__:
+                return None
+            frame.f_trace_opcodes = True
+            if event == "opcode" and next(left, None) is None:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+            return trace
+
+        before = sys.gettrace()
+        sys.settrace(trace)
+        try:
+            pool.run(work)
+        except KeyboardInterrupt:
+            return True
+        finally:
+            sys.settrace(before)
+        return False
+
+    step = 0
+    while interrupted_at(step):
+        time.sleep(0.002)  # for a thread to begin
+        assert not working and pool._calls.empty(), step
+        step += 1
+    assert step > 50
+    pool.close()
+
+
 @pytest.mark.parametrize("looks", [0, 1, 10**9])
 def test_others_are_waited_for_awake_or_asleep(looks, monkeypatch):
     monkeypatch.setattr(thread_pool, "LOOKS", looks)
@@ -104,7 +145,7 @@ def test_others_are_waited_for_awake_or_asleep(looks, monkeypatch):
 
 def test_a_thread_that_has_not_begun_is_not_waited_for():
     pool, busy, calls = ThreadPool(1), threading.Event(), []
-    pool._calls.put((busy.wait, new_number(), [], SimpleQueue()))
+    thread_pool._Run(busy.wait).call(pool._calls, 1)
     assert waited_for(pool._calls.empty)
     caller = threading.Thread(target=pool.run, args=(lambda: calls.append(threading.current_thread()),), daemon=True)
     caller.start()

@@ -150,10 +150,10 @@ def _scale(data: Data) -> list[Table]:
             for size, row in scale["two_threads"].items()
         ]
         note = (
-            "Ratio of the speeds per turn: median (minimum-maximum). Two kernels, each with half of the devices, do "
-            "not wait for each other: their speed-up shows how free the second core was."
+            "Ratio of the speeds per turn: median (minimum-maximum). The threads of the kernel hardly wait for each "
+            "other: their speed-up shows how free the second core was."
         )
-        columns = ("devices", "environment: speed-up", "two kernels: speed-up")
+        columns = ("devices", "environment", "kernel alone")
         made.append(Table("Two threads compared with one, testbed", columns, rows, note))
     if "memory_per_device" in scale:
         memory = scale["memory_per_device"]

@@ -21,8 +21,9 @@ from amulett_gym.studies.speed.rates import AGENT_PERIOD, Contestant, kernel, ra
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
 THREADED_SIZES = (1024, 8192, 65536)
-UNDISTURBED = 2**14
-"""Agent steps of all devices that two kernels make before they wait for each other."""
+PARTS = 32
+UNDISTURBED = 2**16
+"""Agent steps of all devices before two threads that wait as little as possible wait for each other."""
 HOUR = 3600.0  # [s]
 EPISODE_STEPS = 500
 SLICES = 60
@@ -48,37 +49,35 @@ def two_threads(
 ) -> dict[int, dict[str, dict[str, float]]]:
     """Return speed-ups by a second thread at each size, turn by turn: median, least, most.
 
-    ``"threads"`` is that of an environment. ``"cores"`` is what the machine has to give at the same time: that of two
-    kernels with half of the devices each, which advance at the same time without waiting for each other.
+    ``"threads"`` is that of an environment. ``"cores"`` is that of the kernel alone, the devices in `PARTS`, which two
+    threads take in turn; they wait for each other only after `UNDISTURBED` agent steps: what the machine has to give.
     """
     speeds = race([one for size in sizes for one in _threaded(profile, size, seed)], turns, watch=watch)
     found = {}
     for k, size in enumerate(sizes):
-        one, two, in_turn, at_once = speeds[4 * k : 4 * (k + 1)]
-        found[size] = {"threads": spread(ratios(two, one)), "cores": spread(ratios(at_once, in_turn))}
+        one, two, alone, together = speeds[4 * k : 4 * (k + 1)]
+        found[size] = {"threads": spread(ratios(two, one)), "cores": spread(ratios(together, alone))}
     return found
 
 
 def _threaded(profile: str, devices: int, seed: int) -> list[Contestant]:
-    """Return an environment with one thread and with two, and two kernels that advance in turn and at once."""
-    halves = [kernel(profile, devices // 2, seed + half) for half in range(2)]
+    """Return an environment with one thread and with two, and the kernel with one and two that hardly wait."""
+    parts = [kernel(profile, devices // PARTS, seed + part) for part in range(PARTS)]
     calls = max(UNDISTURBED // devices, 1)
 
     def advance(waiting: Iterable[Contestant]) -> None:
-        for half in waiting:
+        for part in waiting:
             for _ in range(calls):
-                half.step()
+                part.step()
 
-    def in_turn() -> None:
-        advance(halves)
-
-    def at_once() -> None:
-        waiting = iter(halves)  # of both threads; with the GIL, none is taken twice
+    def advance_together() -> None:
+        waiting = iter(parts)  # of both threads; with the GIL, none is taken twice
         pool.run(lambda: advance(waiting))
 
     pool = ThreadPool(1)
+    steps = lambda: advance(parts), advance_together
     environments = [vector(profile, devices, seed, threads) for threads in (1, 2)]
-    return [*environments, *(Contestant(step.__name__, step, calls * devices) for step in (in_turn, at_once))]
+    return [*environments, *(Contestant("kernel", step, calls * PARTS * parts[0].devices) for step in steps)]
 
 
 def memory_per_device(profile: str = "testbed", devices: int = 65536, seed: int = 0) -> dict[str, float | None]:
