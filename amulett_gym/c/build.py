@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.control import agonist
 from amulett_gym.errors import AmulettError
-from amulett_gym.simulation import kernel, layout, random
+from amulett_gym.simulation import commands, kernel, layout, random, sensors
 
 COMPILERS = ("cc", "gcc", "clang")
 NO_COMPILER = f"no C compiler found (looked for {', '.join(COMPILERS)}): the tick in C cannot be compiled"
@@ -56,14 +56,15 @@ BUILDS = {
 }
 
 _CONSTANTS: dict[str, Any] = {
-    **{name: getattr(layout, name) for name in ("LANES", "CELLS", "MAX_MOVES", "MAX_PUSHES")},
+    **{name: getattr(layout, name) for name in ("LANES", "CELLS", "MAX_MOVES", "MAX_PUSHES", "TIME_SLACK")},
     **{name: getattr(layout, name) for name in ("AGENT", "EQ6", "EQ6_PRINTED", "CLAMP", "HOLD", "IGNORE")},
     **{name: getattr(layout, name) for name in ("RUNNING", "ANGLE_LIMIT", "VELOCITY_LIMIT", "NOT_FINITE")},
     **{name: getattr(agonist, name) for name in ("BICEPS", "TRICEPS")},
-    **{name: getattr(kernel, name) for name in ("NEGLIGIBLE", "TIME_SLACK", "FARTHEST", "SENSOR_STREAMS")},
+    "FARTHEST": commands.FARTHEST,
+    **{name: getattr(kernel, name) for name in ("NEGLIGIBLE", "SHAKE_STREAM")},
     **{
-        name: getattr(kernel, name)
-        for name in ("ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS", "LATENESS", "SHAKE_STREAM")
+        name: getattr(sensors, name)
+        for name in ("SENSOR_STREAMS", "ENCODER", "SLIDER_BICEPS", "SLIDER_TRICEPS", "LATENESS")
     },
     **{name: getattr(random, f"_{name}") for name in ("GOLDEN", "MIX_1", "MIX_2")},
     **{f"NOISE_{name}": getattr(random, f"_{name}") for name in ("MEAN", "DEVIATION")},

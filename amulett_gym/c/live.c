@@ -84,7 +84,7 @@ static void command_from_outside(Parameters p, States s, double counting) {
                    (biceps_leads ? share : 1.0) * kick);
 }
 
-/* ---- the setpoint: follow_path of simulation/kernel.py ---- */
+/* ---- the setpoint: follow_path of simulation/setpoint.py ---- */
 
 static void follow_path(Parameters p, Scenarios c, States s) {
     double time = s->tick[0] * p->control_period;

@@ -1,7 +1,7 @@
 /* The loop of section 2.2 of the paper: readings to string forces, and from these to both drives' commands.
 
    One text for the tick in C (tick.c, of one or several devices at a time) and for the firmware (controller.c). Names and
-   order of operations are those of amulett_gym/simulation/kernel.py. The file that includes it defines
+   order of operations are those of kernel.py and sensors.py in amulett_gym/simulation. The file that includes it defines
 
      real, scalar, integer, mask, lane   a device's number, a parameter, a whole number, a condition, the place of a device
      select, either, all, all_integers   a choice of numbers, of whole numbers; the same number for all devices
@@ -91,7 +91,7 @@ INLINE real limit(Parameters p, real command) {
     return least(greatest(command, all(-p->command_limit)), all(p->command_limit));
 }
 
-/* ---- the readings: simulation/kernel.py, read_sensors ---- */
+/* ---- the readings: simulation/sensors.py, read_sensors ---- */
 
 /* A force estimate after the treatment of those below the floor (Figure 5b). */
 INLINE real trust(Parameters p, real estimate, real last) {

@@ -1,4 +1,4 @@
-/* The start of an episode at rest: settle of amulett_gym/simulation/kernel.py for one device (WIDTH 1). */
+/* The start of an episode at rest: settle of amulett_gym/simulation/equilibrium.py for one device (WIDTH 1). */
 
 /* The position (0 to 1) at which a rising table has a value, by bisection to the last bit. */
 static double inverse_look_up(Table table, double value) {

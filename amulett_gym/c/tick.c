@@ -96,7 +96,7 @@ INLINE real minimum_jerk(real progress) {
     return progress * progress * progress * (10.0 + progress * (6.0 * progress - 15.0));
 }
 
-/* ---- simulation/kernel.py ---- */
+/* ---- simulation/kernel.py, and of its stages metrics.py, dynamics.py, sensors.py and setpoint.py ---- */
 
 /* 1 if this tick counts in the metrics, else 0. */
 INLINE real start_counting(Parameters p, Scenarios c, States s, int64_t i) {

@@ -10,7 +10,8 @@ from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
 from amulett_gym.envs.reward import COST_TERMS, TERMS
 from amulett_gym.jit.compiled import compiled, compiled_in_place, record
 from amulett_gym.jit.turns import count
-from amulett_gym.simulation.kernel import advance_block, joint_stiffness
+from amulett_gym.simulation.dynamics import joint_stiffness
+from amulett_gym.simulation.kernel import advance_block
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
 from amulett_gym.simulation.random import noise
 

@@ -12,8 +12,9 @@ from amulett_gym.envs.transition import FIRST_READING, FIRST_TERM, costs, write_
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.model.spring import find_position, look_up_curve
 from amulett_gym.simulation.commands import command_drives
-from amulett_gym.simulation.kernel import next_late, setpoint_kick, shares, start_counting
+from amulett_gym.simulation.kernel import next_late, setpoint_kick, shares
 from amulett_gym.simulation.layout import LANES
+from amulett_gym.simulation.metrics import start_counting
 
 ALWAYS = 2.0
 """A `late_probability` with which the kernel's loop misses every tick."""

@@ -39,7 +39,8 @@ NAME = "amulett-gym"
 SOURCES = (
     *("errors.py", "fitting.py", "fleet.py", "gains.py", "profile.py", "settings.py"),
     *("jit/*.py", "storage/*.py", "control/*.py", "model/*.py"),
-    *(f"simulation/{name}.py" for name in ("batch", "commands", "kernel", "layout", "loops", "random", "replay")),
+    *(f"simulation/{name}.py" for name in ("batch", "commands", "dynamics", "equilibrium", "kernel", "layout")),
+    *(f"simulation/{name}.py" for name in ("loops", "metrics", "random", "replay", "sensors", "setpoint")),
     *("simulation/worn.py", "simulation/worn_layout.py"),
     *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
     *(f"envs/worn_{name}.py" for name in ("reward", "settings", "transition")),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import look_up, steepest_slope
 from amulett_gym.profile import MOST_TENSION, Profile
-from amulett_gym.simulation import kernel, layout
+from amulett_gym.simulation import equilibrium, kernel, layout
 from amulett_gym.simulation.layout import (
     CONTROLS,
     DRIVES,
@@ -182,7 +182,7 @@ class Simulation:
     def _settle(self, devices: NDArray[np.int64]) -> None:
         """Set the given devices' states, which are zero, to rest."""
         blocks = self.which, self.scenarios, self.states
-        kernel.settle(self.parameters, *blocks, self.paths, self.loop, self.extended, devices)
+        equilibrium.settle(self.parameters, *blocks, self.paths, self.loop, self.extended, devices)
 
     def command_tension(self, tension: ArrayLike) -> None:
         """Set the tension setpoint of each device [N], scalar or shape (num_devices,), until the next call.
@@ -316,7 +316,9 @@ class Simulation:
         blocks, states = (zeros(which.size, kind) for kind in (layout.SCENARIO_BLOCK, layout.STATE_BLOCK))
         for own, new in zip(words(blocks, LANES), words(scenarios, 1), strict=True):
             own[:, :, 0] = new[..., 0]
-        kernel.settle(self.parameters, which, blocks, states, None, None, self.extended, LANES * np.arange(which.size))
+        equilibrium.settle(
+            self.parameters, which, blocks, states, None, None, self.extended, LANES * np.arange(which.size)
+        )
         for name in ("biceps", "triceps"):
             force = states[f"force_{name}"][:, 0]
             load = force * scenarios[f"pulley_{name}_factor"] * self.parameters["drive_radius"][which]

@@ -60,6 +60,8 @@ LANES = 8
 _CACHE_LINE = 64  # bytes
 MAX_MOVES = 10
 MAX_PUSHES = 4
+TIME_SLACK = 1e-5  # [s]; a time that is a multiple of the control period must not miss its tick by rounding. A
+# scenario's times are 32-bit floats, off by up to 8 microseconds at 256 s
 _DIP = 0.05  # of the largest slope: by so much a measured curve may soften, and by more it has to stiffen in all
 
 AGENT, EQ6, EQ6_PRINTED = 0, 1, 2

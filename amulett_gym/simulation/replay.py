@@ -9,7 +9,8 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.jit.compiled import compiled
 from amulett_gym.simulation import layout
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.kernel import act, begin_motion, move, settle
+from amulett_gym.simulation.equilibrium import settle
+from amulett_gym.simulation.kernel import act, begin_motion, move
 from amulett_gym.simulation.layout import LANES, words
 
 OUTPUTS = ("measured_angle", "measured_biceps", "measured_triceps", "estimate_biceps", "estimate_triceps")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.kernel import recorded_stiffness
+from amulett_gym.simulation.dynamics import recorded_stiffness
 from amulett_gym.simulation.layout import LANES
 from amulett_gym.storage.writing import atomic_path
 

@@ -23,27 +23,13 @@ from amulett_gym.model.sensors import quantise
 from amulett_gym.model.wearer import PASSIVE_DAMPING, activation_rate, excitations, muscle_damping, muscle_torque
 from amulett_gym.simulation import layout
 from amulett_gym.simulation.commands import FARTHEST, choose, low_pass
-from amulett_gym.simulation.kernel import (
-    act,
-    add_waves,
-    begin_motion,
-    drive_rates,
-    find_setpoints,
-    give_way,
-    next_failed,
-    next_late,
-    predict,
-    sense,
-    sensor_noise,
-    settle,
-    shake,
-    start_counting,
-    step,
-    string_forces,
-    track_steps,
-    weigh,
-)
+from amulett_gym.simulation.dynamics import drive_rates, give_way, string_forces
+from amulett_gym.simulation.equilibrium import settle
+from amulett_gym.simulation.kernel import act, begin_motion, next_failed, next_late, predict, sense, shake, step, weigh
+from amulett_gym.simulation.metrics import start_counting, track_steps
 from amulett_gym.simulation.random import noise
+from amulett_gym.simulation.sensors import sensor_noise
+from amulett_gym.simulation.setpoint import add_waves, find_setpoints
 from amulett_gym.simulation.worn_layout import ARM_BLOCK, DELAY
 
 CUFF_STREAM, TREMOR_STREAM = np.uint64(0xC0FF), np.uint64(0x73E3)
@@ -399,7 +385,7 @@ def measure(p, m, w, first, end):
 
 @compiled
 def settle_worn(p, which, c_blocks, s_blocks, paths, loop, extended, worn, devices):
-    """Reset the given devices as `kernel.settle`, with their wearers at rest in the same posture."""
+    """Reset the given devices as `equilibrium.settle`, with their wearers at rest in the same posture."""
     settle(p, which, c_blocks, s_blocks, paths, loop, extended, devices)
     for device in devices:
         block, i = device // layout.LANES, np.uint64(device % layout.LANES)

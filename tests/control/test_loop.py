@@ -11,7 +11,7 @@ from amulett_gym.control.variable_stiffness import scaling_factor, scaling_facto
 from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
-from amulett_gym.simulation import kernel
+from amulett_gym.simulation import sensors
 from amulett_gym.simulation.trajectory import record
 
 BACK_AND_FORTH = {
@@ -212,9 +212,9 @@ def test_force_estimates_below_the_floor(below_floor):
 def test_trust_is_what_the_floor_says():
     for below_floor, expected in (("clamp", 5.0), ("hold", 7.7), ("ignore", 3.2)):
         parameters = start(device("testbed", sensors={"below_floor": below_floor})).parameters[0]
-        assert kernel.trust(parameters, 3.2, 7.7) == expected
-        assert kernel.trust(parameters, 5.0, 7.7) == 5.0
-        assert kernel.trust(parameters, 9.9, 7.7) == 9.9
+        assert sensors.trust(parameters, 3.2, 7.7) == expected
+        assert sensors.trust(parameters, 5.0, 7.7) == 5.0
+        assert sensors.trust(parameters, 9.9, 7.7) == 9.9
 
 
 @pytest.mark.parametrize("base", PROFILES)

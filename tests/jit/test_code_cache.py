@@ -58,7 +58,7 @@ print(json.dumps([lines, ended]))
 SIGNATURES = 2  # whole numbers with a sign, and without
 
 SENSOR_NOISE = """
-from amulett_gym.simulation.kernel import sensor_noise
+from amulett_gym.simulation.sensors import sensor_noise
 print(sensor_noise(2.0, 3, 5))
 """
 

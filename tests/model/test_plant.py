@@ -22,7 +22,7 @@ from amulett_gym.model.plant import (
 from amulett_gym.model.sensors import quantise, read_slider
 from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import load_profile
-from amulett_gym.simulation import kernel
+from amulett_gym.simulation import dynamics
 from amulett_gym.simulation.layout import pack_parameters
 from amulett_gym.tasks.scenario import load_scenario, pack
 
@@ -122,7 +122,7 @@ def friction(profile, scenario):
     simulation = start(profile, scenario)
     state, arm = simulation.states[0], simulation.scenarios[0]
     still, moving = (
-        kernel.acceleration(
+        dynamics.acceleration(
             simulation.parameters[0],
             arm,
             0,

@@ -12,7 +12,7 @@ from amulett_gym.errors import AmulettError
 from amulett_gym.model.spring import CELLS, build_tables
 from amulett_gym.profile import load_profile
 from amulett_gym.settings import merge
-from amulett_gym.simulation import kernel, reference
+from amulett_gym.simulation import dynamics, reference
 from amulett_gym.simulation.batch import Simulation
 from amulett_gym.simulation.layout import ANGLE_LIMIT, RUNNING
 from amulett_gym.simulation.random import normal, random_bits
@@ -314,11 +314,11 @@ def test_joint_stiffness_is_the_slope_of_the_strings_torque():
     c["static_torque"][0] = 0.0
     angle, step = s["angle"][0], 1e-6
     before, after = (
-        kernel.acceleration(p, c, 0, x, 0.0, s["drive_biceps"][0], s["drive_triceps"][0], 0.0, True)
+        dynamics.acceleration(p, c, 0, x, 0.0, s["drive_biceps"][0], s["drive_triceps"][0], 0.0, True)
         for x in (angle - step, angle + step)
     )
     slope = (before - after) * c["inertia"][0] / (2 * step)
-    stiffness = kernel.joint_stiffness(p, c, 0, angle, s["drive_biceps"][0], s["drive_triceps"][0])
+    stiffness = dynamics.joint_stiffness(p, c, 0, angle, s["drive_biceps"][0], s["drive_triceps"][0])
     assert stiffness == pytest.approx(slope, rel=1e-6)
     assert record(simulation, 0)["joint_stiffness"][0] == stiffness
 
@@ -769,11 +769,11 @@ def test_joint_stiffness_counts_what_a_string_has_beyond_its_table(end):
     simulation = start(device(**ENDS[end]), {"initial_tension": 10.0})
     p, c, s = simulation.parameters[0], simulation.scenarios[0], simulation.states[0]
     drives = s["drive_biceps"][0] + 0.5, s["drive_triceps"][0]
-    torques = [kernel.acceleration(p, c, 0, x, 0.0, *drives, 0.0, True) * c["inertia"][0] for x in (-1e-6, 1e-6)]
-    stiffness = kernel.joint_stiffness(p, c, 0, 0.0, *drives)
+    torques = [dynamics.acceleration(p, c, 0, x, 0.0, *drives, 0.0, True) * c["inertia"][0] for x in (-1e-6, 1e-6)]
+    stiffness = dynamics.joint_stiffness(p, c, 0, 0.0, *drives)
     assert stiffness == pytest.approx((torques[0] - torques[1]) / 2e-6, rel=1e-6)
     held = start(device(), {"initial_tension": 10.0}).parameters[0]
-    assert stiffness > 1.5 * kernel.joint_stiffness(held, c, 0, 0.0, *drives)
+    assert stiffness > 1.5 * dynamics.joint_stiffness(held, c, 0, 0.0, *drives)
 
 
 def test_the_slider_goes_on_with_the_law_and_rests_on_the_stop():
@@ -853,10 +853,10 @@ def test_a_device_with_an_elastic_structure_starts_in_equilibrium(control):
     drives = s["drive_biceps"][0], s["drive_triceps"][0]
     c["static_torque"][0] = 0.0
     torques = [
-        kernel.acceleration(p, c, 0, s["angle"][0] + step, 0.0, *drives, 0.0, True) * c["inertia"][0]
+        dynamics.acceleration(p, c, 0, s["angle"][0] + step, 0.0, *drives, 0.0, True) * c["inertia"][0]
         for step in (-1e-6, 1e-6)
     ]
-    stiffness = kernel.joint_stiffness(p, c, 0, s["angle"][0], *drives)
+    stiffness = dynamics.joint_stiffness(p, c, 0, s["angle"][0], *drives)
     assert stiffness == pytest.approx((torques[0] - torques[1]) / 2e-6, rel=1e-6)
     assert stiffness < simulation.max_stiffness < start(device("testbed")).max_stiffness
 

@@ -9,7 +9,7 @@ import numpy as np
 from amulett_gym import FAILURES
 from amulett_gym.envs.episodes import Episodes
 from amulett_gym.simulation.batch import max_force, max_stiffness
-from amulett_gym.simulation.kernel import joint_stiffness, stretch_biceps, stretch_triceps
+from amulett_gym.simulation.dynamics import joint_stiffness, stretch_biceps, stretch_triceps
 from amulett_gym.simulation.layout import LANES
 from amulett_gym.simulation.worn_batch import WornSimulation
 

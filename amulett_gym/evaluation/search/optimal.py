@@ -50,8 +50,7 @@ from amulett_gym.model.spring import build_tables
 from amulett_gym.profile import Profile, load_profile
 from amulett_gym.reporting.progress import Progress
 from amulett_gym.simulation.batch import Simulation
-from amulett_gym.simulation.kernel import TIME_SLACK
-from amulett_gym.simulation.layout import ON_PATH, RUNNING
+from amulett_gym.simulation.layout import ON_PATH, RUNNING, TIME_SLACK
 from amulett_gym.simulation.reference import replay_motion
 from amulett_gym.simulation.trajectory import Trajectory, record
 from amulett_gym.storage.kept import digest, kept

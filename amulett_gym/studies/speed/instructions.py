@@ -33,7 +33,7 @@ from numba import types
 
 from amulett_gym.errors import AmulettError
 from amulett_gym.reporting.table import Table
-from amulett_gym.simulation import commands, kernel, layout, loops, worn
+from amulett_gym.simulation import commands, kernel, layout, loops, metrics, setpoint, worn
 from amulett_gym.simulation.layout import (
     DRIVES,
     LOOP_BLOCK,
@@ -64,7 +64,7 @@ _OF_LOOPS = [
     *(f"run_{name.replace('-', '_')}" for name in (*LOOPS, DRIVES)),
 ]
 STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "start_counting": (kernel.start_counting, (_P, _C, _S, _M, *_LANES)),
+    "start_counting": (metrics.start_counting, (_P, _C, _S, _M, *_LANES)),
     "choose_agonists": (commands.choose_agonists, (_P, _S, _M, *_LANES)),
     "choose_tensions": (commands.choose_tensions, (_P, _S, *_LANES)),
     "control_tensions": (kernel.control_tensions, (_P, _S, _M, *_LANES)),
@@ -73,14 +73,14 @@ STAGES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "evaluate": (kernel.evaluate, (_P, _C, _S, _M, *_LANES, *_REACH)),
     "step": (kernel.step, (_M, *_LANES, types.float64)),
     "sense": (kernel.sense, (_P, _C, _S, _M, *_LANES, types.none)),
-    "follow_moves": (kernel.follow_moves, (_P, _C, _S, *_LANES)),
-    "track_steps": (kernel.track_steps, (_P, _C, _S, _M, *_LANES)),
+    "follow_moves": (setpoint.follow_moves, (_P, _C, _S, *_LANES)),
+    "track_steps": (metrics.track_steps, (_P, _C, _S, _M, *_LANES)),
     "note_setpoints": (loops.note_setpoints, (_P, _G, _S, _Q, *_LANES)),
     **{name: (getattr(loops, name), (_P, _G, _S, _Q, *_LANES)) for name in _OF_LOOPS},
     "worn excite": (worn.excite, (_P, _C, _S, _M, _H, _W, _K, *_LANES)),
     "worn evaluate": (worn.evaluate, (_P, _C, _S, _M, _F, _H, _W, _K, *_LANES, *_REACH)),
 }
-"""The stages of `simulation.kernel`, `loops` and `worn` that do most of the work, with the types of their arguments."""
+"""The stages of ticks and loops that do most of the work, with the types of their arguments."""
 
 _ARITHMETIC = re.compile(r"v?(?:add|sub|mul|div|max|min|sqrt|round|rndscale|cmp\w*|and|andn|blendv|blendm)([ps])d")
 _LIBRARY = re.compile(r"\b(cos|exp|log|pow|sin|sincos)(?:@PLT)?$")

@@ -124,12 +124,12 @@ def _count(folder: Path, num_devices: int, ticks: int) -> dict[str, float]:
     import math
 
     from amulett_gym.model import damping, plant, sensors, spring
-    from amulett_gym.simulation import kernel, random
+    from amulett_gym.simulation import kernel, random, setpoint
 
     counting = SimpleNamespace(**vars(math))
     counting.exp, counting.sin = _function("exp", math.exp), _function("sin", math.sin)
     counting.sqrt, counting.floor = _function("sqrt", math.sqrt), _function("floor", math.floor)
-    for module in (damping, plant, spring, kernel):
+    for module in (damping, plant, spring, kernel, setpoint):
         module.math = counting  # type: ignore[attr-defined]
     sensors.np = counting  # type: ignore[assignment,attr-defined]
     random.float = Number  # type: ignore[attr-defined]
