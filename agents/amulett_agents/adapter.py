@@ -16,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 import amulett_gym
-from amulett_gym.envs.episodes import checked_options
+from amulett_gym.envs.arguments import checked_options
 from amulett_gym.envs.info import info_of
 from amulett_gym.envs.single import RESET_OPTIONS
 from amulett_gym.envs.transition import FIRST_TERM

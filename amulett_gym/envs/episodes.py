@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym.envs import transition
+from amulett_gym.envs.arguments import NO_SEED, Seeds, as_numbers
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
@@ -39,8 +39,6 @@ Turns = tuple[NDArray[np.int64], Number, NDArray[np.int64]]
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
 Keys = NDArray[np.uint64]
-Seeds = NDArray[np.object_]
-_NO_SEED = np.array(None)
 _SQUARED_DEGREES = np.degrees(1.0) ** 2
 Drawn = tuple[NDArray[np.void], ...]
 _REWARDED = {"position": _SQUARED_DEGREES, "effort": _SQUARED_DEGREES, "tension": 1.0, "contact": 1.0}
@@ -171,10 +169,10 @@ class Episodes:
     def seed(self, devices: NDArray[np.int64], seeds: Seeds, generator: np.random.Generator) -> None:
         """Choose the given devices' next episodes.
 
-        A device's first episode after a seed depends on that seed only, alone or in any batch. Without a seed
-        (see :func:`device_seeds`), it is the next one; a device without any episode so far is seeded by `generator`.
+        A device's first episode after a seed depends on that seed only, alone or in any batch. Without a seed, as
+        `arguments.device_seeds` marks it, it is the next one; a device without any episode is seeded by `generator`.
         """
-        seeded = seeds != _NO_SEED
+        seeded = seeds != NO_SEED
         new = ~seeded & ~self.started[devices]
         self._episodes[devices] += np.uint64(1)
         if not (seeded | new).any():
@@ -580,54 +578,3 @@ def _shares(blocks: int, threads: int) -> NDArray[np.int64]:
         left = blocks - ends[-1]
         ends.append(ends[-1] + min(max(round(left / (1.5 * threads)), least), left))
     return np.array(ends, dtype=np.int64)
-
-
-def as_numbers(actions: NDArray[Any]) -> NDArray[np.float64]:
-    """Return a contiguous copy of actions, which the compiled step takes.
-
-    Raises
-    ------
-    AmulettError
-        If they are no numbers.
-    """
-    try:
-        return actions.astype(np.float64)
-    except (TypeError, ValueError):
-        raise AmulettError(f"an action is no number: {actions.tolist()!r:.80}; allowed is [-1, 1]") from None
-
-
-def checked_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:
-    """Return the options of a reset; raise an AmulettError if one is unknown."""
-    for option in options or {}:
-        if option not in allowed:
-            raise unknown("reset option", str(option), allowed)
-    return options or {}
-
-
-def device_seeds(seed: int | Sequence[int | None] | NDArray[Any] | None, count: int) -> Seeds:
-    """Return each device's seed or None: ``seed + i`` or ``seed[i]`` for device i.
-
-    Raises
-    ------
-    AmulettError
-        If the number of seeds is not that of the devices.
-    gymnasium.error.Error
-        If a seed is no whole number of at least 0; Gymnasium's message.
-    """
-    if seed is None:
-        return np.full(count, None)
-    if isinstance(seed, np.ndarray):
-        seed = seed.tolist()
-    listed = seed if isinstance(seed, Sequence) else [seed]
-    for kind in set(map(type, listed)):
-        if kind is bool or not issubclass(kind, int | np.integer | None):
-            raise gym.error.Error(f"Seed must be a python integer, actual type: {kind}")
-    seeds = np.array([None if one is None else operator.index(one) for one in listed], dtype=object)
-    given = seeds[seeds != _NO_SEED]
-    if (given < 0).any():
-        raise gym.error.Error(f"Seed must be greater or equal to zero, actual value: {given.min()}")
-    if not isinstance(seed, Sequence):
-        return seeds + np.arange(count, dtype=object)
-    if len(seeds) != count:
-        raise AmulettError(f"{len(seeds)} seeds were given for {count} devices")
-    return seeds

@@ -12,7 +12,8 @@ from gymnasium.spaces import Box, Space
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.episodes import Episodes, as_numbers, checked_options, device_seeds
+from amulett_gym.envs.arguments import as_numbers, checked_options, device_seeds
+from amulett_gym.envs.episodes import Episodes
 from amulett_gym.envs.info import info_of
 from amulett_gym.envs.settings import DrivesSettings, Settings, signature
 from amulett_gym.envs.transition import FIRST_TERM

@@ -15,7 +15,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from amulett_gym import DRIVES_ID, ENV_IDS
-from amulett_gym.envs.episodes import Episodes, Report, checked_options, device_seeds
+from amulett_gym.envs.arguments import checked_options, device_seeds
+from amulett_gym.envs.episodes import Episodes, Report
 from amulett_gym.envs.info import final_of, infos_of, of_some
 from amulett_gym.envs.settings import NO_LIMIT, DrivesVectorSettings, VectorSettings, signature
 from amulett_gym.envs.single import frame_rate, spaces_of

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from amulett_gym import __version__
 from amulett_gym.envs.action import TENSION_RANGE, tension_to_action
-from amulett_gym.envs.episodes import Episodes, Observations, Report, device_seeds
+from amulett_gym.envs.arguments import device_seeds
+from amulett_gym.envs.episodes import Episodes, Observations, Report
 from amulett_gym.envs.prices import prices
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, SCHEDULE, Track
 from amulett_gym.envs.settings import Settings
