@@ -9,6 +9,7 @@ Only the profile and the knots of the springs' tables are shared with the kernel
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -51,7 +52,7 @@ def spring_force(spring: Spring) -> Callable[[float], float]:
     """Return the force of a string's springs [N] over their deflection [m]: 0 in a slack string."""
     tables = build_tables(spring)
     knots = np.append(tables.force[:, 0], tables.max_force)
-    curve = PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots)
+    curve = _one_by_one(PchipInterpolator(np.linspace(0.0, tables.max_deflection, knots.size), knots))
     end, most = tables.max_deflection, float(knots[-1])
 
     further = _beyond(spring)
@@ -59,9 +60,23 @@ def spring_force(spring: Spring) -> Callable[[float], float]:
     def force(deflection: float) -> float:
         if deflection <= 0.0:
             return 0.0
-        return float(curve(deflection)) if deflection < end else most + further(deflection) - further(end)
+        return curve(deflection) if deflection < end else most + further(deflection) - further(end)
 
     return force
+
+
+def _one_by_one(curve: PchipInterpolator) -> Callable[[float], float]:
+    """Return an interpolator's values within its knots, the same bits: scipy takes eight times as long for one."""
+    knots, pieces = curve.x.tolist(), curve.c.T.tolist()
+
+    def value(place: float) -> float:
+        piece = min(max(bisect_right(knots, place) - 1, 0), len(pieces) - 1)
+        cubic, square, linear, constant = pieces[piece]
+        beyond = place - knots[piece]
+        squared = beyond * beyond
+        return constant + linear * beyond + square * squared + cubic * (squared * beyond)
+
+    return value
 
 
 def _beyond(spring: Spring) -> Callable[[float], float]:

@@ -343,13 +343,16 @@ class _CoRotation(Loop):
 
 
 class _TorqueStiffness(Loop):
-    def wants(self, now: Reading) -> Pair:
-        gains, device = self.gains, self.device
+    def __init__(self, device: Device, gains: Any) -> None:
+        super().__init__(device, gains)
         chain = np.diag([1.0, 1.0], 1)
         by_torque = np.array([[0.0], [0.0], [1.0 / device.inertia]])
         weights = np.diag([max(gains.integral_weight, 1e-9), gains.angle_weight, gains.rate_weight])
         riccati = solve_continuous_are(chain, by_torque, weights, [[gains.torque_weight]])
-        of_integral, of_angle, of_rate = (by_torque.T @ riccati)[0] / gains.torque_weight
+        self.feedback = (by_torque.T @ riccati)[0] / gains.torque_weight
+
+    def wants(self, now: Reading) -> Pair:
+        device, (of_integral, of_angle, of_rate) = self.device, self.feedback
         error, most = now.reference - now.measured_angle, device.max_force * device.joint_radius
         torque = device.torque(now, now.measured_angle) + of_angle * error
         torque += of_rate * (now.reference_rate - now.velocity)
