@@ -6,6 +6,7 @@ always the same, so that one code gets one verdict; the 10,000 are others each n
 
 from __future__ import annotations
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Callable
@@ -37,6 +38,11 @@ def faults(request: pytest.FixtureRequest) -> Callable[[str, int], None]:
 
     count("lost", 0)  # so that a test that fails before it has counted is known to have injected some
     return count
+
+
+def pytest_collection_finish() -> None:
+    """Let searches for garbage pass by what was imported and collected until now: each would take half a second."""
+    gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
