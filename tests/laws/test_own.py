@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -108,6 +110,14 @@ def test_an_error_in_a_function_names_its_file_and_line(file, env):
     policy = load_policy(load_own(f"{file}:broken").act, env)
     with pytest.raises(AmulettError, match=r"mylaw\.py:broken' raised IndexError in line 9: index 99 is out of bounds"):
         policy(env.observation_space.sample())
+
+
+def test_an_edit_within_a_second_counts_even_if_the_length_stays(tmp_path):
+    path = tmp_path / "quick.py"
+    for value in ("0.25", "0.75"):
+        path.write_text(f"def act(observations): return [{value}] * len(observations)\n")
+        os.utime(path, (1e9, 1e9))
+        assert load_own(f"{path}:act").act(np.zeros((2, 13))) == [float(value)] * 2
 
 
 def test_a_name_alone_runs_no_file(file, env):
