@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from threading import get_ident
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -21,7 +22,6 @@ from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled_for
-from amulett_gym.jit.turns import Number, new_number
 from amulett_gym.model.plant import inertia
 from amulett_gym.profile import Profile
 from amulett_gym.simulation.batch import Simulation, max_force
@@ -32,9 +32,6 @@ from amulett_gym.tasks.suites import Sampler, draw_devices, episode_keys, famili
 
 Arrays = tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64], NDArray[np.void], NDArray[np.void]]
 """Parameters and settings of each profile; each block's index into these; blocks of scenarios and states."""
-
-Turns = tuple[NDArray[np.int64], Number, NDArray[np.int64]]
-"""What `transition.step` needs for threads to share the blocks."""
 
 Observations = NDArray[np.float32]
 Report = NDArray[np.float64]
@@ -118,8 +115,7 @@ class Episodes:
         self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, self._bare_inertia)
         self._helpers = min(threads, simulation.states.size) - 1
-        shares = _shares(simulation.states.size, 1 + self._helpers)
-        self._turns = shares, new_number(), np.empty_like(shares)
+        self._turns = transition.turns_of(_share_ends(simulation.states.size, 1 + self._helpers))
         self._pool: ThreadPool | None = None
         self._step: Callable[..., int] | None = None
         self._step_paths: Paths | None = None
@@ -374,12 +370,17 @@ class Episodes:
         """
         if self._step is None or self._step_paths is not self.simulation.paths:
             same = *self._arrays, *self._memory()  # from step to step, except the paths: a reset may bring new ones
-            self._step = partial(compiled_for(self._compiled_step, (*same, self._turns, *given)), *same)
+            turns = (self._turns, get_ident()) if self._helpers else None
+            code = compiled_for(self._compiled_step, (*same, turns, *given))
+            self._step = partial(code, *same) if self._helpers else partial(code, *same, None)
             self._step_paths = self.simulation.paths
         if self._helpers:
-            return self._step_in_threads(given)
-        self._turns[1][0] = 0
-        return self._take_shares(self._turns, given)
+            return self._step_in_threads(self._step, given)
+        wrong = self._step(*given)
+        if self.privileged and wrong < 0:
+            all_devices, observations = np.arange(self.started.size), given[-2]
+            self._observe_privileged(all_devices, all_devices, observations)
+        return wrong
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
@@ -419,38 +420,36 @@ class Episodes:
         """Fill the observations of devices."""
         transition.observe_devices(*self._arrays, devices, observations)
         if self.privileged:  # compiled only if needed
-            self._observe_privileged(devices, observations)
+            self._observe_privileged(devices, np.arange(devices.size), observations)
 
-    def _observe_privileged(self, devices: NDArray[np.int64], observations: Observations) -> None:
-        """Fill the privileged entries of the observations of devices."""
+    def _observe_privileged(
+        self, devices: NDArray[np.int64], rows: NDArray[np.int64], observations: Observations
+    ) -> None:
+        """Fill the privileged entries of devices in these rows of the observations."""
         parameters, _, which, scenarios, states = self._arrays
-        arrays, first = (scenarios, states, devices), len(transition.OBSERVATIONS)
-        observe_privileged(parameters, which, self._bare_inertia, *arrays, first, observations)
+        first, ours = len(transition.OBSERVATIONS), (scenarios, states, devices, rows)
+        observe_privileged(parameters, which, self._bare_inertia, *ours, first, observations)
         if self.names is not None:
-            observations[:, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
+            observations[rows, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
 
-    def _take_shares(self, turns: Turns, given: tuple[Any, ...]) -> int:
-        """Take one agent step with the devices of shares that no other thread takes; return what `_take` does."""
-        assert self._step is not None
-        wrong = self._step(turns, *given)
-        if self.privileged and wrong < 0:
-            shares, _, taken = turns
-            *_, observations, _ = given
-            for share in taken:
-                if share < 0:
-                    break
-                first, end = LANES * shares[share], min(LANES * shares[share + 1], len(observations))
-                self._observe_privileged(np.arange(first, end), observations[first:end])
-        return wrong
-
-    def _step_in_threads(self, given: tuple[Any, ...]) -> int:
+    def _step_in_threads(self, step: Callable[..., int], given: tuple[Any, ...]) -> int:
         """Let each thread, this one among them, take one share of the blocks after the other."""
+        turns = self._turns.copy()  # a thread that an interruption left behind finds no share of this step
+        *_, observations, _ = given
+
+        def take_shares() -> int:
+            thread = get_ident()
+            wrong = step((turns, thread), *given)
+            if self.privileged and wrong < 0:
+                blocks = np.repeat(turns[transition.TAKEN_BY, :-1] == thread, np.diff(turns[transition.BEGINS]))
+                mine = np.flatnonzero(np.repeat(blocks, LANES)[: len(observations)])
+                self._observe_privileged(mine, mine, observations)
+            return wrong
+
         pool, self._pool = self._pool, None  # after an error, the next step takes new threads
         if pool is None or not pool.is_here:
             pool = ThreadPool(self._helpers)
-        shares, _, taken = self._turns
-        turn = new_number()  # a new one: a thread that an interruption left behind finds no share of this step
-        wrong = pool.run(lambda: self._take_shares((shares, turn, np.empty_like(taken)), given))
+        wrong = pool.run(take_shares)
         self._pool = pool
         return wrong
 
@@ -566,15 +565,13 @@ class Episodes:
         return found, [pack_path(scenario) for scenario in loaded]
 
 
-def _shares(blocks: int, threads: int) -> NDArray[np.int64]:
+def _share_ends(blocks: int, threads: int) -> list[int]:
     """Return where the shares of the blocks that threads take in turn begin, and where the last one ends.
 
     They become smaller, so that threads end nearly together, though one starts late or its core is busy.
     """
-    if threads == 1:
-        return np.array([0, blocks], dtype=np.int64)
     least, ends = math.ceil(blocks / (16 * threads)), [0]
     while ends[-1] < blocks:
         left = blocks - ends[-1]
         ends.append(ends[-1] + min(max(round(left / (1.5 * threads)), least), left))
-    return np.array(ends, dtype=np.int64)
+    return ends

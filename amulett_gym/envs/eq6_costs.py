@@ -27,7 +27,6 @@ from pydantic import Field
 
 from amulett_gym.envs import transition
 from amulett_gym.errors import AmulettError
-from amulett_gym.jit.turns import new_number
 from amulett_gym.profile import Profile, device_names, is_shipped, load_profile
 from amulett_gym.settings import Group, Sourced
 from amulett_gym.simulation.batch import Simulation
@@ -204,8 +203,7 @@ def _play(profile: Profile, rows: NDArray[np.void]) -> NDArray[np.float64]:
     ignored = np.zeros(len(rows)), np.empty((len(rows), len(transition.OBSERVATIONS)), dtype=np.float32)
     report = np.empty((len(rows), transition.REPORT_SIZE))
     arrays = simulation.parameters, settings, simulation.which, simulation.scenarios, simulation.states
-    all_blocks = np.array([0, simulation.states.size]), new_number(), np.empty(2, dtype=np.int64)
-    transition.step(*arrays, None, None, simulation.extended, all_blocks, None, *ignored, report)
+    transition.step(*arrays, None, None, simulation.extended, None, None, *ignored, report)
     readings = dict(zip(transition.READINGS, report.T[transition.FIRST_READING :], strict=False))
     metrics = dict(zip(transition.METRICS, report.T[transition.FIRST_METRIC :], strict=True))
     costs = [np.sum([metrics[name] for name in names], axis=0) for names in _METRICS.values()]

@@ -135,8 +135,8 @@ def describe_devices(parameters: NDArray[np.void], bare_inertia: NDArray[np.floa
 
 
 @compiled
-def observe_privileged(p, which, bare_inertia, c_blocks, s_blocks, devices, first, observations):
-    """Write the given devices' hidden state into their observations, one row each, from the column `first` on.
+def observe_privileged(p, which, bare_inertia, c_blocks, s_blocks, devices, rows, first, observations):
+    """Write the given devices' hidden state into their `rows` of the observations, from the column `first` on.
 
     Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` [kg m2] is the inertia of
     each profile's arm without a payload, `which` the index of each block's profile.
@@ -156,7 +156,7 @@ def observe_privileged(p, which, bare_inertia, c_blocks, s_blocks, devices, firs
         for k in range(1, _SCALES.size - _TASK):
             values[_TASK + k] = 1.0 if c.family[i] == k else 0.0
         for k in range(_SCALES.size):
-            observations[n, first + k] = min(max(values[k] / _SCALES[k], -1.0), 1.0)
+            observations[rows[n], first + k] = min(max(values[k] / _SCALES[k], -1.0), 1.0)
 
 
 @compiled

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
 from amulett_gym.envs.reward import COST_TERMS, TERMS
@@ -116,11 +118,35 @@ REPORT_SIZE = FIRST_METRIC + len(METRICS)
 BRIEF_SIZE = FIRST_READING + 1
 """Length of a brief report, which ends with `failure`: thousands of whole ones take a tenth of a step's time."""
 
+BEGINS, TAKEN_BY = 1, 2
+"""Rows of the threads' turns: where shares begin, and which threads took them. The first entry of all counts these."""
+
 ALL_NUMBERS = -1
 """Instead of a device: no action is NaN."""
 
 _NOISE_STREAM = np.uint64(0x0B5E)
 _DEG = 180.0 / math.pi
+
+
+def turns_of(ends: Sequence[int]) -> NDArray[np.int64]:
+    """Return the turns of threads, none of them taken: share k of the blocks is from ``ends[k]`` to ``ends[k + 1]``."""
+    turns = np.zeros((3, len(ends)), dtype=np.int64)
+    turns[BEGINS] = ends
+    return turns
+
+
+@compiled
+def next_share(turns):
+    """Take the next share of the blocks for a thread with this number, unlike 0; return its begin and its end.
+
+    They are equal if all shares are taken.
+    """
+    shares, thread = turns
+    share = count(shares)
+    if share >= shares.shape[1] - 1:
+        return 0, 0
+    shares[TAKEN_BY, share] = thread
+    return shares[BEGINS, share], shares[BEGINS, share + 1]
 
 
 @compiled
@@ -132,27 +158,28 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, turns, means, a
     compiled. `paths`, `loop` and `extended` are as of `kernel.advance`. If an action is NaN, nothing happens but that
     its device is returned (see `first_nan`).
 
-    `turns` are: where the shares of the blocks begin, and the end of the last one; the number of the next share; and
-    where to note the shares that were taken, in order, then -1. Threads with the same number take different shares.
+    `turns` are those by which threads share the blocks, with the number of this one (see `next_share`). None: it takes
+    all of them, and code for sharing is not compiled.
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
         return wrong
     num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
-    shares, turn, taken = turns
-    number, share = 0, count(turn)
-    while share < shares.size - 1:
-        taken[number] = share
-        for block in range(shares[share], shares[share + 1]):
+    first_block, end_block = 0, s_blocks.shape[0]
+    if turns is not None:
+        first_block, end_block = next_share(turns)
+    while first_block < end_block:
+        for block in range(first_block, end_block):
             first = block * LANES
             end = min(first + LANES, num_devices)
             c, s, own = c_blocks[block], s_blocks[block], which[block]
             m = motion[0]
             others = m, paths, loop, extended
             step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
-        number, share = number + 1, count(turn)
-    taken[number] = -1
+        if turns is None:
+            break
+        first_block, end_block = next_share(turns)
     return ALL_NUMBERS
 
 

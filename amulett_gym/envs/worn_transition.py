@@ -17,11 +17,11 @@ from amulett_gym.envs.transition import (
     charge,
     end_ramp,
     first_nan,
+    next_share,
     observe,
     write_report,
 )
 from amulett_gym.jit.compiled import compiled, compiled_in_place
-from amulett_gym.jit.turns import count
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
 from amulett_gym.simulation.worn import advance_block
@@ -73,18 +73,19 @@ def step(
         return wrong
     num_devices = actions.shape[0]
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
-    shares, turn, taken = turns
-    number, share = 0, count(turn)
-    while share < shares.size - 1:
-        taken[number] = share
-        for block in range(shares[share], shares[share + 1]):
+    first_block, end_block = 0, s_blocks.shape[0]
+    if turns is not None:
+        first_block, end_block = next_share(turns)
+    while first_block < end_block:
+        for block in range(first_block, end_block):
             first = block * LANES
             own, c, s = which[block], c_blocks[block], s_blocks[block]
             ends = first, min(first + LANES, num_devices)
             others = motion[0], motion_of_arm[0], paths, loop, extended, worn
             step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
-        number, share = number + 1, count(turn)
-    taken[number] = -1
+        if turns is None:
+            break
+        first_block, end_block = next_share(turns)
     return ALL_NUMBERS
 
 

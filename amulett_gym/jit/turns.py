@@ -1,4 +1,4 @@
-"""Whole numbers that threads count together while they run compiled code: arrays of one int64."""
+"""Whole numbers that threads count together while they run compiled code: the first entries of int64 arrays."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if numba.config.DISABLE_JIT:  # Python runs it
     def count(number: Number) -> int:
         """Add one to a number; return what it was before, which no other thread gets."""
         with _lock:
-            number[0] += 1
-            return int(number[0]) - 1
+            number.flat[0] += 1
+            return int(number.flat[0]) - 1
 
     def read(number: Number) -> int:
         """Return what a number is now; all that a thread wrote before it counted can be seen then."""
-        return int(number[0])
+        return int(number.flat[0])
 
 else:
 
