@@ -30,12 +30,16 @@ if numba.config.DISABLE_JIT:  # Python runs it
 
 else:
 
+    def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        """Return where the number given to an intrinsic stands in memory."""
+        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
+
     @intrinsic
     def count(_: Any, number: Any) -> Any:
         """Add one to a number; return what it was before, which no other thread gets."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            place = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            place = _place(context, builder, signature, arguments)
             return builder.atomic_rmw("add", place, context.get_constant(types.int64, 1), "seq_cst")
 
         return types.int64(number), generate
@@ -45,8 +49,7 @@ else:
         """Return what a number is now; all that a thread wrote before it counted can be seen then."""
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            place = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-            return builder.load_atomic(place, "seq_cst", 8)
+            return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", 8)
 
         return types.int64(number), generate
 
