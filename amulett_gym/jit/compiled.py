@@ -38,6 +38,15 @@ except (ImportError, AttributeError):  # another numba: then all of it takes lon
         return function
 
 
+try:
+    from numba._dispatcher import compute_fingerprint
+except (ImportError, AttributeError):  # another numba: then the types of arguments are found anew each time
+
+    def compute_fingerprint(arguments: Any, /) -> bytes:  # type: ignore[misc]
+        """Know no argument's."""
+        raise NotImplementedError
+
+
 watch_compilation()
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -115,8 +124,25 @@ def compiled_for(function: F, arguments: Sequence[Any]) -> F:
     if numba.config.DISABLE_JIT:
         return function
     dispatcher: Any = function
-    code: F = dispatcher.compile(tuple(map(numba.typeof, arguments)))
+    code: F = dispatcher.compile(types_of(arguments))
     return code
+
+
+_types: dict[bytes, tuple[Any, ...]] = {}
+
+
+def types_of(arguments: Sequence[Any]) -> tuple[Any, ...]:
+    """Return numba's types of arguments: those of earlier ones, if numba's calls would not tell the two apart.
+
+    numba takes half a millisecond to find the type of an array of records. By the fingerprint it chooses a call's code.
+    """
+    try:
+        fingerprint = compute_fingerprint(tuple(arguments))
+    except NotImplementedError:  # of a kind that has none
+        return tuple(map(numba.typeof, arguments))
+    if fingerprint not in _types:
+        _types[fingerprint] = tuple(map(numba.typeof, arguments))
+    return _types[fingerprint]
 
 
 def _compiled(function: F, **options: bool | str) -> F:

@@ -9,12 +9,13 @@ import subprocess
 import sys
 
 import llvmlite.binding as llvm
+import numba
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
 from numba.core.event import Listener, install_listener
 
-from amulett_gym.jit.compiled import compiled
+from amulett_gym.jit.compiled import compiled, compiled_for, record, types_of
 
 STEPS = """
 import json, gymnasium as gym, numpy as np, amulett_gym
@@ -154,6 +155,59 @@ def test_functions_compile_where_numba_lacks_what_one_of_our_modules_needs(modul
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     ours, python = done.stdout.split()
     assert ours == python
+
+
+RECORDS = np.zeros((4, 6), dtype=record([("near", "f8", (2,)), ("far", "i8")]))
+NUMBERS = np.zeros((4, 6))
+ARGUMENTS = {
+    "nothing": (None,),
+    "numbers": (True, 3, 1.5, 2j, np.float32(1.0), np.int8(1)),
+    "tuples": ((), (1,), (1, 2.0), (None, (1, (NUMBERS, RECORDS))), (NUMBERS, (None, RECORDS))),
+    "numbers of two dimensions": (NUMBERS, NUMBERS.T, NUMBERS[::2], NUMBERS[:1], NUMBERS[:, :1]),
+    "numbers of fewer and more": (NUMBERS[0], NUMBERS[:, 0], NUMBERS[0, 0, ...], NUMBERS[None]),
+    "types of numbers": tuple(NUMBERS.astype(kind) for kind in ("f4", "i8", "u1", "?", "M8[s]")),
+    "records": (RECORDS, RECORDS.T, RECORDS[::2], RECORDS[0], RECORDS[0, 0], RECORDS[0, 0, ...], RECORDS[None]),
+    "fields": (RECORDS["near"], RECORDS["far"]),
+    "other records": (np.zeros(2, [("near", "f8"), ("far", "i8")]), np.zeros(2, [("near", "i8"), ("far", "f8")])),
+    "not aligned": (
+        np.zeros(2, [("first", "i1"), ("second", "f8")]),
+        np.zeros(2, [("first", "i1"), ("second", "f8")])["second"],
+    ),
+    "without a fingerprint": (np.dtype("f8"), np.dtype("i4")),
+}
+
+
+def frozen(value):
+    """Return a value with all its arrays read-only."""
+    if isinstance(value, tuple):
+        return tuple(map(frozen, value))
+    if isinstance(value, np.ndarray):
+        value = value[...]
+        value.flags.writeable = False
+    return value
+
+
+@pytest.mark.parametrize("values", ARGUMENTS.values(), ids=ARGUMENTS)
+def test_the_types_of_arguments_are_those_of_numba(values):
+    """Those found first, and those kept, of one argument and of several."""
+    for given in (values, frozen(values), [values], [frozen(values)], *zip(values), *zip(frozen(values))):
+        assert types_of(given) == types_of(given) == tuple(map(numba.typeof, given))
+
+
+def test_types_of_records_are_found_once(monkeypatch):
+    types = types_of([RECORDS, 1.0])
+    monkeypatch.setattr(numba, "typeof", None)
+    assert types_of([np.ones_like(RECORDS), 2.0]) is types
+
+
+def test_what_is_compiled_for_arguments_takes_others_of_their_types():
+    @compiled
+    def total(records, factor):
+        return factor * records[0, 0].near.sum()
+
+    code = compiled_for(total, (RECORDS, 1.0))
+    assert compiled_for(total, (RECORDS, 2.0)) is code and compiled_for(total, (RECORDS[::2], 2.0)) is not code
+    assert code(np.ones_like(RECORDS), 3.0) == 6.0
 
 
 def test_a_function_is_compiled_once_for_all_literal_numbers():
