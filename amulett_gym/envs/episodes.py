@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from threading import get_ident
 from typing import Any, ClassVar
 
 import gymnasium as gym
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,7 +18,8 @@ from amulett_gym.envs.prices import prices
 from amulett_gym.envs.privileged import FLEET_PRIVILEGED, PRIVILEGED, describe_devices, observe_privileged
 from amulett_gym.envs.reward import COST_CAP, FULL_CONTROL, TERM_KEY, TERMS, own_reward
 from amulett_gym.envs.settings import Settings
-from amulett_gym.envs.thread_pool import ThreadPool
+from amulett_gym.envs.shared_step import SharedStep
+from amulett_gym.envs.shares import turns_of
 from amulett_gym.errors import AmulettError, unknown
 from amulett_gym.jit.compiled import compiled_for
 from amulett_gym.model.plant import inertia
@@ -78,6 +78,7 @@ class Episodes:
     )
     report_size: ClassVar[int] = transition.REPORT_SIZE
     _compiled_step: ClassVar[Callable[..., int]] = staticmethod(transition.step)
+    _compiled_shares: ClassVar[Callable[..., None]] = staticmethod(transition.step_shares)
     _sampler: ClassVar[Callable[..., Any]] = Sampler
 
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
@@ -112,12 +113,12 @@ class Episodes:
         of_profiles = zip(self.profiles, map(max_force, simulation.parameters), strict=True)
         self._samplers = [self._sampler(settings.suite, own, settings.split, force) for own, force in of_profiles]
         masses = [profile.plant.masses for profile in self.profiles]
-        self._bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
-        self.described = describe_devices(simulation.parameters, self._bare_inertia)
-        self._helpers = min(threads, simulation.states.size) - 1
-        self._turns = transition.turns_of(_share_ends(simulation.states.size, 1 + self._helpers))
-        self._pool: ThreadPool | None = None
-        self._step: Callable[..., int] | None = None
+        bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
+        self.described = describe_devices(simulation.parameters, bare_inertia)
+        told = self.described if settings.fleet is not None else self.described[:, :0].copy()
+        self._hidden = (bare_inertia, told) if settings.privileged else None
+        self._threads = min(threads, simulation.states.size)
+        self._step: Callable[..., int] | SharedStep | None = None
         self._step_paths: Paths | None = None
 
     @property
@@ -366,21 +367,20 @@ class Episodes:
     def _take(self, *given: Any) -> int:
         """Take one agent step with what `_split` returns, into observations and report.
 
-        Return the first device with an action that is NaN, before any is stepped, or `transition.ALL_NUMBERS`.
+        Return the first device with an action that is NaN, before any is stepped, or `shares.ALL_NUMBERS`.
         """
         if self._step is None or self._step_paths is not self.simulation.paths:
-            same = *self._arrays, *self._memory()  # from step to step, except the paths: a reset may bring new ones
-            turns = (self._turns, get_ident()) if self._helpers else None
-            code = compiled_for(self._compiled_step, (*same, turns, *given))
-            self._step = partial(code, *same) if self._helpers else partial(code, *same, None)
-            self._step_paths = self.simulation.paths
-        if self._helpers:
-            return self._step_in_threads(self._step, given)
-        wrong = self._step(*given)
-        if self.privileged and wrong < 0:
-            all_devices, observations = np.arange(self.started.size), given[-2]
-            self._observe_privileged(all_devices, all_devices, observations)
-        return wrong
+            self._step, self._step_paths = self._prepared(given), self.simulation.paths
+        return self._step(*given)
+
+    def _prepared(self, given: tuple[Any, ...]) -> Callable[..., int]:
+        """Return the compiled step with all that is the same from step to step; a reset may bring new paths."""
+        same = *self._arrays, *self._memory()
+        if self._threads == 1 or numba.config.DISABLE_JIT:
+            return partial(compiled_for(self._compiled_step, (*same, *given)), *same)
+        same = *same, given[0]
+        take = partial(compiled_for(self._compiled_shares, (*same, turns_of(1, 1), 0)), *same)
+        return SharedStep(take, self.simulation.states.size, self._threads, given)
 
     def begin_ramps(self, actions: NDArray[np.float64]) -> None:
         """Let tensions and mean drive angles begin their ramps to those of `actions`, as :meth:`step` takes them.
@@ -404,9 +404,9 @@ class Episodes:
         return means, tensions
 
     def _memory(self) -> tuple[Any, ...]:
-        """Return what the simulation needs besides `Arrays`: paths, loop, extended."""
+        """Return what a step needs besides `Arrays`: paths, loop, extended, hidden."""
         simulation = self.simulation
-        return simulation.paths, simulation.loop, simulation.extended
+        return simulation.paths, simulation.loop, simulation.extended, self._hidden
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         """Return the episodes' raw costs up to the last step, each of shape (N,)."""
@@ -419,48 +419,18 @@ class Episodes:
     def _observe(self, devices: NDArray[np.int64], observations: Observations) -> None:
         """Fill the observations of devices."""
         transition.observe_devices(*self._arrays, devices, observations)
-        if self.privileged:  # compiled only if needed
-            self._observe_privileged(devices, np.arange(devices.size), observations)
-
-    def _observe_privileged(
-        self, devices: NDArray[np.int64], rows: NDArray[np.int64], observations: Observations
-    ) -> None:
-        """Fill the privileged entries of devices in these rows of the observations."""
-        parameters, _, which, scenarios, states = self._arrays
-        first, ours = len(transition.OBSERVATIONS), (scenarios, states, devices, rows)
-        observe_privileged(parameters, which, self._bare_inertia, *ours, first, observations)
-        if self.names is not None:
-            observations[rows, first + len(PRIVILEGED) :] = self.described[which[devices // LANES]]
-
-    def _step_in_threads(self, step: Callable[..., int], given: tuple[Any, ...]) -> int:
-        """Let each thread, this one among them, take one share of the blocks after the other."""
-        turns = self._turns.copy()  # a thread that an interruption left behind finds no share of this step
-        *_, observations, _ = given
-
-        def take_shares() -> int:
-            thread = get_ident()
-            wrong = step((turns, thread), *given)
-            if self.privileged and wrong < 0:
-                blocks = np.repeat(turns[transition.TAKEN_BY, :-1] == thread, np.diff(turns[transition.BEGINS]))
-                mine = np.flatnonzero(np.repeat(blocks, LANES)[: len(observations)])
-                self._observe_privileged(mine, mine, observations)
-            return wrong
-
-        pool, self._pool = self._pool, None  # after an error, the next step takes new threads
-        if pool is None or not pool.is_here:
-            pool = ThreadPool(self._helpers)
-        wrong = pool.run(take_shares)
-        self._pool = pool
-        return wrong
+        if self._hidden is not None:  # compiled only if needed
+            parameters, _, which, scenarios, states = self._arrays
+            observe_privileged(parameters, which, self._hidden, scenarios, states, devices, observations)
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
-        if self._pool is not None:
-            self._pool.close()
-            self._pool = None
+        if isinstance(self._step, SharedStep):
+            self._step.close()
+            self._step = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_step": None, "_step_paths": None}
+        return {**self.__dict__, "_step": None, "_step_paths": None}
 
     def report(self, devices: NDArray[np.int64] | None = None) -> Report:
         """Return the report of the given devices' (None: all) present state, one row each, no reward."""
@@ -563,15 +533,3 @@ class Episodes:
         for device, row in zip(devices.tolist(), rows, strict=True):
             self._set_prices(self.simulation.which[device // LANES], row["family"])
         return found, [pack_path(scenario) for scenario in loaded]
-
-
-def _share_ends(blocks: int, threads: int) -> list[int]:
-    """Return where the shares of the blocks that threads take in turn begin, and where the last one ends.
-
-    They become smaller, so that threads end nearly together, though one starts late or its core is busy.
-    """
-    least, ends = math.ceil(blocks / (16 * threads)), [0]
-    while ends[-1] < blocks:
-        left = blocks - ends[-1]
-        ends.append(ends[-1] + min(max(round(left / (1.5 * threads)), least), left))
-    return ends

@@ -135,28 +135,50 @@ def describe_devices(parameters: NDArray[np.void], bare_inertia: NDArray[np.floa
 
 
 @compiled
-def observe_privileged(p, which, bare_inertia, c_blocks, s_blocks, devices, rows, first, observations):
-    """Write the given devices' hidden state into their `rows` of the observations, from the column `first` on.
+def observe_privileged(p, which, hidden, c_blocks, s_blocks, devices, observations):
+    """Write the given devices' hidden state into the last entries of the observations, one row each."""
+    values = hidden_values(hidden)
+    for row in range(devices.size):
+        block, i = devices[row] // LANES, np.uint64(devices[row] % LANES)
+        own = which[block]
+        observe_hidden(p[own], hidden, own, c_blocks[block], s_blocks[block], i, values, observations[row])
 
-    Absent features (obstacle, push, move, wave) are 0; times until them are 1. `bare_inertia` [kg m2] is the inertia of
-    each profile's arm without a payload, `which` the index of each block's profile.
+
+@compiled
+def hidden_values(hidden):
+    """Return room for the hidden state of a device, or None if that is not observed."""
+    if hidden is None:
+        return None
+    return np.empty(_SCALES.size)
+
+
+@compiled
+def observe_hidden(p, hidden, own, c, s, i, values, row):
+    """Write a device's hidden state into the last entries of a row.
+
+    Absent features (obstacle, push, move, wave) are 0; times until them are 1. `hidden` has, for each profile, the
+    inertia [kg m2] of its arm without a payload, and the last entries, which describe it; None: nothing is written, and
+    code for that is not compiled. `own` is the index of the profile.
     """
-    values = np.empty(_SCALES.size)
-    for n in range(devices.size):
-        block, i = devices[n] // LANES, np.uint64(devices[n] % LANES)
-        c, s, own = c_blocks[block], s_blocks[block], which[block]
-        time = s.tick[i] * p[own].control_period
-        _write_device(bare_inertia[own], c, i, values)
-        _write_truth(c, s, i, values)
-        _write_obstacle(c, s, i, values[_OBSTACLE:])
-        _write_pushes(c, i, time, values[_PUSHES:])
-        _write_moves(c, s, i, time, values[_MOVES:])
-        _write_wave(c, i, time, values[_WAVE:])
-        values[_TASK] = max(c.measure_from[i] - time, 0.0)
-        for k in range(1, _SCALES.size - _TASK):
-            values[_TASK + k] = 1.0 if c.family[i] == k else 0.0
-        for k in range(_SCALES.size):
-            observations[rows[n], first + k] = min(max(values[k] / _SCALES[k], -1.0), 1.0)
+    if hidden is None:
+        return
+    bare_inertia, described = hidden
+    time = s.tick[i] * p.control_period
+    _write_device(bare_inertia[own], c, i, values)
+    _write_truth(c, s, i, values)
+    _write_obstacle(c, s, i, values[_OBSTACLE:])
+    _write_pushes(c, i, time, values[_PUSHES:])
+    _write_moves(c, s, i, time, values[_MOVES:])
+    _write_wave(c, i, time, values[_WAVE:])
+    values[_TASK] = max(c.measure_from[i] - time, 0.0)
+    for k in range(1, _SCALES.size - _TASK):
+        values[_TASK + k] = 1.0 if c.family[i] == k else 0.0
+    entries = described.shape[1]
+    first = row.size - entries - _SCALES.size
+    for k in range(_SCALES.size):
+        row[first + k] = min(max(values[k] / _SCALES[k], -1.0), 1.0)
+    for k in range(entries):
+        row[first + _SCALES.size + k] = described[own, k]
 
 
 @compiled

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
+from amulett_gym.envs.privileged import hidden_values, observe_hidden
 from amulett_gym.envs.reward import COST_TERMS, TERMS
+from amulett_gym.envs.shares import ALL_NUMBERS, AWAKE, DONE, first_nan, given_to, next_share
 from amulett_gym.jit.compiled import compiled, compiled_in_place, record
-from amulett_gym.jit.turns import count
+from amulett_gym.jit.turns import add
 from amulett_gym.simulation.dynamics import joint_stiffness
 from amulett_gym.simulation.kernel import advance_block
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
@@ -118,75 +118,63 @@ REPORT_SIZE = FIRST_METRIC + len(METRICS)
 BRIEF_SIZE = FIRST_READING + 1
 """Length of a brief report, which ends with `failure`: thousands of whole ones take a tenth of a step's time."""
 
-BEGINS, TAKEN_BY = 1, 2
-"""Rows of the threads' turns: where shares begin, and which threads took them. The first entry of all counts these."""
-
-ALL_NUMBERS = -1
-"""Instead of a device: no action is NaN."""
-
 _NOISE_STREAM = np.uint64(0x0B5E)
 _DEG = 180.0 / math.pi
 
 
-def turns_of(ends: Sequence[int]) -> NDArray[np.int64]:
-    """Return the turns of threads, none of them taken: share k of the blocks is from ``ends[k]`` to ``ends[k + 1]``."""
-    turns = np.zeros((3, len(ends)), dtype=np.int64)
-    turns[BEGINS] = ends
-    return turns
-
-
 @compiled
-def next_share(turns):
-    """Take the next share of the blocks for a thread with this number, unlike 0; return its begin and its end.
-
-    They are equal if all shares are taken.
-    """
-    shares, thread = turns
-    share = count(shares)
-    if share >= shares.shape[1] - 1:
-        return 0, 0
-    shares[TAKEN_BY, share] = thread
-    return shares[BEGINS, share], shares[BEGINS, share + 1]
-
-
-@compiled
-def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, turns, means, actions, observations, report):
-    """Take one agent step with devices that no other thread takes; fill observations and report, one row per device.
+def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, actions, observations, report):
+    """Take one agent step with all devices; fill observations and report, one row per device.
 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
-    tension; `means` those for the mean drive angle, or None: then the code for these is not
-    compiled. `paths`, `loop` and `extended` are as of `kernel.advance`. If an action is NaN, nothing happens but that
-    its device is returned (see `first_nan`).
-
-    `turns` are those by which threads share the blocks, with the number of this one (see `next_share`). None: it takes
-    all of them, and code for sharing is not compiled.
+    tension; `means` those for the mean drive angle, or None: then the code for these is not compiled. `paths`, `loop`
+    and `extended` are as of `kernel.advance`, and `hidden` of `privileged.observe_hidden`. If an action is NaN, nothing
+    happens but that its device is returned (see `shares.first_nan`).
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
         return wrong
-    num_devices = actions.shape[0]
     motion = np.empty(1, dtype=MOTION_BLOCK)
-    first_block, end_block = 0, s_blocks.shape[0]
-    if turns is not None:
-        first_block, end_block = next_share(turns)
-    while first_block < end_block:
-        for block in range(first_block, end_block):
-            first = block * LANES
-            end = min(first + LANES, num_devices)
-            c, s, own = c_blocks[block], s_blocks[block], which[block]
-            m = motion[0]
-            others = m, paths, loop, extended
-            step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
-        if turns is None:
-            break
-        first_block, end_block = next_share(turns)
+    memory = motion, paths, loop, extended, hidden, hidden_values(hidden)
+    blocks, given = (0, s_blocks.shape[0]), (means, actions, observations, report)
+    step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given)
     return ALL_NUMBERS
+
+
+@compiled
+def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, turns, looks):
+    """Take an agent step with the devices of shares of this thread, until none comes in so many looks.
+
+    Arguments are those of :func:`step` and `shares.next_share`; `means` is None, or any array.
+    """
+    motion = np.empty(1, dtype=MOTION_BLOCK)
+    memory = motion, paths, loop, extended, hidden, hidden_values(hidden)
+    add(turns[AWAKE], 1)
+    blocks = next_share(turns, looks)
+    while blocks[0] < blocks[1]:
+        step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given_to(turns, means))
+        add(turns[DONE], 1)
+        blocks = next_share(turns, looks)
+    add(turns[AWAKE], -1)
+
+
+@compiled_in_place
+def step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given):
+    """Take one agent step with the devices of neighbouring blocks, from the first to the one before the second."""
+    motion, paths, loop, extended, hidden, values = memory
+    means, actions, observations, report = given
+    for block in range(blocks[0], blocks[1]):
+        first = block * LANES
+        end = min(first + LANES, actions.size)
+        c, s, own = c_blocks[block], s_blocks[block], which[block]
+        others = motion[0], paths, loop, extended, hidden, values  # a record does not keep its array: `memory` does
+        step_block(p[own], e[own], c, s, others, own, block, first, end, means, actions, observations, report)
 
 
 @compiled_in_place
 def step_block(p, e, c, s, others, own, block, first, end, means, actions, observations, report):
     """Take one agent step with the devices of a block, which stays in the processor's cache meanwhile."""
-    m, paths, loop, extended = others
+    m, paths, loop, extended, hidden, values = others
     for device in range(first, end):
         # The reward's terms hold the costs before the step, until they are its own.
         terms = report[device, FIRST_TERM:FIRST_READING]
@@ -203,18 +191,7 @@ def step_block(p, e, c, s, others, own, block, first, end, means, actions, obser
         observe(p, e, c, s, i, observations[device])
         write_reward(e, c, s, i, report[device])
         write_report(p, c, s, i, report[device])
-
-
-@compiled
-def first_nan(others, actions):
-    """Return the first device that has a NaN among its actions, or `ALL_NUMBERS`; `others` as the step's, or None."""
-    for device in range(actions.size):
-        if math.isnan(actions[device]):
-            return device
-        if others is not None:  # noqa: SIM102, numba drops a branch only if it asks for nothing else
-            if math.isnan(others[device]):
-                return device
-    return ALL_NUMBERS
+        observe_hidden(p, hidden, own, c, s, i, values, observations[device])
 
 
 @compiled

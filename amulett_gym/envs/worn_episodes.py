@@ -43,6 +43,7 @@ class WornEpisodes(Episodes):
     )
     report_size = worn_transition.REPORT_SIZE
     _compiled_step = staticmethod(worn_transition.step)
+    _compiled_shares = staticmethod(worn_transition.step_shares)
     _sampler = WornSampler
 
     def __init__(self, num_devices: int, settings: WornSettings, threads: int = 1) -> None:
@@ -98,7 +99,8 @@ class WornEpisodes(Episodes):
         return assistances, tensions
 
     def _memory(self) -> tuple[Any, ...]:
-        return *super()._memory(), self.simulation.worn
+        *simulated, _ = super()._memory()  # no hidden state is observed
+        return *simulated, self.simulation.worn
 
     def _costs(self) -> dict[str, NDArray[np.float64]]:
         worn, read = self.simulation.read_worn, self.simulation.read

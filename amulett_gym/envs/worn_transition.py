@@ -8,20 +8,19 @@ import numpy as np
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.action import compiled_tension_of
+from amulett_gym.envs.shares import ALL_NUMBERS, AWAKE, DONE, first_nan, given_to, next_share
 from amulett_gym.envs.transition import (
-    ALL_NUMBERS,
     BRIEF_SIZE,
     FIRST_READING,
     FIRST_TERM,
     begin_ramp,
     charge,
     end_ramp,
-    first_nan,
-    next_share,
     observe,
     write_report,
 )
 from amulett_gym.jit.compiled import compiled, compiled_in_place
+from amulett_gym.jit.turns import add
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
 from amulett_gym.simulation.worn import advance_block
@@ -61,32 +60,46 @@ _DEG = 180.0 / math.pi
 
 
 @compiled
-def step(
-    p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, turns, assistances, actions, observations, report
-):
-    """Take one agent step with devices that no other thread takes; fill observations and report, one row per device.
+def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistances, actions, observations, report):
+    """Take one agent step with all devices; fill observations and report, one row per device.
 
     `actions` are those for the tension, `assistances` those for the assistance; else as `transition.step`.
     """
     wrong = first_nan(assistances, actions)
     if wrong >= 0:
         return wrong
-    num_devices = actions.shape[0]
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
-    first_block, end_block = 0, s_blocks.shape[0]
-    if turns is not None:
-        first_block, end_block = next_share(turns)
-    while first_block < end_block:
-        for block in range(first_block, end_block):
-            first = block * LANES
-            own, c, s = which[block], c_blocks[block], s_blocks[block]
-            ends = first, min(first + LANES, num_devices)
-            others = motion[0], motion_of_arm[0], paths, loop, extended, worn
-            step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
-        if turns is None:
-            break
-        first_block, end_block = next_share(turns)
+    memory = motion, motion_of_arm, paths, loop, extended, worn
+    blocks, given = (0, s_blocks.shape[0]), (assistances, actions, observations, report)
+    step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given)
     return ALL_NUMBERS
+
+
+@compiled
+def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistances, turns, looks):
+    """Take an agent step with the devices of shares of this thread; see `transition.step_shares`."""
+    motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
+    memory = motion, motion_of_arm, paths, loop, extended, worn
+    add(turns[AWAKE], 1)
+    blocks = next_share(turns, looks)
+    while blocks[0] < blocks[1]:
+        step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given_to(turns, assistances))
+        add(turns[DONE], 1)
+        blocks = next_share(turns, looks)
+    add(turns[AWAKE], -1)
+
+
+@compiled_in_place
+def step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given):
+    """Take one agent step with the devices of neighbouring blocks, from the first to the one before the second."""
+    motion, motion_of_arm, paths, loop, extended, worn = memory
+    assistances, actions, observations, report = given
+    for block in range(blocks[0], blocks[1]):
+        first = block * LANES
+        ends = first, min(first + LANES, actions.size)
+        c, s, own = c_blocks[block], s_blocks[block], which[block]
+        others = motion[0], motion_of_arm[0], paths, loop, extended, worn
+        step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
 
 
 @compiled_in_place

@@ -42,7 +42,10 @@ SOURCES = (
     *(f"simulation/{name}.py" for name in ("batch", "commands", "dynamics", "equilibrium", "kernel", "layout")),
     *(f"simulation/{name}.py" for name in ("loops", "metrics", "random", "replay", "sensors", "setpoint")),
     *("simulation/worn.py", "simulation/worn_layout.py"),
-    *(f"envs/{name}.py" for name in ("action", "eq6_costs", "privileged", "reward", "settings", "transition")),
+    *(
+        f"envs/{name}.py"
+        for name in ("action", "eq6_costs", "privileged", "reward", "settings", "shares", "transition")
+    ),
     *(f"envs/worn_{name}.py" for name in ("reward", "settings", "transition")),
     *("tasks/*.py", "laws/*.py", "firmware/lock_step.py"),
 )

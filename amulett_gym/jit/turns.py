@@ -1,73 +1,61 @@
-"""Whole numbers that threads count together while they run compiled code: the first entries of int64 arrays."""
+"""What threads tell each other while they run compiled code, without the GIL: numbers, and arrays by their addresses.
+
+A number is the first entry of an int64 array. Whatever a thread wrote before it changed one is seen by those that then
+read or change it. Python cannot call these functions, and with ``NUMBA_DISABLE_JIT`` nothing can.
+"""
 
 from __future__ import annotations
 
-from threading import Lock
 from typing import Any
 
-import numba
-import numpy as np
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
-from numpy.typing import NDArray
-
-from amulett_gym.jit.compiled import compiled
-
-Number = NDArray[np.int64]
-
-if numba.config.DISABLE_JIT:  # Python runs it
-    _lock = Lock()
-
-    def count(number: Number) -> int:
-        """Add one to a number; return what it was before, which no other thread gets."""
-        with _lock:
-            number.flat[0] += 1
-            return int(number.flat[0]) - 1
-
-    def read(number: Number) -> int:
-        """Return what a number is now; all that a thread wrote before it counted can be seen then."""
-        return int(number.flat[0])
-
-else:
-
-    def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        """Return where the number given to an intrinsic stands in memory."""
-        return context.make_array(signature.args[0])(context, builder, arguments[0]).data
-
-    @intrinsic
-    def count(_: Any, number: Any) -> Any:
-        """Add one to a number; return what it was before, which no other thread gets."""
-
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            place = _place(context, builder, signature, arguments)
-            return builder.atomic_rmw("add", place, context.get_constant(types.int64, 1), "seq_cst")
-
-        return types.int64(number), generate
-
-    @intrinsic
-    def read(_: Any, number: Any) -> Any:
-        """Return what a number is now; all that a thread wrote before it counted can be seen then."""
-
-        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", 8)
-
-        return types.int64(number), generate
 
 
-@compiled
-def count_once(number: Number) -> int:
-    """Add one to a number, from Python."""
-    return count(number)
+def _place(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return where the number given to an intrinsic stands in memory."""
+    return context.make_array(signature.args[0])(context, builder, arguments[0]).data
 
 
-@compiled
-def reaches(number: Number, goal: int, looks: int) -> bool:
-    """Return whether a number reaches `goal` within so many looks, without the GIL."""
-    while looks > 0 and read(number) < goal:
-        looks -= 1
-    return looks > 0
+@intrinsic
+def add(_: Any, number: Any, change: Any) -> Any:
+    """Add to a number, in one step; return what it was before."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        by = context.cast(builder, arguments[1], signature.args[1], types.int64)
+        return builder.atomic_rmw("add", _place(context, builder, signature, arguments), by, "seq_cst")
+
+    return types.int64(number, change), generate
 
 
-def new_number() -> Number:
-    """Return a number that is 0."""
-    return np.zeros(1, dtype=np.int64)
+@intrinsic
+def read(_: Any, number: Any) -> Any:
+    """Return what a number is now."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load_atomic(_place(context, builder, signature, arguments), "seq_cst", 8)
+
+    return types.int64(number), generate
+
+
+@intrinsic
+def write(_: Any, number: Any, value: Any) -> Any:
+    """Set a number."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        new = context.cast(builder, arguments[1], signature.args[1], types.int64)
+        builder.store_atomic(new, _place(context, builder, signature, arguments), "seq_cst", 8)
+        return context.get_dummy_value()
+
+    return types.void(number, value), generate
+
+
+@intrinsic
+def pointer(_: Any, address: Any) -> Any:
+    """Return the pointer to an address, as `numba.carray` takes it."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(address), generate

@@ -1,13 +1,16 @@
-"""Threads that count a number together lose no count, and see what was counted."""
+"""Threads that count a number together lose no count, and see what was counted; arrays are found by their addresses."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import numba
 import numpy as np
 import pytest
 
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.jit.turns import count, count_once, new_number, reaches
+from amulett_gym.jit.turns import add, pointer, read, write
+
+pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="needs the compiler")
 
 COUNTS = 20_000
 
@@ -16,7 +19,27 @@ COUNTS = 20_000
 def take(number, taken):
     """Take turns until there are no more; note them in order."""
     for n in range(taken.size):
-        taken[n] = count(number)
+        taken[n] = add(number, 1)
+
+
+@compiled
+def reaches(number, goal, looks):
+    while looks > 0 and read(number) < goal:
+        looks -= 1
+    return looks > 0
+
+
+@compiled
+def change(number, by, value):
+    before = add(number, by)
+    after = read(number)
+    write(number, value)
+    return before, after
+
+
+@compiled
+def array_at(address, size):
+    return numba.carray(pointer(address), (size,), np.float32).sum()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
@@ -37,16 +60,27 @@ def test_no_two_threads_get_the_same_turn(threads):
 
 
 def test_one_sees_what_another_counts_meanwhile():
-    number, seen = new_number(), []
+    number, seen = np.zeros(1, dtype=np.int64), []
+    assert not reaches(number, 3, 1000)
     watcher = threading.Thread(target=lambda: seen.append(reaches(number, 3, 10**12)), daemon=True)
     watcher.start()
-    assert [count_once(number) for _ in range(2)] == [0, 1]
+    take(number, np.empty(2, dtype=np.int64))
     assert watcher.is_alive() and not seen
-    count_once(number)
+    take(number, np.empty(1, dtype=np.int64))
     watcher.join(30.0)
     assert seen == [True]
 
 
-@pytest.mark.parametrize(("goal", "looks", "reached"), [(0, 1, True), (0, 0, False), (1, 1, False), (1, 1000, False)])
-def test_looks_end(goal, looks, reached):
-    assert reaches(new_number(), goal, looks) == reached
+@pytest.mark.parametrize("row", [0, 1])
+def test_only_the_first_entry_is_changed(row):
+    numbers = np.array([[5, 6], [7, 8]])
+    expected = numbers.copy()
+    expected[row, 0] = -3
+    before = int(numbers[row, 0])
+    assert change(numbers[row], -1, -3) == (before, before - 1)
+    np.testing.assert_array_equal(numbers, expected)
+
+
+def test_an_array_is_found_by_its_address():
+    values = np.arange(7, dtype=np.float32)
+    assert array_at(values.ctypes.data, values.size) == 21.0

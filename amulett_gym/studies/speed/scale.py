@@ -7,6 +7,7 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amulett_gym import ENV_IDS
-from amulett_gym.envs.thread_pool import ThreadPool
 from amulett_gym.envs.vector import TensionVectorEnv
 from amulett_gym.studies.speed.rates import AGENT_PERIOD, Contestant, kernel, race, ratios, spread, vector
 
 SIZES = (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536)
 THREADED_SIZES = (1024, 8192, 65536)
-PARTS = 32
+PARTS = 8
+"""Parts of the devices that threads take in turn: small ones would ask for the GIL too often."""
 UNDISTURBED = 2**16
 """Agent steps of all devices before two threads that wait as little as possible wait for each other."""
 HOUR = 3600.0  # [s]
@@ -72,9 +73,11 @@ def _threaded(profile: str, devices: int, seed: int) -> list[Contestant]:
 
     def advance_together() -> None:
         waiting = iter(parts)  # of both threads; with the GIL, none is taken twice
-        pool.run(lambda: advance(waiting))
+        other = pool.submit(advance, waiting)
+        advance(waiting)
+        other.result()
 
-    pool = ThreadPool(1)
+    pool = ThreadPoolExecutor(1)
     steps = lambda: advance(parts), advance_together
     environments = [vector(profile, devices, seed, threads) for threads in (1, 2)]
     return [*environments, *(Contestant("kernel", step, calls * PARTS * parts[0].devices) for step in steps)]
