@@ -84,7 +84,7 @@ def blank_figures(patch: pytest.MonkeyPatch) -> None:
     from amulett_gym.evaluation import page
     from amulett_gym.reporting import style
 
-    blank = style.styled(lambda: style.one_panel(1.0)[0])()
+    blank = style.Figure(figsize=(0.1, 0.1))
     patch.setattr(page, "draw", lambda results, summary: dict.fromkeys(page.FIGURES, blank))
 
 

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from helpers import blank_figures
 
 from amulett_gym.cli import main
 
@@ -15,7 +16,8 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 
 @pytest.mark.slow
-def test_the_costs_in_learning_are_those_of_the_command_below_them(tmp_path: Path):
+def test_the_costs_in_learning_are_those_of_the_command_below_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    blank_figures(monkeypatch)
     page = (DOCS / "learning.md").read_text()
     (command,) = [line for line in page.splitlines() if line.startswith("amulett evaluate ")]
     assert main([*shlex.split(command)[1:-1], str(tmp_path / "out")]) == 0

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
+from helpers import blank_figures
 
 pytest.importorskip("stable_baselines3")
 
@@ -62,6 +63,7 @@ def test_a_trusted_zip_competes(tmp_path, monkeypatch, capsys):
 def test_a_zip_is_kept_with_its_description_and_compared_again(tmp_path, monkeypatch, capsys):
     zip_file = saved(tmp_path)
     monkeypatch.chdir(tmp_path)
+    blank_figures(monkeypatch)
     words = ["evaluate", "--policies", "./PPO.zip", "--trust-pickle", "--episodes", "2", "--duration", "1"]
     assert main([*words, "--out", "kept"]) == 0
     for path in (zip_file, zip_file.with_suffix(".json")):

@@ -16,7 +16,7 @@ from amulett_gym.envs.prices import divisors
 from amulett_gym.envs.reward import DEFAULT_WEIGHTS
 from amulett_gym.envs.transition import MAY_BE_MISSING, METRICS, OBSERVATIONS
 from amulett_gym.errors import AmulettError
-from amulett_gym.evaluation import runner
+from amulett_gym.evaluation import motion_plots, plots, runner
 from amulett_gym.evaluation.comparison import in_words, summarise, table, verdict, write_scenarios
 from amulett_gym.evaluation.episode import record_episode
 from amulett_gym.evaluation.metrics import UNITS, failure_cost
@@ -25,6 +25,7 @@ from amulett_gym.evaluation.remarks import device_remarks
 from amulett_gym.evaluation.runner import Protocol, Results, evaluate
 from amulett_gym.laws.contenders import parse_contender
 from amulett_gym.profile import load_profile
+from amulett_gym.reporting import style
 from amulett_gym.reporting.words import number, pretty, span
 from amulett_gym.storage.provenance import COMMAND
 from amulett_gym.tasks.suites import families_of
@@ -402,7 +403,9 @@ def test_a_figure_that_fails_loses_no_number(results, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"results.json", "scenarios.csv"}
 
 
-def test_a_comparison_replaces_an_earlier_one_and_nothing_else(results, tmp_path, capsys):
+def test_a_comparison_replaces_an_earlier_one_and_nothing_else(tmp_path, monkeypatch, capsys):
+    for module, figure in ((plots, "cost"), (plots, "schedule"), (plots, "trade_off"), (motion_plots, "step_response")):
+        monkeypatch.setattr(module, f"{figure}_figure", lambda *_: style.Figure(figsize=(0.1, 0.1)))
     assert command("--policies", "eq6-held", "--episodes", "1", "--out", str(tmp_path)) == 0
     assert "instead of the earlier" not in capsys.readouterr().out
     (tmp_path / "notes.txt").write_text("mine")

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from helpers import make_bundle
+from helpers import blank_figures, make_bundle
 
 from amulett_gym.cli import main
 from amulett_gym.errors import AmulettError
@@ -26,6 +26,7 @@ from amulett_gym.evaluation.comparison import summarise
 from amulett_gym.evaluation.page import write_report
 from amulett_gym.evaluation.runner import Results, evaluate
 from amulett_gym.jit import notice
+from amulett_gym.reporting.style import Figure
 from amulett_gym.storage.lock import LOCK
 from amulett_gym.storage.writing import check_writable, files_together, output_folder, write_json, write_text
 
@@ -57,6 +58,11 @@ def digests(folder: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def results() -> Results:
     return evaluate(["eq6"], episodes=2, duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def figures(results) -> dict[str, Figure]:
+    return report.draw(results, summarise(results))
 
 
 @needs_limits
@@ -91,7 +97,8 @@ def test_a_disk_that_is_full_at_any_step_of_a_write_leaves_the_old_file(tmp_path
 
 @needs_limits
 @pytest.mark.parametrize("size", [0, 1000])
-def test_a_comparison_that_does_not_fit_leaves_the_earlier_one(tmp_path, results, size, faults):
+def test_a_comparison_that_does_not_fit_leaves_the_earlier_one(tmp_path, results, size, monkeypatch, faults):
+    blank_figures(monkeypatch)
     write_report(results, tmp_path)
     before = digests(tmp_path)
     assert (tmp_path / "results.json").stat().st_size > size, "it would have fitted"
@@ -103,7 +110,8 @@ def test_a_comparison_that_does_not_fit_leaves_the_earlier_one(tmp_path, results
 
 @needs_limits
 @pytest.mark.parametrize("size", [30_000, 60_000])
-def test_figures_that_do_not_fit_lose_no_number(tmp_path, results, size, faults):
+def test_figures_that_do_not_fit_lose_no_number(tmp_path, results, figures, size, monkeypatch, faults):
+    monkeypatch.setattr(report, "draw", lambda *_: figures)
     write_report(replace(results, command="earlier"), tmp_path)
     assert (tmp_path / "report.html").stat().st_size > size, "it would have fitted"
     with pytest.raises(AmulettError, match="the results are in results.json"), no_file_longer_than(size):
@@ -165,6 +173,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_work(place, capsy
 
 
 def test_a_folder_that_vanished_is_made_again(tmp_path, results, monkeypatch, faults):
+    blank_figures(monkeypatch)
     out = tmp_path / "out"
 
     def vanish(results):

@@ -75,6 +75,7 @@ def test_the_command_writes_numbers_and_figures(found, tmp_path, monkeypatch, ca
 
 
 def test_a_folder_holds_its_device(found, tmp_path, monkeypatch):
+    monkeypatch.setattr("amulett_gym.studies.loops.figures.draw", lambda _: {})
     device = tmp_path / "device.yaml"
     device.write_text("name: mine\nbase: testbed\nplant: {masses: [{mass: 0.3, arm: 0.13}]}\n")
     played = []
