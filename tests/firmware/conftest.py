@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
-from amulett_gym.firmware import host
+from amulett_gym.errors import ToolMissing
+from amulett_gym.firmware import export, host
 from amulett_gym.firmware.export import firmware_files, manifest
 from amulett_gym.firmware.host import Controller, compile_controller
 from amulett_gym.firmware.laws import choose, firmware_law, with_delay
@@ -47,6 +48,16 @@ class Firmware:
         options = {key: environment.pop(key) for key in ("seed", "scenarios") if key in environment}
         settings = type(self.settings)(**{**self.settings.given, **environment})
         return record(self.contender, settings, steps, num_devices, **options)
+
+
+@pytest.fixture
+def without_chip(monkeypatch):
+    """Measure nothing on the simulated chip while a folder is written: it takes time (see test_measuring)."""
+
+    def missing(*_):
+        raise ToolMissing("no chip")
+
+    monkeypatch.setattr(export, "measure", missing)
 
 
 @pytest.fixture(scope="session")

@@ -104,7 +104,7 @@ def test_in_float_a_jump_in_the_first_tick_is_no_jump_back_in_the_next(firmware,
     np.testing.assert_allclose(found["float"][1:], found["double"][:-1], atol=0.02)
 
 
-def test_only_the_files_of_the_loop_are_in_a_folder(tmp_path):
+def test_only_the_files_of_the_loop_are_in_a_folder(tmp_path, without_chip):
     folder = tmp_path / "firmware"
     found = {}
     for law in ("co-rotation/eq6", "computed-torque/eq6", "eq6"):

@@ -11,7 +11,7 @@ from helpers import device, keep_network
 
 from amulett_gym.c.build import NO_COMPILER, find_compiler
 from amulett_gym.cli import main
-from amulett_gym.errors import AmulettError, ToolMissing
+from amulett_gym.errors import AmulettError
 from amulett_gym.firmware import export as export_module
 from amulett_gym.firmware.description import firmware_content, read_description
 from amulett_gym.firmware.device import device_header
@@ -23,15 +23,7 @@ from amulett_gym.profile import load_profile
 ZEROS = [(np.zeros((1, 13), "f4"), np.zeros(1, "f4"))]  # a network's layers
 
 
-@pytest.fixture(autouse=True)
-def _without_chip(monkeypatch):
-    """Measure nothing on the simulated chip, which takes time (see test_measuring)."""
-
-    def missing(*_):
-        raise ToolMissing("no chip")
-
-    monkeypatch.setattr(export_module, "measure", missing)
-
+pytestmark = pytest.mark.usefixtures("without_chip")
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason=NO_COMPILER)
 

@@ -175,7 +175,7 @@ def test_weights_beyond_the_near_flash_are_refused(tmp_path):
         network.choose_numbers(bundle, 4000, 0)
 
 
-def test_nothing_of_a_bundle_but_numbers_reaches_the_sources(tmp_path):
+def test_nothing_of_a_bundle_but_numbers_reaches_the_sources(tmp_path, without_chip):
     hostile = "*/ $(shell evil) `evil` | [x](http://evil)\n#include <evil.h> \\"
     files = export(str(write(tmp_path / hostile / "policy")), "testbed", None, tmp_path / "firmware")
     assert {name for name, content in files.items() if "evil" in content} <= {"README.md", "manifest.json"}
