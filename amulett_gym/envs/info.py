@@ -7,6 +7,7 @@ arrays, and as Gymnasium's, for each key a mask, ``"_" + key``, of the devices t
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -91,4 +92,10 @@ def of_some(info: dict[str, Any], devices: NDArray[np.int64], count: int) -> dic
 
 def masked(info: dict[str, Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Return an info with the mask of each entry; all of them are the same array."""
-    return info | {f"_{key}": mask for key in info}
+    return info | dict.fromkeys(_masks_of(tuple(info)), mask)
+
+
+@cache  # there are few different ones, and an info is made in each step
+def _masks_of(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of entries' masks."""
+    return tuple(f"_{key}" for key in keys)
