@@ -103,7 +103,7 @@ def _bounds(subject: Subject) -> None:
     expected = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     _assert(env.action_space == expected, f"the action space is {env.action_space}")
     for observation, *_ in _steps(env, 2):
-        _assert(env.observation_space.contains(observation), f"{observation} is outside the observation space")
+        _assert(env.observation_space.contains(observation), "{} is outside the observation space", observation)
 
 
 def _documented(subject: Subject) -> None:
@@ -129,7 +129,7 @@ def _infos(subject: Subject) -> None:
             infos.append(env.reset()[1])
     types = {key: type(value) for key, value in infos[0].items()}
     for info in infos:
-        _assert({key: type(value) for key, value in info.items()} == types, f"keys or types changed: {info}")
+        _assert({key: type(value) for key, value in info.items()} == types, "keys or types changed: {}", info)
         wrong = [key for key, value in info.items() if not isinstance(value, int | float) or not np.isfinite(value)]
         _assert(not wrong, f"no finite number: {', '.join(wrong)}")
 
@@ -146,7 +146,7 @@ def _vector_infos(subject: Subject) -> None:
         _assert(info.keys() == other.keys(), f"the keys {info.keys() ^ other.keys()} are only in one of them")
         for key, values in info.items():
             same = values.dtype == other[key].dtype and np.array_equal(values, other[key])
-            _assert(same, f"'{key}' is {values!r} and {other[key]!r}")
+            _assert(same, "'{}' is {!r} and {!r}", key, values, other[key])
 
 
 def _reward_terms(subject: Subject) -> None:
@@ -331,6 +331,7 @@ def _rollout(env: gym.Env[Any, Any], seed: int | None) -> list[tuple[Any, ...]]:
     return [(observation.tolist(), reward) for observation, reward, *_ in _steps(env, seed)]
 
 
-def _assert(holds: bool, problem: str) -> None:
+def _assert(holds: bool, problem: str, *values: object) -> None:
+    """Raise an error unless something holds; values are put into its text only then, since arrays take long to show."""
     if not holds:
-        raise AssertionError(problem)
+        raise AssertionError(problem.format(*values) if values else problem)

@@ -106,7 +106,13 @@ def process_words() -> list[str]:
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the installed ones of `PACKAGES`."""
-    found = {"python": platform.python_version()}
+    return {"python": platform.python_version(), **_installed()}
+
+
+@cache
+def _installed() -> dict[str, str]:
+    """Return the versions of the installed ones of `PACKAGES`, which all of the Python path is searched for."""
+    found = {}
     for package in PACKAGES:
         with suppress(PackageNotFoundError):
             found[package] = version(package)

@@ -50,6 +50,23 @@ def test_conformance(subject):
     assert [outcome for outcome in outcomes if outcome.problem] == []
 
 
+class Late(Subject):
+    """Gymnasium's vector environment reports a time too late."""
+
+    def make_vec(self, num_envs, **more):
+        env = super().make_vec(num_envs, **more)
+        observations, info = env.reset(seed=6)
+        if more["vectorization_mode"] == "sync":
+            env.reset = lambda **_: (observations, {**info, "time": info["time"] + 0.5})
+        return env
+
+
+def test_a_wrong_info_is_shown():
+    (check,) = (check for requirement, check in CHECKS.items() if "infos are those of Gymnasium" in requirement)
+    with pytest.raises(AssertionError, match=r"^'time' is array\(\[0., 0.\]\) and array\(\[0.5, 0.5\]\)$"):
+        check(Late(SCALING, {"suite": "steps"}))
+
+
 def test_another_process_that_fails_is_started_anew():
     with pytest.raises(AssertionError, match="another process cannot play it"):
         conformance.elsewhere(Subject(SCALING, {"suite": "unheard-of"}), 4)
