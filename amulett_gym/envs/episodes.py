@@ -425,9 +425,9 @@ class Episodes:
 
     def close(self) -> None:
         """End the threads; a further step starts them again."""
-        if isinstance(self._step, SharedStep):
-            self._step.close()
-            self._step = None
+        step, self._step = self._step, None
+        if isinstance(step, SharedStep):
+            step.close()
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_step": None, "_step_paths": None}

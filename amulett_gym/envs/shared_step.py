@@ -6,7 +6,6 @@ import os
 import threading
 import time
 import weakref
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from queue import SimpleQueue
@@ -19,6 +18,8 @@ LOOKS = 400_000
 """Looks for a share before a thread sleeps, some 0.2 ms: Python does less than that from step to step."""
 PAUSE = 5e-5
 """Time between looks for the others' end, after so many [s]."""
+FOREVER = 2**62
+"""As many looks as it takes."""
 
 _Calls = SimpleQueue[bool]
 
@@ -54,7 +55,7 @@ class SharedStep:
         core is busy, is not waited for.
         """
         if self._process != os.getpid():  # a forked process inherits no threads
-            self._finalizer.detach()
+            self._finalizer()
             self._start()
         try:
             wrong = self._offer(self._turns, *given)
@@ -66,26 +67,26 @@ class SharedStep:
                     time.sleep(PAUSE)  # another thread's core is busy: it may have this one
             return wrong
         finally:  # the others write to the caller's arrays
-            self._end()
+            self._withdraw(self._turns, FOREVER)
 
     def close(self) -> None:
         """End the threads."""
-        self._finalizer()
+        _dismiss(self._calls, self._size)
         for thread in self._threads:
             thread.join()
 
     def _start(self) -> None:
         """Start the threads."""
-        self._turns, self._calls, self._process = turns_of(self._blocks, 1 + self._size), _Calls(), os.getpid()
-        self._end = partial(_exhaust, partial(self._withdraw, self._turns, LOOKS))
+        self._turns, self._calls = turns_of(self._blocks, 1 + self._size), _Calls()
         self._finalizer = weakref.finalize(self, _dismiss, self._calls, self._size)
         serve = partial(_serve, self._calls, partial(self._take, self._turns, LOOKS))
-        # Daemons, so that waiting ones do not hold up the process's end.
-        self._threads = [
-            threading.Thread(target=serve, name=f"amulett-gym_{index}", daemon=True) for index in range(self._size)
-        ]
-        for thread in self._threads:
+        self._threads: list[threading.Thread] = []
+        for index in range(self._size):
+            # Daemons, so that waiting ones do not hold up the process's end.
+            thread = threading.Thread(target=serve, name=f"amulett-gym_{index}", daemon=True)
             thread.start()
+            self._threads.append(thread)
+        self._process = os.getpid()  # last: if this is interrupted, the next step begins anew
 
 
 def _serve(calls: _Calls, take: Callable[[], None]) -> None:
@@ -97,8 +98,3 @@ def _serve(calls: _Calls, take: Callable[[], None]) -> None:
 def _dismiss(calls: _Calls, size: int) -> None:
     for _ in range(size):
         calls.put(False)
-
-
-def _exhaust(has_ended: Callable[[], bool]) -> None:
-    """Call until it returns True: for Python a single step, so that no signal's handler raises before its end."""
-    deque(iter(has_ended, True), maxlen=0)

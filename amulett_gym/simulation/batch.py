@@ -279,8 +279,12 @@ class Simulation:
         return parts[first : first + count].copy()
 
     def _keep_paths(self, devices: NDArray[np.int64], paths: Sequence[NDArray[np.void]]) -> None:
-        """Set new paths of some devices, and keep those of the others."""
-        if self.paths is None and not paths:
+        """Set new paths of some devices, and keep those of the others.
+
+        If nothing changes, `paths` stays the same object: a step of several threads begins new ones for another.
+        """
+        had = self.paths is not None and self.paths[1]["count"].ravel()[devices].any()
+        if not had and not any(path.size for path in paths):
             return
         found = dict(zip(devices.tolist(), paths, strict=False))
         if self.paths is not None:

@@ -53,15 +53,15 @@ def entry_of(others, device):
 
 @compiled
 def take(gate, taken, means, turns, looks):
-    """Write the sum of a device's actions into its row of the tables; count in `taken`, and wait at the gate if closed.
+    """Write the sum of a device's actions into its row of the tables; count in `taken`, and wait at the gate.
 
-    Device and block are the same here.
+    The gate is closed if it is 1, for all but the caller if it is 2. Device and block are the same here.
     """
     add(turns[AWAKE], 1)
     blocks = next_share(turns, looks)
     while blocks[0] < blocks[1]:
         add(taken, 1)
-        while read(gate) > 0:
+        while read(gate) > 0 and (looks > 1 or read(gate) == 1):
             pass
         others, actions, observations, report = given_to(turns, means)
         for device in range(blocks[0], blocks[1]):
@@ -166,15 +166,17 @@ def test_sleeping_threads_are_called_once(monkeypatch):
 def test_interruptions_are_raised_once_no_thread_works_any_more():
     gate, taken = number(1), number()
     step, given = shared(gate=gate, taken=taken), arrays()
+    signals = signal.SIGALRM, signal.SIGVTALRM
 
     def interrupt():
         waited_for(lambda: taken[0] == 2)
-        for _ in range(3):
-            os.kill(os.getpid(), signal.SIGALRM)
-            time.sleep(0.05)
+        for one in signals:  # their handlers wait until the caller is back in Python
+            os.kill(os.getpid(), one)
+        set_to(gate, 2)
+        time.sleep(0.2)
         set_to(gate, 0)
 
-    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    before = [signal.signal(one, signal.default_int_handler) for one in signals]
     other = threading.Thread(target=interrupt)
     try:
         with pytest.raises(KeyboardInterrupt):
@@ -182,8 +184,9 @@ def test_interruptions_are_raised_once_no_thread_works_any_more():
             step(None, *given)
             pytest.fail("nothing was raised")
     finally:
-        signal.signal(signal.SIGALRM, before)
-    assert is_done(*given)
+        for one, handler in zip(signals, before, strict=True):
+            signal.signal(one, handler)
+    assert gate[0] == 0
     other.join()
     step.close()
 
@@ -226,6 +229,21 @@ def test_an_interruption_anywhere_leaves_no_thread_at_work(looks, monkeypatch):
     step(None, *given)
     assert is_done(*given)
     step.close()
+
+
+def test_an_interrupted_close_can_be_repeated(monkeypatch):
+    step, put = shared(3), shared_step._dismiss
+    step(None, *arrays())
+
+    def interrupted(calls, size):
+        put(calls, 1)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(shared_step, "_dismiss", interrupted)
+        step.close()
+    step.close()
+    assert not any(thread.is_alive() for thread in step._threads)
 
 
 def test_threads_and_what_they_hold_end_with_their_step():

@@ -8,11 +8,14 @@ import threading
 import time
 
 import gymnasium as gym
+import numba
 import numpy as np
 import pytest
+from helpers import wait_until
 
 import amulett_gym  # noqa: F401
-from amulett_gym.envs import transition
+from amulett_gym.envs import shared_step, transition
+from amulett_gym.envs.shares import AWAKE
 from amulett_gym.errors import AmulettError
 from amulett_gym.simulation.layout import LANES
 
@@ -106,7 +109,8 @@ def test_a_forked_process_starts_threads_of_its_own():
     child = os.fork()
     if child == 0:
         vector.step(action)
-        os._exit(7)
+        started = sum(thread.name.startswith("amulett-gym") for thread in threading.enumerate())
+        os._exit(7 if started or numba.config.DISABLE_JIT else 8)
     for _ in range(600):
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -117,6 +121,22 @@ def test_a_forked_process_starts_threads_of_its_own():
         os.waitpid(child, 0)
         pytest.fail("the forked process hangs")
     assert os.waitstatus_to_exitcode(status) == 7
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="one thread does all")
+def test_a_reset_without_a_path_keeps_the_threads_though_another_device_has_one():
+    vector = gym.make_vec(SCALING, num_envs=4 * LANES, threads=2)
+    play(vector, 1, seed=0)
+    episodes, device = vector.unwrapped.episodes, np.arange(1)
+    episodes.start(device, [{"setpoint": {"time": [0.0, 1.0], "angle_deg": [10.0, 20.0]}, "initial_angle_deg": 10.0}])
+    steps = []
+    for reset in (device + 1, device + 20, device):
+        episodes.step(np.zeros(4 * LANES))
+        steps.append(episodes._step)
+        episodes.start(reset)
+    episodes.step(np.zeros(4 * LANES))
+    assert steps[0] is steps[1] is steps[2] is not episodes._step
+    assert episodes.simulation.paths is None
 
 
 def test_actions_of_any_memory_layout_do_the_same_by_the_same_code():
@@ -142,3 +162,21 @@ def test_actions_of_any_memory_layout_do_the_same_by_the_same_code():
             np.testing.assert_array_equal(one, other)
         known = known or len(transition.step.signatures)
     assert len(transition.step.signatures) == known
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="needs the compiler")
+@pytest.mark.parametrize("env_id", [SCALING, "Amulett/Drives-v0", "Amulett/Worn-v0"])
+def test_threads_that_stay_awake_take_shares_of_the_next_step(env_id, monkeypatch):
+    monkeypatch.setattr(shared_step, "LOOKS", 10**9)
+    alone, together = (gym.make_vec(env_id, num_envs=40 * LANES, threads=threads) for threads in (1, 3))
+    actions = np.random.default_rng(0).uniform(-1, 1, (20, *alone.action_space.shape))
+    for vector in (alone, together):
+        vector.reset(seed=0)
+    assert_same([go(alone, actions[0])], [go(together, actions[0])])
+    turns = together.unwrapped.episodes._step._turns
+    wait_until(lambda: turns[AWAKE, 0] == 2)
+    for action in actions:
+        assert_same([go(alone, action)], [go(together, action)])
+    assert turns[AWAKE, 0] == 2
+    together.close()
+    assert turns[AWAKE, 0] == 0

@@ -23,6 +23,16 @@ def take(number, taken):
 
 
 @compiled
+def take_together(number, taken, here, other):
+    """Take turns at the same time as the other thread, awake when both are."""
+    write(here, 1)
+    while read(other) == 0:
+        pass
+    for n in range(taken.size):
+        taken[n] = add(number, 1)
+
+
+@compiled
 def reaches(number, goal, looks):
     while looks > 0 and read(number) < goal:
         looks -= 1
@@ -40,6 +50,16 @@ def change(number, by, value):
 @compiled
 def array_at(address, size):
     return numba.carray(pointer(address), (size,), np.float32).sum()
+
+
+def test_two_threads_at_the_same_time_lose_no_count():
+    number, taken, here = np.zeros(1, dtype=np.int64), np.full((2, COUNTS), -1), np.zeros((2, 1), dtype=np.int64)
+    take_together(number.copy(), taken[0, :0], number.copy(), np.ones(1, dtype=np.int64))  # compiled
+    other = threading.Thread(target=take_together, args=(number, taken[1], here[0], here[1]))
+    other.start()
+    take_together(number, taken[0], here[1], here[0])
+    other.join()
+    assert number[0] == 2 * COUNTS
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
