@@ -67,6 +67,7 @@ def test_a_copy_in_mid_episode_goes_on_alike(duplicate):
     assert_same([go(vector, action)], [go(other, action)])
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="one thread does all")
 def test_close_ends_the_threads():
     def ours():
         return {thread for thread in threading.enumerate() if thread.name.startswith("amulett-gym")}
@@ -77,9 +78,12 @@ def test_close_ends_the_threads():
     assert ours() - before  # environments of other tests may be collected meanwhile, and their threads end
     vector.close()
     assert not ours() - before
+    play(vector, 1, seed=0)
+    assert ours() - before
+    vector.close()
 
 
-def test_after_an_error_in_a_thread_an_environment_plays_as_before():
+def test_after_an_error_in_a_step_an_environment_plays_as_before():
     vector = gym.make_vec(SCALING, num_envs=3 * LANES, threads=2)
     play(vector, 2, seed=0)
     episodes = vector.unwrapped.episodes
@@ -87,12 +91,27 @@ def test_after_an_error_in_a_thread_an_environment_plays_as_before():
     def fail(*given):
         raise ValueError("no")
 
-    step, episodes._step = episodes._step, fail
+    episodes._step = fail
     with pytest.raises(ValueError, match="no"):
         vector.step(np.zeros((3 * LANES, 1)))
-    episodes._step = step
     alone = gym.make_vec(SCALING, num_envs=3 * LANES)
     assert_same(play(alone, 3, seed=1), play(vector, 3, seed=1))
+
+
+def test_a_step_amid_another_has_threads_of_its_own():
+    vector = gym.make_vec(SCALING, num_envs=3 * LANES, threads=2)
+    play(vector, 1, seed=0)
+    episodes, actions = vector.unwrapped.episodes, np.zeros(3 * LANES)
+    outer, inner = episodes._step, []
+
+    def step(*given):
+        episodes.step(actions)  # as a signal's handler or another thread may do
+        inner.append(episodes._step)
+        return outer(*given)
+
+    episodes._step = step
+    episodes.step(actions)
+    assert inner[0] not in (None, outer, step)
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])
