@@ -370,11 +370,13 @@ class Episodes:
         Return the first device with an action that is NaN, before any is stepped, or `shares.ALL_NUMBERS`.
         """
         step, self._step = self._step, None  # one that begins meanwhile, wrongly, has threads and turns of its own
-        if step is None or self._step_paths is not self.simulation.paths:
-            step, self._step_paths = self._prepared(given), self.simulation.paths
-        wrong = step(*given)
-        self._step = step
-        return wrong
+        paths = self.simulation.paths
+        if step is None or self._step_paths is not paths:
+            step = self._prepared(given)
+        try:
+            return step(*given)
+        finally:
+            self._step, self._step_paths = step, paths
 
     def _prepared(self, given: tuple[Any, ...]) -> Callable[..., int]:
         """Return the compiled step with all that is the same from step to step; a reset may bring new paths."""
