@@ -115,10 +115,11 @@ class Episodes:
         masses = [profile.plant.masses for profile in self.profiles]
         bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, bare_inertia)
+        # A copy is contiguous, as numba's type of the other is.
         told = self.described if settings.fleet is not None else self.described[:, :0].copy()
         self._hidden = (bare_inertia, told) if settings.privileged else None
         self._threads = min(threads, simulation.states.size)
-        self._step: Callable[..., int] | SharedStep | None = None
+        self._step: Callable[..., int] | None = None
         self._step_paths: Paths | None = None
 
     @property
@@ -351,7 +352,7 @@ class Episodes:
         return observations, report
 
     def step_into(self, actions: NDArray[np.float64], observations: Observations, report: Report) -> None:
-        """Take one agent step as :meth:`step` does, with actions that are contiguous, into arrays of the caller."""
+        """Take one agent step as :meth:`step` does, into arrays of the caller, which have to be contiguous."""
         given = *self._split(actions), observations, report
         own = self.settings.reward_fn
         before = {} if own is None else self._costs()
@@ -369,14 +370,15 @@ class Episodes:
 
         Return the first device with an action that is NaN, before any is stepped, or `shares.ALL_NUMBERS`.
         """
+        if self._step is None or self._step_paths is not self.simulation.paths:
+            self._step, self._step_paths = self._prepared(given), self.simulation.paths
+        if self._threads == 1:
+            return self._step(*given)
         step, self._step = self._step, None  # one that begins meanwhile, wrongly, has threads and turns of its own
-        paths = self.simulation.paths
-        if step is None or self._step_paths is not paths:
-            step = self._prepared(given)
         try:
             return step(*given)
         finally:
-            self._step, self._step_paths = step, paths
+            self._step = step
 
     def _prepared(self, given: tuple[Any, ...]) -> Callable[..., int]:
         """Return the compiled step with all that is the same from step to step; a reset may bring new paths."""

@@ -20,7 +20,7 @@ NEXT, DONE, AWAKE, GIVEN, BEGINS = range(5)
 """Rows of the threads' turns.
 
 The next share; the number of shares done; the number of threads that look out for shares; what a step is given; where
-shares begin, and where the last one ends. Each but the last is in a line of the processor's cache.
+shares begin, and where the last one ends. They are at least a line of the processor's cache apart.
 """
 
 SHARES, DEVICES, ENTRIES, REPORTED, ACTIONS, OBSERVATIONS, REPORT, MEANS = range(8)
@@ -98,7 +98,7 @@ def next_share(turns, looks):
 def given_to(turns, means):
     """Return what the step is given of which a thread has a share: means, actions, observations, report.
 
-    The former are None if `means` is None, which may be any array else.
+    The former are None if `means` is None; of another, only the type matters.
     """
     given = turns[GIVEN]
     devices = given[DEVICES]

@@ -145,7 +145,8 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, 
 def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, turns, looks):
     """Take an agent step with the devices of shares of this thread, until none comes in so many looks.
 
-    Arguments are those of :func:`step` and `shares.next_share`; `means` is None, or any array.
+    Arguments are those of :func:`step` and `shares.next_share`; of `means`, only the type matters. Nothing may raise
+    between a share and its count as done: the others would wait forever.
     """
     motion = np.empty(1, dtype=MOTION_BLOCK)
     memory = motion, paths, loop, extended, hidden, hidden_values(hidden)
