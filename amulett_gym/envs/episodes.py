@@ -476,10 +476,18 @@ class Episodes:
 
     def steps(self) -> NDArray[np.int64]:
         """Return the number of agent steps of each device's episode, shape (N,); that of a failure counts."""
-        passed, ticks = self.simulation.read("tick"), self._constants["ticks"]
-        if ticks.size > 1:
-            ticks = np.repeat(ticks[self.simulation.which], LANES)[: passed.size]
-        return -(-passed // ticks)  # rounded up: a device that fails stops in the middle of a step
+        # Rounded up: a device that fails stops in the middle of a step.
+        return -(-self.simulation.read("tick") // self._ticks)
+
+    def have_steps(self, count: float) -> NDArray[np.bool_]:
+        """Return which devices' episodes have at least `count` :meth:`steps`, shape (N,); sooner than by dividing."""
+        return self.simulation.read("tick") > (count - 1) * self._ticks
+
+    @property
+    def _ticks(self) -> NDArray[np.int64]:
+        """Control ticks in an agent step, shape (1,), or (N,) with a fleet."""
+        ticks = self._constants["ticks"]
+        return ticks if ticks.size == 1 else np.repeat(ticks[self.simulation.which], LANES)[: self.started.size]
 
     def get_state(self) -> dict[str, Any]:
         """Return a snapshot of all episodes."""

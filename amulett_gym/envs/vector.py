@@ -225,7 +225,7 @@ class TensionVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArr
             observations[again], following = self.next_report(again)
             report[again] = following[:, : report.shape[1]]
         terminated = report[:, FIRST_READING] != RUNNING
-        truncated = self.episodes.steps() >= self._limit  # both in a failure's last step, as by Gymnasium's TimeLimit
+        truncated = self.episodes.have_steps(self._limit)  # both in a failure's last step, as by Gymnasium's TimeLimit
         self._ended = terminated | truncated
         final = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():

@@ -1,6 +1,7 @@
 """Environments with several devices."""
 
 import json
+import math
 import pickle
 
 import gymnasium as gym
@@ -274,3 +275,16 @@ def test_laws_with_parameters_of_one_device_are_refused():
         load_policy("eq6-held", single(fleet=["testbed", other]))
     with pytest.raises(AmulettError, match="the devices have 3 profiles"):
         _ = vector().profile
+
+
+@pytest.mark.parametrize("fleet", [FLEET, FLEET[:1]])
+def test_steps_are_counted_with_each_devices_own_ticks(fleet):
+    episodes = vector(fleet=fleet).unwrapped.episodes
+    per_step = np.array([episodes.settings.ticks(profile) for profile in episodes.profiles])
+    own = np.repeat(per_step[episodes.simulation.which], LANES)[: episodes.started.size]
+    for passed in (0, 1, *per_step.tolist(), *(3 * per_step + 1).tolist(), *(3 * per_step - 1).tolist()):
+        episodes.simulation.states["tick"][...] = passed  # within a step where a device has failed
+        expected = np.array([math.ceil(passed / ticks) for ticks in own])
+        np.testing.assert_array_equal(episodes.steps(), expected)
+        for count in (1, 2, 3, 4, math.inf):
+            np.testing.assert_array_equal(episodes.have_steps(count), expected >= count)
