@@ -1,4 +1,4 @@
-"""The linear map from an action in [-1, 1] to a tension setpoint [N] within a range.
+"""Actions: the linear map from one in [-1, 1] to a tension setpoint [N] within a range, and what is no action.
 
 The two formulas are written only here. They keep the type of arrays and numbers; compiled code uses the same source, so
 that the bits are the same everywhere.
@@ -6,6 +6,7 @@ that the bits are the same everywhere.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ TENSION_RANGE = (4.0, 15.0)
 
 FEED_FORWARD_RANGE = (0.0, 15.0)
 """The same in loops that feed the co-contraction forward: they can let the strings go slack."""
+
+ALL_NUMBERS = -1
+"""Instead of a device: no action is NaN."""
 
 
 def tension_of(action: Any, low: float, high: float) -> Any:
@@ -42,3 +46,15 @@ def action_to_tension(action: ArrayLike, tension_range: tuple[float, float]) -> 
 def tension_to_action(tension: ArrayLike, tension_range: tuple[float, float]) -> NDArray[np.float64]:
     """Return the actions that mean tensions [N], in float64."""
     return np.asarray(action_of(np.asarray(tension, dtype=np.float64), *tension_range))
+
+
+@compiled
+def first_nan(others: NDArray[np.float64] | None, actions: NDArray[np.float64]) -> int:
+    """Return the first device that has a NaN among its actions, or `ALL_NUMBERS`; `others` are second ones, or None."""
+    for device in range(actions.size):
+        if math.isnan(actions[device]):
+            return device
+        if others is not None:  # noqa: SIM102, numba drops a branch only if it asks for nothing else
+            if math.isnan(others[device]):
+                return device
+    return ALL_NUMBERS

@@ -84,8 +84,8 @@ class Episodes:
     def __init__(self, num_devices: int, settings: Settings, threads: int = 1) -> None:
         self.settings, self.profiles, self.privileged = settings, settings.devices, settings.privileged
         self.names = None if settings.fleet is None else np.array([profile.name for profile in settings.fleet])
-        hidden = len(PRIVILEGED) + (0 if settings.fleet is None else len(FLEET_PRIVILEGED))
-        self.observation_size = len(transition.OBSERVATIONS) + (hidden if settings.privileged else 0)
+        more = len(PRIVILEGED) + (0 if settings.fleet is None else len(FLEET_PRIVILEGED))
+        self.observation_size = len(transition.OBSERVATIONS) + (more if settings.privileged else 0)
         self.action_size = 2 if settings.control == DRIVES else 1
         self.by_stiffness = settings.control in BY_STIFFNESS
         self.simulation = self._make_simulation(num_devices)
@@ -115,9 +115,9 @@ class Episodes:
         masses = [profile.plant.masses for profile in self.profiles]
         bare_inertia = np.array([inertia([m.mass for m in each], [m.arm for m in each]) for each in masses])
         self.described = describe_devices(simulation.parameters, bare_inertia)
-        # A copy is contiguous, as numba's type of the other is.
-        told = self.described if settings.fleet is not None else self.described[:, :0].copy()
-        self._hidden = (bare_inertia, told) if settings.privileged else None
+        # Copied, it is contiguous as `described` is: the same type, and the same code.
+        describing = self.described if settings.fleet is not None else self.described[:, :0].copy()
+        self._hidden = (bare_inertia, describing) if settings.privileged else None
         self._threads = min(threads, simulation.states.size)
         self._step: Callable[..., int] | None = None
         self._step_paths: Paths | None = None
@@ -368,24 +368,25 @@ class Episodes:
     def _take(self, *given: Any) -> int:
         """Take one agent step with what `_split` returns, into observations and report.
 
-        Return the first device with an action that is NaN, before any is stepped, or `shares.ALL_NUMBERS`.
+        Return the first device with an action that is NaN, before any is stepped, or `action.ALL_NUMBERS`.
         """
         if self._step is None or self._step_paths is not self.simulation.paths:
             self._step, self._step_paths = self._prepared(given), self.simulation.paths
         if self._threads == 1:
             return self._step(*given)
-        step, self._step = self._step, None  # one that begins meanwhile, wrongly, has threads and turns of its own
+        step, paths = self._step, self._step_paths
+        self._step = None  # one that begins meanwhile, wrongly, has threads and turns of its own
         try:
             return step(*given)
         finally:
-            self._step = step
+            self._step, self._step_paths = step, paths
 
     def _prepared(self, given: tuple[Any, ...]) -> Callable[..., int]:
         """Return the compiled step with all that is the same from step to step; a reset may bring new paths."""
         same = *self._arrays, *self._memory()
         if self._threads == 1 or numba.config.DISABLE_JIT:
             return partial(compiled_for(self._compiled_step, (*same, *given)), *same)
-        same = *same, given[0]
+        same = *same, None if given[0] is None else given[0][:0].copy()  # only the type matters
         take = partial(compiled_for(self._compiled_shares, (*same, turns_of(1, 1), 0)), *same)
         return SharedStep(take, self.simulation.states.size, self._threads, given)
 
@@ -480,7 +481,7 @@ class Episodes:
         return -(-self.simulation.read("tick") // self._ticks)
 
     def have_steps(self, count: float) -> NDArray[np.bool_]:
-        """Return which devices' episodes have at least `count` :meth:`steps`, shape (N,); sooner than by dividing."""
+        """Return which devices' episodes have at least `count` :meth:`steps`, shape (N,), without a slow division."""
         return self.simulation.read("tick") > (count - 1) * self._ticks
 
     @property

@@ -158,7 +158,7 @@ def observe_hidden(p, hidden, own, c, s, i, values, row):
 
     Absent features (obstacle, push, move, wave) are 0; times until them are 1. `hidden` has, for each profile, the
     inertia [kg m2] of its arm without a payload, and the last entries, which describe it; None: nothing is written, and
-    code for that is not compiled. `own` is the index of the profile.
+    code for that is not compiled. `own` is the index of the profile, `values` room as of `hidden_values`.
     """
     if hidden is None:
         return

@@ -11,13 +11,14 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
-from amulett_gym.envs.shares import ALL_NUMBERS, AWAKE, Turns, offer, turns_of, withdraw
+from amulett_gym.envs.action import ALL_NUMBERS
+from amulett_gym.envs.shares import AWAKE, Turns, offer, turns_of, withdraw
 from amulett_gym.jit.compiled import compiled_for
 
 LOOKS = 400_000
 """Looks for a share before a thread sleeps, some 0.2 ms: Python does less than that from step to step."""
 PAUSE = 5e-5
-"""Time between looks for the others' end, after so many [s]."""
+"""Time between further looks for the others' end, once `LOOKS` were in vain [s]."""
 FOREVER = 2**62
 """As many looks as it takes."""
 

@@ -13,8 +13,9 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
+from amulett_gym.envs.action import ALL_NUMBERS, first_nan
+from amulett_gym.jit.atomic import add, pointer, read, write
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.jit.turns import add, pointer, read, write
 
 NEXT, DONE, AWAKE, GIVEN, BEGINS = range(5)
 """Rows of the threads' turns.
@@ -26,10 +27,8 @@ shares begin, and where the last one ends. They are at least a line of the proce
 SHARES, DEVICES, ENTRIES, REPORTED, ACTIONS, OBSERVATIONS, REPORT, MEANS = range(8)
 """What a step is given: numbers of shares, of devices, and of columns of its two tables; addresses of its arrays."""
 
-ALL_NUMBERS = -1
-"""Instead of a device: no action is NaN."""
-
 _LINE = 8
+"""Numbers in a line of the processor's cache."""
 
 Turns = NDArray[np.int64]
 
@@ -51,9 +50,10 @@ def turns_of(blocks: int, threads: int) -> Turns:
 
 @compiled
 def offer(turns, means, actions, observations, report):
-    """Let threads take one agent step, as `transition.step` does; return that function's result.
+    """Offer the shares of one agent step, unless an action is NaN; return the first such device, or `ALL_NUMBERS`.
 
-    All shares of the step before have to be done.
+    All shares of the step before have to be done. `means` are None, those of the mean drive angle, or those of a worn
+    device's assistance.
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
@@ -66,18 +66,6 @@ def offer(turns, means, actions, observations, report):
         given[MEANS] = means.ctypes.data
     write(turns[DONE], 0)
     write(turns[NEXT], 0)
-    return ALL_NUMBERS
-
-
-@compiled
-def first_nan(means, actions):
-    """Return the first device that has a NaN among its actions, or `ALL_NUMBERS`; `means` may be None."""
-    for device in range(actions.size):
-        if math.isnan(actions[device]):
-            return device
-        if means is not None:  # noqa: SIM102, numba drops a branch only if it asks for nothing else
-            if math.isnan(means[device]):
-                return device
     return ALL_NUMBERS
 
 
@@ -98,7 +86,7 @@ def next_share(turns, looks):
 def given_to(turns, means):
     """Return what the step is given of which a thread has a share: means, actions, observations, report.
 
-    The former are None if `means` is None; of another, only the type matters.
+    The means are None if `means` is None; of an array, only the type matters.
     """
     given = turns[GIVEN]
     devices = given[DEVICES]

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from amulett_gym.envs.action import compiled_action_of, compiled_tension_of
+from amulett_gym.envs.action import ALL_NUMBERS, compiled_action_of, compiled_tension_of, first_nan
 from amulett_gym.envs.privileged import hidden_values, observe_hidden
 from amulett_gym.envs.reward import COST_TERMS, TERMS
-from amulett_gym.envs.shares import ALL_NUMBERS, AWAKE, DONE, first_nan, given_to, next_share
+from amulett_gym.envs.shares import AWAKE, DONE, given_to, next_share
+from amulett_gym.jit.atomic import add
 from amulett_gym.jit.compiled import compiled, compiled_in_place, record
-from amulett_gym.jit.turns import add
 from amulett_gym.simulation.dynamics import joint_stiffness
 from amulett_gym.simulation.kernel import advance_block
 from amulett_gym.simulation.layout import FAMILIES, LANES, MOTION_BLOCK, RUNNING
@@ -129,7 +129,7 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, 
     `which` holds the index of each block's profile, for `p`, `e` and the gains in `loop`. `actions` are those for the
     tension; `means` those for the mean drive angle, or None: then the code for these is not compiled. `paths`, `loop`
     and `extended` are as of `kernel.advance`, and `hidden` of `privileged.observe_hidden`. If an action is NaN, nothing
-    happens but that its device is returned (see `shares.first_nan`).
+    happens but that its device is returned (see `action.first_nan`).
     """
     wrong = first_nan(means, actions)
     if wrong >= 0:
@@ -143,7 +143,7 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, 
 
 @compiled
 def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, turns, looks):
-    """Take an agent step with the devices of shares of this thread, until none comes in so many looks.
+    """Take shares of agent steps, one after the other, until none comes in so many looks.
 
     Arguments are those of :func:`step` and `shares.next_share`; of `means`, only the type matters. Nothing may raise
     between a share and its count as done: the others would wait forever.

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from amulett_gym.envs import transition
-from amulett_gym.envs.action import compiled_tension_of
-from amulett_gym.envs.shares import ALL_NUMBERS, AWAKE, DONE, first_nan, given_to, next_share
+from amulett_gym.envs.action import ALL_NUMBERS, compiled_tension_of, first_nan
+from amulett_gym.envs.shares import AWAKE, DONE, given_to, next_share
 from amulett_gym.envs.transition import (
     BRIEF_SIZE,
     FIRST_READING,
@@ -19,8 +19,8 @@ from amulett_gym.envs.transition import (
     observe,
     write_report,
 )
+from amulett_gym.jit.atomic import add
 from amulett_gym.jit.compiled import compiled, compiled_in_place
-from amulett_gym.jit.turns import add
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
 from amulett_gym.simulation.worn import advance_block
@@ -77,7 +77,7 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistanc
 
 @compiled
 def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, assistances, turns, looks):
-    """Take an agent step with the devices of shares of this thread; see `transition.step_shares`."""
+    """Take shares of agent steps; see `transition.step_shares`."""
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
     memory = motion, motion_of_arm, paths, loop, extended, worn
     add(turns[AWAKE], 1)
@@ -98,7 +98,7 @@ def step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given):
         first = block * LANES
         ends = first, min(first + LANES, actions.size)
         c, s, own = c_blocks[block], s_blocks[block], which[block]
-        others = motion[0], motion_of_arm[0], paths, loop, extended, worn
+        others = motion[0], motion_of_arm[0], paths, loop, extended, worn  # see `transition.step_blocks`
         step_block(p[own], e[own], c, s, others, own, block, ends, assistances, actions, observations, report)
 
 

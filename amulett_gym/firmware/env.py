@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from amulett_gym.envs import shares, transition
+from amulett_gym.envs import transition
+from amulett_gym.envs.action import ALL_NUMBERS, first_nan
 from amulett_gym.envs.episodes import Episodes, Observations
 from amulett_gym.envs.settings import Settings
 from amulett_gym.envs.single import TensionEnv
@@ -62,7 +63,7 @@ class FirmwareEpisodes(Episodes):
     def _take(self, *given: Any) -> int:
         """Take one agent step; the firmware chooses the tension, whatever the action."""
         others, actions, observations, report = given
-        if (wrong := shares.first_nan(others, actions)) >= 0:
+        if (wrong := first_nan(others, actions)) >= 0:
             return int(wrong)
         parameters, constants, _, scenarios, states = self._arrays
         loop = self.simulation.loop
@@ -75,7 +76,7 @@ class FirmwareEpisodes(Episodes):
             set_stiffness(parameters, loop[0], states)
         transition.observe_devices(*self._arrays, _DEVICE, observations)
         close_step(parameters, constants, scenarios, states, report)
-        return shares.ALL_NUMBERS
+        return ALL_NUMBERS
 
     def _compile(self) -> None:
         """Take a step without the firmware, so that nothing is compiled in an episode: a real board would time out."""

@@ -281,7 +281,8 @@ class Simulation:
     def _keep_paths(self, devices: NDArray[np.int64], paths: Sequence[NDArray[np.void]]) -> None:
         """Set new paths of some devices, and keep those of the others.
 
-        If nothing changes, `paths` stays the same object: a step of several threads begins new ones for another.
+        If nothing changes, `paths` stays the same object: for other paths, a step of several threads would start its
+        threads anew.
         """
         had = self.paths is not None and self.paths[1]["count"].ravel()[devices].any()
         if not had and not any(path.size for path in paths):

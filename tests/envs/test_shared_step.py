@@ -15,21 +15,11 @@ import numpy as np
 import pytest
 
 from amulett_gym.envs import shared_step
+from amulett_gym.envs.action import ALL_NUMBERS
 from amulett_gym.envs.shared_step import SharedStep
-from amulett_gym.envs.shares import (
-    ALL_NUMBERS,
-    AWAKE,
-    DONE,
-    GIVEN,
-    NEXT,
-    SHARES,
-    given_to,
-    next_share,
-    turns_of,
-    withdraw,
-)
+from amulett_gym.envs.shares import AWAKE, DONE, GIVEN, NEXT, SHARES, given_to, next_share, turns_of, withdraw
+from amulett_gym.jit.atomic import add, read, write
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.jit.turns import add, read, write
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="needs the compiler")
 
@@ -143,7 +133,7 @@ def test_a_thread_that_has_not_begun_is_not_waited_for():
 
 
 def test_awake_threads_need_no_call(monkeypatch):
-    monkeypatch.setattr(shared_step, "LOOKS", 10**8)
+    monkeypatch.setattr(shared_step, "LOOKS", 10**9)
     taken = number()
     step = shared(taken=taken)
     step(None, *arrays())
@@ -151,6 +141,7 @@ def test_awake_threads_need_no_call(monkeypatch):
     for _ in range(3):
         step(None, *arrays())
         assert step._calls.qsize() == 0 and step._turns[AWAKE, 0] == 1
+    step.close()
 
 
 def test_sleeping_threads_are_called_once(monkeypatch):

@@ -94,6 +94,7 @@ def test_after_an_error_in_a_step_an_environment_plays_as_before():
     step, episodes._step = episodes._step, fail
     with pytest.raises(ValueError, match="no"):
         vector.step(np.zeros((3 * LANES, 1)))
+    assert episodes._step is fail  # kept, with its threads
     episodes._step = step
     alone = gym.make_vec(SCALING, num_envs=3 * LANES)
     assert_same(play(alone, 3, seed=1), play(vector, 3, seed=1))
@@ -113,6 +114,27 @@ def test_a_step_amid_another_has_threads_of_its_own():
     episodes._step = step
     episodes.step(actions)
     assert inner[0] not in (None, outer, step)
+    assert episodes._step is step
+
+
+def test_a_reset_amid_a_step_is_not_forgotten():
+    vectors = [gym.make_vec(SCALING, num_envs=3 * LANES, threads=threads) for threads in (1, 2)]
+    path = {"setpoint": {"time": [0.0, 1.0], "angle_deg": [10.0, 20.0]}, "initial_angle_deg": 10.0}
+    for vector in vectors:
+        play(vector, 1, seed=0)
+        episodes, actions = vector.unwrapped.episodes, np.zeros(3 * LANES)
+        outer = episodes._step
+
+        def step(*given, episodes=episodes, actions=actions, outer=outer):
+            wrong = outer(*given)
+            episodes.start(np.arange(3 * LANES), [path] * 3 * LANES)
+            episodes.step(actions)
+            return wrong
+
+        episodes._step = step
+        episodes.step(actions)
+    alone, together = ([go(vector, np.zeros((3 * LANES, 1))) for _ in range(20)] for vector in vectors)
+    assert_same(alone, together)
 
 
 @pytest.mark.parametrize("threads", [0, -1, 1.5, True, "2"])

@@ -7,8 +7,8 @@ import numba
 import numpy as np
 import pytest
 
+from amulett_gym.jit.atomic import add, pointer, read, write
 from amulett_gym.jit.compiled import compiled
-from amulett_gym.jit.turns import add, pointer, read, write
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="needs the compiler")
 
