@@ -70,8 +70,24 @@ def offer(turns, means, actions, observations, report):
 
 
 @compiled
+def first_share(turns, looks):
+    """Look out for shares and take one; return its first block and the one after its last.
+
+    They are equal if none comes in so many looks: then the thread no longer looks out.
+    """
+    add(turns[AWAKE], 1)
+    return _take_share(turns, looks)
+
+
+@compiled
 def next_share(turns, looks):
-    """Take the next share; return its first block and the one after its last, equal if none comes in so many looks."""
+    """Count the share that the thread had as done, and take another one; return what :func:`first_share` does."""
+    add(turns[DONE], 1)
+    return _take_share(turns, looks)
+
+
+@compiled
+def _take_share(turns, looks):
     shares, begins = turns[GIVEN, SHARES], turns[BEGINS]
     while looks > 0:
         if read(turns[NEXT]) < shares:
@@ -79,6 +95,7 @@ def next_share(turns, looks):
             if share < shares:
                 return begins[share], begins[share + 1]
         looks -= 1
+    add(turns[AWAKE], -1)
     return 0, 0
 
 

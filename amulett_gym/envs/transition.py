@@ -9,8 +9,7 @@ import numpy as np
 from amulett_gym.envs.action import ALL_NUMBERS, compiled_action_of, compiled_tension_of, first_nan
 from amulett_gym.envs.privileged import hidden_values, observe_hidden
 from amulett_gym.envs.reward import COST_TERMS, TERMS
-from amulett_gym.envs.shares import AWAKE, DONE, given_to, next_share
-from amulett_gym.jit.atomic import add
+from amulett_gym.envs.shares import first_share, given_to, next_share
 from amulett_gym.jit.compiled import compiled, compiled_in_place, record
 from amulett_gym.simulation.dynamics import joint_stiffness
 from amulett_gym.simulation.kernel import advance_block
@@ -145,18 +144,15 @@ def step(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, 
 def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, hidden, means, turns, looks):
     """Take shares of agent steps, one after the other, until none comes in so many looks.
 
-    Arguments are those of :func:`step` and `shares.next_share`; of `means`, only the type matters. Nothing may raise
+    Arguments are those of :func:`step` and `shares.first_share`; of `means`, only the type matters. Nothing may raise
     between a share and its count as done: the others would wait forever.
     """
     motion = np.empty(1, dtype=MOTION_BLOCK)
     memory = motion, paths, loop, extended, hidden, hidden_values(hidden)
-    add(turns[AWAKE], 1)
-    blocks = next_share(turns, looks)
+    blocks = first_share(turns, looks)
     while blocks[0] < blocks[1]:
         step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given_to(turns, means))
-        add(turns[DONE], 1)
         blocks = next_share(turns, looks)
-    add(turns[AWAKE], -1)
 
 
 @compiled_in_place

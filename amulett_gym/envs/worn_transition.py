@@ -8,7 +8,7 @@ import numpy as np
 
 from amulett_gym.envs import transition
 from amulett_gym.envs.action import ALL_NUMBERS, compiled_tension_of, first_nan
-from amulett_gym.envs.shares import AWAKE, DONE, given_to, next_share
+from amulett_gym.envs.shares import first_share, given_to, next_share
 from amulett_gym.envs.transition import (
     BRIEF_SIZE,
     FIRST_READING,
@@ -19,7 +19,6 @@ from amulett_gym.envs.transition import (
     observe,
     write_report,
 )
-from amulett_gym.jit.atomic import add
 from amulett_gym.jit.compiled import compiled, compiled_in_place
 from amulett_gym.simulation.layout import LANES, MOTION_BLOCK
 from amulett_gym.simulation.random import noise
@@ -80,13 +79,10 @@ def step_shares(p, e, which, c_blocks, s_blocks, paths, loop, extended, worn, as
     """Take shares of agent steps; see `transition.step_shares`."""
     motion, motion_of_arm = np.empty(1, dtype=MOTION_BLOCK), np.empty(1, dtype=ARM_BLOCK)
     memory = motion, motion_of_arm, paths, loop, extended, worn
-    add(turns[AWAKE], 1)
-    blocks = next_share(turns, looks)
+    blocks = first_share(turns, looks)
     while blocks[0] < blocks[1]:
         step_blocks(p, e, which, c_blocks, s_blocks, memory, blocks, given_to(turns, assistances))
-        add(turns[DONE], 1)
         blocks = next_share(turns, looks)
-    add(turns[AWAKE], -1)
 
 
 @compiled_in_place

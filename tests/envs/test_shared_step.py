@@ -13,11 +13,23 @@ from functools import partial
 import numba
 import numpy as np
 import pytest
+from helpers import wait_until
 
 from amulett_gym.envs import shared_step
 from amulett_gym.envs.action import ALL_NUMBERS
 from amulett_gym.envs.shared_step import SharedStep
-from amulett_gym.envs.shares import AWAKE, DONE, GIVEN, NEXT, SHARES, given_to, next_share, turns_of, withdraw
+from amulett_gym.envs.shares import (
+    AWAKE,
+    DONE,
+    GIVEN,
+    NEXT,
+    SHARES,
+    first_share,
+    given_to,
+    next_share,
+    turns_of,
+    withdraw,
+)
 from amulett_gym.jit.atomic import add, read, write
 from amulett_gym.jit.compiled import compiled
 
@@ -27,13 +39,6 @@ DEADLINE = 30.0
 """What is given to what takes a millisecond on a free machine [s]."""
 
 BLOCKS = 64
-
-
-def waited_for(condition):
-    end = time.monotonic() + DEADLINE
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    return condition()
 
 
 @compiled
@@ -47,8 +52,7 @@ def take(gate, taken, means, turns, looks):
 
     The gate is closed if it is 1, for all but the caller if it is 2. Device and block are the same here.
     """
-    add(turns[AWAKE], 1)
-    blocks = next_share(turns, looks)
+    blocks = first_share(turns, looks)
     while blocks[0] < blocks[1]:
         add(taken, 1)
         while read(gate) > 0 and (looks > 1 or read(gate) == 1):
@@ -58,9 +62,7 @@ def take(gate, taken, means, turns, looks):
             total = actions[device] + entry_of(others, device)
             observations[device] = total
             report[device] = total
-        add(turns[DONE], 1)
         blocks = next_share(turns, looks)
-    add(turns[AWAKE], -1)
 
 
 @compiled
@@ -118,7 +120,7 @@ def test_all_threads_work_at_the_same_time():
     step, given = shared(3, gate=gate, taken=taken), arrays()
     caller = threading.Thread(target=step, args=(None, *given), daemon=True)
     caller.start()
-    assert waited_for(lambda: taken[0] == 3)
+    wait_until(lambda: taken[0] == 3)
     assert caller.is_alive() and np.isnan(given[1]).all()
     set_to(gate, 0)
     caller.join(DEADLINE)
@@ -137,7 +139,7 @@ def test_awake_threads_need_no_call(monkeypatch):
     taken = number()
     step = shared(taken=taken)
     step(None, *arrays())
-    assert waited_for(lambda: step._turns[AWAKE, 0] == 1)
+    wait_until(lambda: step._turns[AWAKE, 0] == 1)
     for _ in range(3):
         step(None, *arrays())
         assert step._calls.qsize() == 0 and step._turns[AWAKE, 0] == 1
@@ -160,7 +162,7 @@ def test_interruptions_are_raised_once_no_thread_works_any_more():
     signals = signal.SIGALRM, signal.SIGVTALRM
 
     def interrupt():
-        waited_for(lambda: taken[0] == 2)
+        wait_until(lambda: taken[0] == 2)
         for one in signals:  # their handlers wait until the caller is back in Python
             os.kill(os.getpid(), one)
         set_to(gate, 2)
@@ -244,7 +246,7 @@ def test_threads_and_what_they_hold_end_with_their_step():
     threads, kept = step._threads, weakref.ref(taken)
     del step, taken
     gc.collect()
-    assert waited_for(lambda: kept() is None and not any(thread.is_alive() for thread in threads))
+    wait_until(lambda: kept() is None and not any(thread.is_alive() for thread in threads))
 
 
 def test_waiting_threads_do_not_hold_up_the_end_of_the_process():
@@ -266,15 +268,15 @@ def test_shares_are_all_blocks_and_become_smaller(blocks, threads):
     assert begins[0] == 0 and begins[-1] == blocks
     sizes = np.diff(begins)
     assert (sizes > 0).all() and (np.diff(sizes[:-1]) <= 0).all()
-    assert next_share(turns, 3) == (0, 0) and withdraw(turns, 1)
+    assert first_share(turns, 3) == (0, 0) and withdraw(turns, 1)
 
 
 def test_what_is_withdrawn_is_left_to_nobody():
     turns = turns_of(BLOCKS, 2)
     count = turns[GIVEN, SHARES]
     turns[NEXT, 0] = turns[DONE, 0] = 0
-    assert next_share(turns, 1) == tuple(turns[-1, :2])
+    assert first_share(turns, 1) == tuple(turns[-1, :2])
     assert not withdraw(turns, 100)  # that share is not done
-    assert next_share(turns, 100) == (0, 0)
+    assert first_share(turns, 100) == (0, 0)
     turns[DONE, 0] += 1
     assert withdraw(turns, 1) and turns[DONE, 0] == count
